@@ -9,6 +9,9 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --quiet --no-compile
 STAMPS := $(VENV)/stamps
 
+# Where this is set, every process would compile anew all that it imports: a second and more each.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: setup test long fuzz soak lint demo docs pictures bench figures format system colcon clean
 
 setup: $(STAMPS)/dev

@@ -1,16 +1,14 @@
 """A day of work: play grows in one joint, the temperature rises, the payload changes.
 
-The simulated arm is calibrated in the morning and commanded all day, four ways at once on the same
-targets: without compensation; calibrated, in the circumstances of the morning; calibrated, told
-the temperature and the payload of every move; and the same with the drift monitor, which is fed
-what the cameras report of every move.  When the monitor asks, poses are measured, the effects are
-identified again, and the operator says yes.  Errors are those of the true tip.
+The simulated arm is calibrated in the morning and commanded all day, in several ways at once on the
+same targets (`WAYS`).  Where an arm stands still to be measured, the time counts: targets that come
+meanwhile are not served.  Errors are those of the true tip at the targets that were served.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +16,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.at_work.learner import Learner
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.compensation.drift import Monitor
@@ -27,7 +26,9 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.explain import explain_session
+from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
@@ -97,20 +98,43 @@ class Way:
         method: what is compensated.
         told: temperature and payload of the move are known; else those of the morning are taken.
         watched: the drift monitor runs, and what it asks for is done.
+        charged: that takes its time.
+        learns: the recursive posterior learns from what the cameras report of every move.
     """
 
     name: str
     method: Method = Method.DEFLECTION
     told: bool = True
     watched: bool = False
+    charged: bool = True
+    learns: bool = False
 
 
 WAYS = (
     Way("no compensation", Method.NONE),
     Way("calibrated once", told=False),
     Way("with circumstances"),
+    Way("with re-diagnosis, free of charge", watched=True, charged=False),
     Way("with re-diagnosis", watched=True),
+    Way("learning at work", learns=True),
 )
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The arm is measured for its own sake.
+
+    Attributes:
+        way: in which it is commanded.
+        hour: since work began.
+        said: why.
+        poses: that it takes, at `ROW_H` each.
+    """
+
+    way: str
+    hour: float
+    said: str
+    poses: int
 
 
 @dataclass(frozen=True)
@@ -118,21 +142,31 @@ class DayOutcome:
     """One day.
 
     Attributes:
+        ways: names of the ways in which the arm was commanded.
         t_h: (M,) hours since work began, of every move.
         temperature_c, payload_kg, play_rad: (M,) of the circumstances; half play of the joint
             whose play grows.
-        error: (ways, M) distance of the true tip from its target, m.
-        asked_h: hours at which the monitor asked for a diagnosis.
-        said: what it said each time.
+        error: (ways, M) distance of the true tip from its target, m; NaN where it was not served.
+        stops: of all ways, in order.
+        changes: what the learner found changed: hour and words.
     """
 
+    ways: tuple[str, ...]
     t_h: np.ndarray
     temperature_c: np.ndarray
     payload_kg: np.ndarray
     play_rad: np.ndarray
     error: np.ndarray
-    asked_h: tuple[float, ...]
-    said: tuple[str, ...]
+    stops: tuple[Stop, ...]
+    changes: tuple[tuple[float, str], ...] = ()
+
+    def of(self, way: str) -> np.ndarray:
+        """(M,) m, errors of one way."""
+        return np.asarray(self.error[self.ways.index(way)])
+
+    def asked(self, way: str) -> list[Stop]:
+        """The stops of one way."""
+        return [stop for stop in self.stops if stop.way == way]
 
 
 class _Truth:
@@ -143,7 +177,7 @@ class _Truth:
         arm = setting.arm
         names = (*HIDDEN, "link_stiffness") if arm.links else HIDDEN
         self._fixed = [hidden(name, arm, 1.0, rng) for name in names]
-        self._worn = int(rng.choice(_levers(arm)[:2]))
+        self._worn = int(rng.choice(levers(arm)[:2]))
         self._arms: dict[float, TrueArm] = {}
 
     def play(self, t_h: float) -> float:
@@ -188,7 +222,7 @@ class _Truth:
         )
 
 
-def _levers(arm: Arm) -> list[int]:
+def levers(arm: Arm) -> list[int]:
     """Revolute joints (0-based), those first that move the tip most at mid-range."""
     tip, model = arm.mid, Model(arm)
     moved = np.linalg.norm(model.tip(tip + 1e-3 * np.eye(arm.n)) - model.tip(tip[None]), axis=1)
@@ -207,6 +241,9 @@ class _Arm:
     side: np.ndarray
     history: History
     monitor: Monitor = field(default_factory=Monitor)
+    learner: Learner | None = None
+    busy_until_h: float = 0.0
+    stops: list[Stop] = field(default_factory=list)
 
     def move(
         self, truth: _Truth, target: np.ndarray, t_h: float, context: Context, real: TrueContext
@@ -225,7 +262,24 @@ class _Arm:
         if self.way.watched:
             expected = self.model.measured(self.q[None], made.context)
             self.monitor = self.monitor.seen((truth.seen(tip) - expected)[0], self.sigma)
+        if self.learner is not None:
+            seen, variance = truth.seen(tip)[0], np.full(3, truth.setting.noise_m**2)
+            self.learner = self.learner.seen(self.q, made.context, seen, variance, 3600.0 * t_h)
+            self.model = self.learner.model
         return np.asarray(tip[0])
+
+    def answer(self, truth: _Truth, t_h: float, payload_kg: float) -> None:
+        """Do what the monitor asks for."""
+        verdict = self.monitor.verdict()
+        if not verdict.drifted:
+            return
+        setting = truth.setting
+        self.stops.append(Stop(self.way.name, t_h, verdict.finding, setting.again))
+        done_h = t_h + self.way.charged * setting.again * ROW_H
+        fresh = truth.session(setting.again, done_h, [payload_kg])
+        fitted = identified(self.model, fresh, setting)
+        self.model, self.sigma = fitted.model, fitted.sigma
+        self.monitor, self.busy_until_h = Monitor(), done_h
 
 
 def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOutcome:
@@ -237,14 +291,16 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
     rng = np.random.default_rng([seed, 11])
     truth, arm = _Truth(setting, rng), setting.arm
     morning = truth.session(setting.rows, 0.0, setting.payloads_kg)
-    model, sigma = identified(declared_model(arm), morning, setting)
+    fitted = identified(declared_model(arm), morning, setting)
     rest, unknown = arm.mid, History.unknown(arm.n)
-    arms = [_Arm(way, model, sigma, rest, np.ones(arm.n), unknown) for way in ways]
+    arms = [_Arm(way, fitted.model, fitted.sigma, rest, np.ones(arm.n), unknown) for way in ways]
+    for each in arms:
+        if each.way.learns:
+            each.learner = Learner.of(with_uncertainty(fitted))
     t = (np.arange(setting.hours * setting.moves) + 0.5) / setting.moves
     targets = rigid(declared_model(arm)).tip(random_joints(arm, len(t), rng))
     of_morning = {k: float(np.mean(v)) for k, v in morning.columns.items()}
-    error = np.empty((len(arms), len(t)))
-    asked: list[tuple[float, str]] = []
+    error = np.full((len(arms), len(t)), np.nan)
     for k, t_h in enumerate(t.tolist()):
         now = {
             "t_s": 3600.0 * t_h,
@@ -253,53 +309,60 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
         }
         real = TrueContext(**now)
         for i, each in enumerate(arms):
+            if t_h < each.busy_until_h:
+                continue
             context = Context(columns=now if each.way.told else of_morning)
-            error[i, k] = np.linalg.norm(
-                each.move(truth, targets[k], t_h, context, real) - targets[k]
-            )
-            verdict = each.monitor.verdict()
-            if verdict.drifted:
-                asked.append((t_h, verdict.finding))
-                fresh = truth.session(setting.again, t_h, [now["payload_kg"]])
-                each.model, each.sigma = identified(each.model, fresh, setting)
-                each.monitor = Monitor()
+            tip = each.move(truth, targets[k], t_h, context, real)
+            error[i, k] = np.linalg.norm(tip - targets[k])
+            each.answer(truth, t_h, now["payload_kg"])
     return DayOutcome(
+        tuple(way.name for way in ways),
         t,
         setting.temperature_c(t),
         np.array([setting.payload_kg(x) for x in t]),
         np.array([truth.play(x) for x in t]),
         error,
-        tuple(h for h, _ in asked),
-        tuple(said for _, said in asked),
+        tuple(stop for each in arms for stop in each.stops),
+        tuple(
+            (version.at_s / 3600.0, version.named.text)
+            for each in arms
+            if each.learner is not None
+            for version in each.learner.versions
+            if version.named is not None
+        ),
     )
 
 
-def identified(known: Model, session: Session, setting: DaySetting) -> tuple[Model, np.ndarray]:
-    """What is known fitted again, with what it lacks; and its noise, (3,) m."""
+def identified(known: Model, session: Session, setting: DaySetting) -> ModelFit:
+    """What is known fitted again, with what it lacks."""
     base = dict(stages(known, session))["geometry"].model
     candidates = library(setting.arm, session.context(), setting.kinds, base.terms)
-    found = explain_session(base, session, candidates.testable)
-    return found.fit.model, found.fit.sigma
+    return explain_session(base, session, candidates.testable).fit
 
 
-def days(setting: DaySetting, seeds: Sequence[int]) -> Iterator[DayOutcome]:
-    """One day a seed, another arm each."""
-    for seed in seeds:
-        yield one_day(setting, seed)
+def table(found: Sequence[DayOutcome], hours: float, parts: int = 4) -> list[dict[str, object]]:
+    """A row a way: poses, minutes and targets lost to standing still, and the errors, a day.
 
-
-def table(found: Sequence[DayOutcome], parts: int = 4) -> list[dict[str, object]]:
-    """Mean 3-D error of the true tip (mm) by way: each part of the day, the whole, its p95."""
+    3-D errors of the true tip in mm at the targets that were served: mean and p95, and the mean of
+    each part of the day.
+    """
     rows: list[dict[str, object]] = []
-    t = found[0].t_h
-    edges = np.linspace(0.0, np.ceil(t[-1]), parts + 1)
-    errors = 1e3 * np.stack([day.error for day in found])  # (days, ways, moves)
-    for i, way in enumerate(WAYS):
-        row: dict[str, object] = {"commanded": way.name}
+    edges = np.linspace(0.0, hours, parts + 1)
+    t = np.concatenate([day.t_h for day in found])
+    for name in found[0].ways:
+        errors = 1e3 * np.concatenate([day.of(name) for day in found])
+        poses = sum(stop.poses for day in found for stop in day.asked(name)) / len(found)
+        row: dict[str, object] = {
+            "commanded": name,
+            "poses": poses,
+            "minutes": 60.0 * ROW_H * poses,
+            "not_served": float(np.isnan(errors).sum()) / len(found),
+            "mean_mm": float(np.nanmean(errors)),
+            "p95_mm": float(np.nanpercentile(errors, 95)),
+        }
         for low, high in itertools.pairwise(edges):
-            chosen = (t >= low) & (t < high)
-            row[f"{low:g}-{high:g} h, mm"] = float(errors[:, i, chosen].mean())
-        row["day, mm"] = float(errors[:, i].mean())
-        row["p95, mm"] = float(np.percentile(errors[:, i], 95))
+            chosen = errors[(t >= low) & (t < high)]
+            served = chosen[np.isfinite(chosen)]
+            row[f"{low:g}-{high:g} h, mm"] = float(served.mean()) if len(served) else None
         rows.append(row)
     return rows

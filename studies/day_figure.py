@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,9 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from longarm_comp.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, VERMILLION, rc, save
-from studies.day import WAYS, DayOutcome
+from studies.day import DayOutcome
 
-_LINES = ((INK, "X", ":"), (PURPLE, "s", "-."), (ORANGE, "^", "--"), (BLUE, "o", "-"))
+_LINES = (
+    *((INK, "X", ":"), (PURPLE, "s", "-."), (ORANGE, "^", "--")),
+    *((VERMILLION, "v", ":"), (BLUE, "o", "-"), (GREEN, "D", "-")),
+)
 
 
 def day_figure(found: Sequence[DayOutcome], path: str | os.PathLike[str]) -> Path:
@@ -37,20 +41,21 @@ def _errors(axes: Axes, found: Sequence[DayOutcome]) -> None:
     hours = np.arange(int(np.ceil(t[-1])))
     of_hour = np.floor(t)[None, :] == hours[:, None]
     errors = 1e3 * np.stack([day.error for day in found])
-    by_hour = np.stack([errors[..., chosen].mean(axis=-1) for chosen in of_hour], axis=-1)
-    for i, (way, (color, marker, dash)) in enumerate(zip(WAYS, _LINES, strict=True)):
+    by_hour = np.stack([np.nanmean(errors[..., chosen], axis=-1) for chosen in of_hour], axis=-1)
+    lines = itertools.cycle(_LINES)
+    for i, (way, (color, marker, dash)) in enumerate(zip(found[0].ways, lines, strict=False)):
         axes.plot(
-            hours + 0.5, by_hour[:, i].mean(axis=0), color=color, linestyle=dash, marker=marker,
-            label=way.name,
+            hours + 0.5, np.nanmean(by_hour[:, i], axis=0), color=color, linestyle=dash, marker=marker,
+            label=way,
         )  # fmt: skip
         for day in by_hour[:, i]:
             axes.plot(
                 hours + 0.5, day, color=color, linestyle="", marker=marker, markersize=3, alpha=0.35
             )
-    asked = [h for day in found for h in day.asked_h]
+    asked = [stop.hour for day in found for stop in day.stops]
     axes.plot(
         asked, np.full(len(asked), 0.02), transform=axes.get_xaxis_transform(), clip_on=False,
-        color=VERMILLION, marker="|", markersize=9, linestyle="", label="the monitor asks",
+        color=VERMILLION, marker="|", markersize=9, linestyle="", label="it is measured",
     )  # fmt: skip
     axes.set_yscale("log")
     axes.set_ylabel("error of the true tip, mm")

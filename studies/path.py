@@ -161,7 +161,7 @@ def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
     started = time.process_time()
     made: CompensatedPath = compensate_path(
         studied.model, None, plan, start=None, history=came,
-        context_after=lambda arrived, row: Context(**arrived.fields()),
+        context_at=lambda arrived: Context(**arrived.fields()),
     )  # fmt: skip
     spent = time.process_time() - started
     off = [deviation(studied, path, found.curve) for path in (before, made.timed)]

@@ -16,7 +16,7 @@ row that uses the approach direction gets the one with which the arm arrives.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -39,6 +39,7 @@ from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim import context as sim_context
 from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.drives import ServoQuantisation
 from longarm_comp.sim.measure import TrueCamera, measure_session
 from longarm_comp.workflows.residual import training_rows
@@ -200,6 +201,7 @@ class Bench:
     seed_q: np.ndarray  # (M, n) where the arm stands before
     side: np.ndarray  # (M,) side all joints arrive from
     temperature_c: float
+    payload_kg: float
     as_paper: bool = False
 
     @property
@@ -216,17 +218,21 @@ class Bench:
         poses: int = max(SAMPLES),
         *,
         as_paper: bool = False,
+        also: tuple[str, ...] = (),
     ) -> Bench:
         """Arm number `number` of a study: geometry, hidden effects, session, targets.
 
         Args:
             as_paper: every joint arrives from below, always; the grid is measured in its order, so
                 that few samples, the last ones, are a corner of it.
+            also: names of further hidden effects, of typical size.
         """
         rng = np.random.default_rng([seed, number])
         arm = random_arm(rng, base)
         mix = paper_mix(rng, arm)
         arm = with_steps(arm, mix)
+        more = Mix.of(*(hidden(name, arm, 1.0, rng) for name in also))
+        mix = Mix(mix.arm_side + more.arm_side, mix.camera_side + more.camera_side)
         true, camera = TrueArm(arm, mix.arm_side), TrueCamera.of(arm, mix.camera_side)
         plan = _in_order(arm, poses, rng) if as_paper else grid(arm, poses, rng).q
         measured = measure_session(
@@ -250,6 +256,7 @@ class Bench:
             postures,
             np.ones(TARGETS) if as_paper else rng.choice([-1.0, 1.0], TARGETS),
             float(measured["temperature_c"][-1]),
+            arm.payload.mass_kg if arm.payload else 0.0,
             as_paper,
         )
 
@@ -261,21 +268,27 @@ class Bench:
         )
 
     def run(self, setting: RowSetting, seed: int, *, whole_poses: bool = False) -> Outcome:
-        """Train a row, command the targets (positions or whole poses), evaluate the tip.
+        """Train a row, command the targets (positions or whole poses), evaluate the tip."""
+        return self.commanded(setting, *self.trained(setting, seed), whole_poses=whole_poses)
 
-        Poses that cannot be reached are left out.
-        """
+    def trained(self, setting: RowSetting, seed: int) -> tuple[Model, Any]:
+        """Model and predictor of a row."""
         rows = self.rows(setting.samples)
         model = setting.physics(self.declared, rows)
         predictor = None
         if setting.learner is not None:
             base = model if setting.method.physics else rigid(model)
             predictor = setting.learner(*training_rows(base, rows), seed=seed)
+        return model, predictor
+
+    def commanded(
+        self, setting: RowSetting, model: Model, predictor: Any, *, whole_poses: bool = False
+    ) -> Outcome:
+        """What a trained row leaves at the targets. Poses that cannot be reached are left out."""
         arm = self.declared.arm
-        payload = arm.payload.mass_kg if arm.payload else 0.0
         known = Context(
             tuple(self.side for _ in range(arm.n)),
-            {"temperature_c": self.temperature_c, "payload_kg": payload},
+            {"temperature_c": self.temperature_c, "payload_kg": self.payload_kg},
         )
         sent = compensate_many(
             model, predictor, self.poses, context=known, seed=self.seed_q,
@@ -283,7 +296,7 @@ class Bench:
             single_pass=setting.single_pass, realisable=setting.realisable,
         )  # fmt: skip
         circumstances = sim_context.TrueContext(
-            np.repeat(self.side[:, None], arm.n, axis=1), self.temperature_c, payload
+            np.repeat(self.side[:, None], arm.n, axis=1), self.temperature_c, self.payload_kg
         )
         judged = sent.success if whole_poses else slice(None)
         pose, wanted = self.true.pose(sent.command, circumstances)[judged], self.poses[judged]
@@ -317,9 +330,14 @@ def one_arm(
     whole_poses: bool = False,
     as_paper: bool = False,
 ) -> list[Outcome]:
-    """All rows on one arm. A model that two rows share is fitted once."""
+    """All rows on one arm."""
     poses = max(s.samples for s in settings) or 1
     bench = Bench.draw(base, seed, number, poses, as_paper=as_paper)
+    return [bench.run(s, seed, whole_poses=whole_poses) for s in fitted_once(settings)]
+
+
+def fitted_once(settings: Sequence[RowSetting]) -> list[RowSetting]:
+    """The rows of one arm; a model that two of them share is fitted once."""
     fitted: dict[int, Model] = {}
 
     def once(declared: Model, session: Session) -> Model:
@@ -327,14 +345,7 @@ def one_arm(
             fitted[len(session)] = with_effects(declared, session)
         return fitted[len(session)]
 
-    return [
-        bench.run(
-            replace(s, physics=once) if s.physics is with_effects else s,
-            seed,
-            whole_poses=whole_poses,
-        )
-        for s in settings
-    ]
+    return [replace(s, physics=once) if s.physics is with_effects else s for s in settings]
 
 
 def study(

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 import yaml
@@ -18,12 +19,16 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
 from studies.commands import STUDIES
 
-MODULES = {
-    **{entry.name: f"longarm_comp.cli.{entry.module}" for entry in COMMANDS},
-    **{f"study {entry.name}": f"studies.commands.{entry.module}" for entry in STUDIES},
+ENTRIES = {
+    **{entry.name: (entry, "longarm_comp.cli") for entry in COMMANDS if entry.name != "study"},
+    **{f"study {entry.name}": (entry, "studies.commands") for entry in STUDIES},
 }
-"""The module of each command that does something."""
-del MODULES["study"]
+"""Each command that does something, and the folder of its module."""
+
+
+def click_command(name: str) -> click.Command:
+    entry, folder = ENTRIES[name]
+    return entry.load(folder)
 
 
 class Shell:

@@ -281,7 +281,6 @@ def named(rng: np.random.Generator) -> Diagnosis:
         joint_units=UNITS,
         held_out=rows,
         marked=(Marked(line, {"joint 2": line[2]}),),
-        train=held_out_rows(rng, 240),
         guilty=("approach", "q2"),
         correlation=Correlation(
             ("backlash joint 2 gap", "backlash joint 2 threshold"), geometry, matrix
@@ -292,7 +291,6 @@ def named(rng: np.random.Generator) -> Diagnosis:
             Check("priors × 5 and / 5", True, "first both times"),
             Check("without the 5 most influential poses", False, "gap falls to 0.0059 rad"),
         ),
-        plausibility={("backlash", "joint 2", "gap"): "typical of hobby servos"},
         provenance=detail.provenance,
     )
     return report, detail
@@ -313,10 +311,7 @@ def a_set(rng: np.random.Generator) -> Diagnosis:
     split = SetSplit(
         tuple(members),
         "On three levels per joint both are a step between the two approach sides.",
-        tuple(
-            SplitPose(tuple(q), 1 if k % 2 else -1, 0.5 if k == 2 else None)
-            for k, q in enumerate(poses)
-        ),
+        tuple(SplitPose(tuple(q), 1 if k % 2 else -1) for k, q in enumerate(poses)),
         12.4,
     )
     return report, _with(detail, splits=(split,))

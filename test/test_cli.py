@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 import pytest
-from cli_shell import MODULES, Shell
+from cli_shell import ENTRIES, Shell
 
 from longarm_comp.cli import registry, run
 
@@ -31,7 +31,7 @@ def test_help_loads_nothing_heavy() -> None:
             assert f"  {entry.name} " in done.stdout
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", ENTRIES)
 def test_every_command_is_there_and_helps(name: str, shell: Shell) -> None:
     assert shell(*name.split(), "--help") == 0
     assert shell.out.startswith(f"Usage: longarm {name} ")
@@ -60,9 +60,9 @@ def test_no_file_of_a_command_is_forgotten() -> None:
         ".".join(path.relative_to(root).with_suffix("").parts)
         for folder in (Path(run.__file__).parent, root / "studies" / "commands")
         for path in folder.glob("*.py")
-        if re.search(r"^(def|from bench.command import) command", path.read_text("utf-8"), re.M)
+        if re.search(r"^(@click.command|from bench.command)", path.read_text("utf-8"), re.M)
     }
-    assert files == set(MODULES.values())
+    assert files == {f"{folder}.{e.module.partition(':')[0]}" for e, folder in ENTRIES.values()}
 
 
 def test_unknown_words_leave_with_2(shell: Shell) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from cli_shell import MODULES, Shell
+from cli_shell import ENTRIES, Shell, click_command
 from openpyxl import Workbook
 from scipy.spatial.transform import Rotation
 from test_urdf import example
@@ -72,10 +72,10 @@ def commands(page: str) -> Iterator[Said]:
 
 def found(words: tuple[str, ...]) -> tuple[click.Command, list[str], str]:
     """The command of some words, its arguments, and its name."""
-    for name, module in MODULES.items():
+    for name in ENTRIES:
         first = name.split()
         if list(words[: len(first)]) == first:
-            return importlib.import_module(module).command, list(words[len(first) :]), name
+            return click_command(name), list(words[len(first) :]), name
     raise AssertionError(f"no command: longarm {shlex.join(words)}")
 
 

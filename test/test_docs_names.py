@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 from functools import cache
 from pathlib import Path
 
 import click
 import pytest
-from cli_shell import MODULES
+from cli_shell import ENTRIES, click_command
 
 from longarm_comp.cli.registry import GROUPS
 from longarm_comp.core.arm.arm import Arm
@@ -24,7 +23,7 @@ FENCED = re.compile(r"^```[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 @cache
 def options(name: str) -> set[str]:
     """Every option of a command."""
-    command = importlib.import_module(MODULES[name]).command
+    command = click_command(name)
     assert isinstance(command, click.Command)
     given = {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
     return given | {"-h", "--help"}
@@ -46,11 +45,11 @@ def named(words: list[str]) -> str | None:
         return None
     first = words[0].rstrip(".,;")
     if first not in {*GROUPS, "study"}:
-        assert first in MODULES, f"longarm {first}: no such command"
+        assert first in ENTRIES, f"longarm {first}: no such command"
         return first
     assert len(words) > 1, f"longarm {first}: which?"
     for second in words[1].rstrip(".,;").split("|"):
-        assert f"{first} {second}" in MODULES, f"longarm {first} {second}: no such command"
+        assert f"{first} {second}" in ENTRIES, f"longarm {first} {second}: no such command"
     return f"{first} {second}"
 
 
@@ -79,7 +78,7 @@ def test_what_is_wrong_is_noticed() -> None:
 def test_every_command_is_on_a_page() -> None:
     said = {name for page in PAGES for w in calls(page.read_text("utf-8")) if (name := named(w))}
     together = " ".join(page.read_text("utf-8") for page in PAGES)
-    missing = {name for name in MODULES if name not in said and f"`{name}" not in together}
+    missing = {name for name in ENTRIES if name not in said and f"`{name}" not in together}
     assert not missing
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from discover_rows import DEMO, HELD_OUT, ROWS, calibrated, measured
-from hidden_arm import at, session
+from hidden_arm import SIGMA, at, session
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
@@ -19,9 +19,11 @@ from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.camera_drift import CameraDrift
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.function import Function
+from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.shapes import Legendre, Linear, Square, Switch
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
 from longarm_comp.core.identify.discover.causes import Cause, causes
 from longarm_comp.core.identify.discover.functions import SWITCH, Functions, switch
@@ -263,3 +265,33 @@ def test_a_ramp_fills_the_gap_of_the_data() -> None:
     assert (made.threshold, made.half) == pytest.approx((0.4, 0.2))
     np.testing.assert_allclose(made.at(values), [-1, -1, -1, 1, 1, 1], atol=1e-12)
     assert float(made.at(0.4)) == pytest.approx(0.0)
+
+
+# ------------------------------------------------------------------ recorded columns
+
+
+def test_the_diagnosis_names_the_driver_and_not_the_noise(rng: np.random.Generator) -> None:
+    """x += 4 mm sin(6 pump_bar) in 140 rows: 2.8 mm that were the noise of x."""
+    rows = session(n=140)
+    pump = rng.uniform(1.0, 3.0, 140)
+    xyz = rows.xyz + np.outer(4e-3 * np.sin(6.0 * pump), [1.0, 0.0, 0.0])
+    driven = dataclasses.replace(rows, xyz=xyz, columns={**rows.columns, "pump_bar": pump})
+    found = diagnose(SMALL, driven, kinds=(JointGain,))
+    assert found.verdict == "partly" and not found.findings
+    (cause,) = found.causes
+    assert cause.inputs == ("pump_bar",)
+    assert abs(cause.amounts[0].value) == pytest.approx(4e-3, rel=0.02)
+    assert any("measured" in place for place in cause.where)
+    assert found.written == "with_functions"
+    np.testing.assert_allclose(found.search.noise.sigma, SIGMA, rtol=0.35)
+
+
+def test_noise_that_is_far_larger_on_one_axis_is_noise_of_that_axis(
+    rng: np.random.Generator,
+) -> None:
+    rows = session(n=140)
+    uneven = dataclasses.replace(rows, xyz=rows.xyz + rng.normal(0.0, [8e-3, 0.0, 0.0], (140, 3)))
+    found = diagnose(SMALL, uneven, kinds=(JointGain,))
+    assert (found.verdict, found.findings) == ("noise", ())
+    assert found.search.noise.sigma[0] == pytest.approx(8e-3, rel=0.2)
+    np.testing.assert_allclose(found.search.noise.sigma[1:], SIGMA, rtol=0.35)

@@ -56,6 +56,21 @@ def test_joints_and_points_are_joined_by_number(shell: Shell) -> None:
     assert "no row in common" in shell.refused(*call, "Point")
 
 
+def test_what_a_controller_measured_is_a_reading(shell: Shell) -> None:
+    """Beside the command of each joint, in the unit of its column; blank is not read."""
+    Path("log.csv").write_text(
+        "A1 [deg];A2 [deg];A3 [mm];A4 [deg];A1_actual [deg];A3_actual [mm];x [mm];y [mm];z [mm]\n"
+        "10;20;50;3;9.5;49;7;2;3\n"
+        "11;25;60;-4;;60;8;2;3\n"
+    )
+    joints = "A1=q1,A2=q2,A3=q3,A4=q4,A1_actual=read_q1,A3_actual=read_q3"
+    assert shell("import-data", "log.csv", "--map", joints) == 0, shell.err
+    rows = read_csv("samples.csv", ARM)
+    assert rows.read_joints == (0, 2)
+    np.testing.assert_allclose(np.degrees(rows.readings["read_q1"][:, 0]), [9.5, np.nan])
+    np.testing.assert_allclose(rows.readings["read_q3"][:, 0], [0.049, 0.060])
+
+
 def test_files_are_joined_by_the_nearest_time(shell: Shell) -> None:
     Path("arm.csv").write_text(
         "Time,A1_deg\n2024-01-02 10:00:00,1\n2024-01-02 10:00:10,2\n2024-01-02 10:00:20,3\n"

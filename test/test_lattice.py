@@ -1,4 +1,4 @@
-"""Nearest points of a lattice: against every combination, in machine code and in Python."""
+"""Nearest points of a lattice: against every combination."""
 
 from __future__ import annotations
 
@@ -20,17 +20,12 @@ def lattices(rng: np.random.Generator, n: int, count: int = 40, price: float = 0
     return made
 
 
-@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
-def test_the_nearest_points_are_those_of_brute_force(
-    n: int, compiled: bool, rng: np.random.Generator
-) -> None:
+def test_the_nearest_points_are_those_of_brute_force(n: int, rng: np.random.Generator) -> None:
     R = lattices(rng, n, price=0.3)
     low, high = rng.integers(-3, 0, (40, n)), rng.integers(1, 4, (40, n))
     full = 0
-    found = nearest(
-        R, low.astype(float), high.astype(float), kept=4, max_nodes=100_000, compiled=compiled
-    )
+    found = nearest(R, low.astype(float), high.astype(float), kept=4, max_nodes=100_000)
     for i in range(len(R)):
         steps = (np.arange(a, b + 1) for a, b in zip(low[i], high[i], strict=True))
         k = np.array(list(itertools.product(*steps)), float)
@@ -41,16 +36,6 @@ def test_the_nearest_points_are_those_of_brute_force(
         np.testing.assert_array_equal(found.k[i, :have], k[order[:have]])
         np.testing.assert_allclose(found.distance2[i, :have], distance2[order[:have]], rtol=1e-9)
     assert full >= 36  # where the box lies far off, its points are not worth the search
-
-
-def test_machine_code_and_plain_python_find_the_same(rng: np.random.Generator) -> None:
-    R = lattices(rng, 7, 37, price=0.01)
-    box = np.full((37, 7), 40.0)
-    machine, python = (nearest(R, -box, box, compiled=c) for c in (True, False))
-    np.testing.assert_array_equal(machine.k, python.k)
-    np.testing.assert_allclose(machine.distance2, python.distance2, rtol=1e-9)
-    np.testing.assert_array_equal(machine.nodes, python.nodes)
-    assert (np.diff(machine.distance2, axis=1) >= 0).all()
 
 
 def test_a_search_ends_at_its_nodes(rng: np.random.Generator) -> None:

@@ -15,8 +15,10 @@ from small_arm import ARM as SMALL
 from longarm_comp.core import files
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import BUILT_IN
+from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -192,6 +194,22 @@ def test_a_fault_is_one_line(simple: Model, tmp_path: Path, name: str) -> None:
     assert text.startswith(f"{path}: ")
     assert said in text
     assert "\n" not in text
+
+
+@pytest.mark.parametrize("name", ["a", "b", "d"])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_length_is_wrong_by_a_quarter_of_the_reach_at_most(
+    arm: Arm, tmp_path: Path, name: str, sign: float
+) -> None:
+    """The URDF of an arm with a link of -1 m would be written, and commands be computed with it."""
+    for share in (0.24, 0.26):
+        error = DhError(row=3).with_values({name: sign * share * reach(arm)})
+        save_model(tmp_path / "model.yaml", store(Model(arm, (error,))))
+        if share < 0.25:
+            assert load_model(tmp_path / "model.yaml", arm).effects == (error,)
+        else:
+            with pytest.raises(InputError, match=f"dh_error.{name} at row 3.*a quarter of the arm"):
+                load_model(tmp_path / "model.yaml", arm)
 
 
 def test_truncated_anywhere_is_an_input_error(simple: Model, tmp_path: Path) -> None:

@@ -142,7 +142,7 @@ def test_a_side_that_is_asked_for_without_room_is_doubted_in_millimetres(loose: 
     assert f"approach of {ARM.joint_names[1]}" not in found.outcome.reason
     lever = np.linalg.norm(target[:2])  # of the first joint, which turns about z
     outcome = found.outcome
-    sure = expected_miss(loose, outcome.command, found.context, target, np.zeros(3))
+    sure = expected_miss(loose, outcome.command, found.context, target)
     more = (outcome.sigma**2).sum() - np.trace(sure.covariance)
     assert np.sqrt(more) == pytest.approx(0.01 * lever, rel=0.05)
 

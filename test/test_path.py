@@ -14,19 +14,22 @@ import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.path import (
     CompensatedPath,
     PathRefused,
     PlannedPath,
     compensate_path,
 )
-from longarm_comp.core.compensation.result import Status
+from longarm_comp.core.compensation.result import Method, Status
 from longarm_comp.core.compensation.retime import MotionLimits, Timed, fastest, retimed, slopes_of
 from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.strict_yaml import read_yaml
+from studies.path import lagging
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 SECONDS = 4.0
@@ -56,10 +59,10 @@ def plan_of(arm: Arm, count: int = 41) -> PlannedPath:
 def follow(
     model: Model, plan: PlannedPath, predictor: object = None, **more: object
 ) -> CompensatedPath:
-    start = more.pop("start", plan.joints[0])
+    more = {"start": plan.joints[0], "turn_m": 0.0, **more}
     return compensate_path(
-        model, predictor, plan, start=start, history=History.unknown(model.arm.n),
-        context_after=lambda arrived, row: Context(**arrived.fields()), **more,
+        model, predictor, plan, history=History.unknown(model.arm.n),
+        context_at=lambda arrived: Context(**arrived.fields()), **more,
     )  # fmt: skip
 
 
@@ -86,6 +89,41 @@ def test_the_tip_follows_the_plan_through_sag_play_and_turns(arm: Arm, model: Mo
     assert len(turned) == 1 and 18 <= turned[0] <= 21  # the play of joint 1 is taken up once
     assert found.correction_m[1:].min() > 5e-3
     assert found.history.approach.tolist() == [-1.0] * arm.n
+
+
+def test_play_is_taken_up_while_its_joint_stands_near_its_turn(arm: Arm) -> None:
+    """The true joint stands still as long as its command is inside its play."""
+    bent, width = declared_model(arm), 4e-3
+    model = bent.plus(FrictionHysteresis(joint=1, width=width))
+    plan = plan_of(arm, 401)
+    quick, gentle = (follow(model, plan, turn_m=turn_m).timed for turn_m in (0.0, 1e-4))
+    half = np.zeros(arm.n)
+    half[0] = 0.5 * width
+    for path, most in ((quick, 2e-5), (gentle, 1.5e-4)):
+        stands = path.joints - lagging(path.joints, half, np.zeros(arm.n))
+        off = np.linalg.norm(bent.tip(stands) - plan.targets[:, :3, 3], axis=1)
+        moving = np.abs(path.joints[:, 0] - path.joints[0, 0]) > width  # its play is taken up
+        assert off[moving].max() < most
+    steps = [np.abs(np.diff(path.joints[:, 0] - plan.joints[:, 0])) for path in (quick, gentle)]
+    assert steps[0][150:].max() > 0.9 * width and steps[1][150:].max() < 0.5 * width
+
+
+def test_a_path_of_many_way_points_says_what_single_targets_say(arm: Arm, model: Model) -> None:
+    plan = plan_of(arm, 7)
+    found = follow(model, plan)
+    history = History.unknown(arm.n)
+    for row in range(1, 7):
+        before, now = found.timed.joints[row - 1 : row + 1]
+        history = history.after(now[None], before)
+        alone = compensate(
+            model, None, plan.targets[row], context=Context(**history.fields()), seed=now,
+            method=Method.DEFLECTION, starts=1,
+        )  # fmt: skip
+        answer = found.answers.at(row, model, Method.DEFLECTION, plan.targets[row])
+        np.testing.assert_allclose(answer.command, alone.command, atol=1e-6)
+        assert answer.expected_m == pytest.approx(alone.expected_m, rel=1e-3)
+        assert answer.reason == alone.reason and answer.status is alone.status
+    assert "joint1" in answer.reason or not answer.reason
 
 
 def test_a_way_that_cannot_be_gone_is_refused_whole_and_in_words(arm: Arm, model: Model) -> None:

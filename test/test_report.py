@@ -150,8 +150,7 @@ def test_verdict_and_tables_tell_the_record(verdict: str, folders: dict[str, Pat
         assert " or ".join(finding["set"]) in page.words()
     held = report["held_out"]["rows"]
     shown = page.tables.get("errors", [])
-    fitted = [] if detail.train is None else ["Model", *detail.train.errors_m]
-    assert len(shown) == (len(held) + 2 if held else 0) + len(fitted)  # head, rows, noise floor
+    assert len(shown) == (len(held) + 2 if held else 0)  # head, rows, noise floor
     for line, row in zip(shown[1:], held, strict=False):
         assert [float(v) for v in line[1:]] == pytest.approx(
             [row[k] for k in row if k not in ("model", "mean_mrad")], abs=6e-4

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,22 +10,15 @@ import numpy as np
 import pytest
 from follower_rig import CONFIG, DT, LIMITS, TURN, Rig, kinds
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
-from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
-from longarm_comp.devices.servo_arm import ServoArm
-from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import EventKind, Step, TrajectoryFollower
-from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.cameras import CameraPair, tag_plate
-from longarm_comp.sim.context import TrueContext
-from longarm_comp.sim.hidden.drives import ServoDroop
-from longarm_comp.sim.plant import Plant, PlantConfig, mounting
-from longarm_comp.sim.servo_emulator import Motor, MotorSpec, read_arm
+from longarm_comp.sim.servo_emulator import Motor, MotorSpec
+from studies.readings import SaggingArm
 
 Reading = Callable[[float], float]
 DROOP = 18.0
+DRIVER_S = 0.05
+CONFIGS = Path(__file__).parent.parent / "config"
 
 
 class Sagging(Rig):
@@ -98,19 +90,28 @@ def test_the_next_move_starts_with_what_the_last_one_found() -> None:
     assert abs(rig.off(0.55)) <= 1.0
 
 
-def test_it_stands_still_afterwards() -> None:
-    """No hunting, also where the encoder flickers by a tick for an hour of cycles."""
-    rig = Sagging(STICKS)
-    rig.move(0.5)
-    at, tick = rig.motor.position, [0.0]
-
-    def flickers(ticks: float) -> float:
-        tick[0] = 1.0 - tick[0]
-        return ticks + tick[0]
-
-    rig.says = flickers
-    rig.run(3600.0 / 50)
-    assert rig.motor.position == at
+def test_an_hour_of_moves_without_hunting() -> None:
+    """Trimmed once: from rest to the next move no goal changes, though encoder and load flicker."""
+    rng, rig = np.random.default_rng(7), Sagging(STICKS)
+    begun, steps_at_rest, off = rig.now, 0, []
+    rig.says = lambda ticks: ticks + rng.integers(0, 2)
+    while rig.now - begun < 3600.0:
+        q = float(rng.uniform(0.9 * TURN.lower, 0.9 * TURN.upper))
+        rig.send((1.0, {"turn": q}))
+        rig.motor.external_load = float(rng.uniform(-0.35, 0.35))
+        end: set[EventKind] = set()
+        while not end & {EventKind.ARRIVED, EventKind.SHORT}:
+            end = {e.kind for e in rig.step(DRIVER_S).events}
+        assert EventKind.ARRIVED in end
+        goal = rig.motor.goal
+        off.append(rig.off(q))
+        for _ in range(60):
+            rig.step(DRIVER_S)
+            steps_at_rest += rig.motor.goal != goal
+            goal = rig.motor.goal
+    assert len(off) > 500
+    assert steps_at_rest == 0
+    assert np.mean(np.abs(off)) < 1.0
 
 
 @pytest.mark.parametrize(
@@ -168,52 +169,65 @@ def test_it_does_not_push_a_joint_at_its_limit_or_one_that_is_stalled() -> None:
 
 
 @pytest.fixture
-def sagging_arm(tmp_path: Path) -> Iterator[tuple[Arm, Plant, ServoArm]]:
-    """The demonstration arm whose servos give way by 8 mm at the tip, with play of friction."""
-    config = Path(__file__).parent.parent / "config"
-    arm = Arm.load(config / "arm_demo_steps.yaml")
-    data = read_yaml(config / "servo_driver.yaml")["/**/servo_driver"]["ros__parameters"]
-    data["bus"]["port"] = str(tmp_path / "bus")
-    servos = ServoConfig.parse({k: data[k] for k in ("bus", "joints", "follower")}, "demo")
-    turns = np.array([float(j.type == "revolute") for j in arm.joints])
-    plant = Plant(
-        PlantConfig(
-            arm,
-            read_arm(config / "servo_driver.yaml"),
-            CameraPair(position_m=(0.75, -1.7, 0.3), optical_axis=(0.0, 1.0, 0.0)),
-            tag_plate(0.06, 0.012, 2, 2),
-            mounting([0.0, 0.0, 0.0]),
-            (ServoDroop(2e-3 * turns, 3e-4 * turns, 0.05),),
-        ),
-        tmp_path / "bus",
-        np.random.default_rng(1),
-    )
-    plant.start()
-    driver = ServoArm(servos, trim=True)
-    driver.power(True)
-    yield arm, plant, driver
-    driver.close()
-    plant.stop()
+def sagging_arm(tmp_path: Path) -> Iterator[SaggingArm]:
+    """Servos that give way by 8 mm at the tip, with play of friction."""
+    made = SaggingArm(CONFIGS, tmp_path, trim=True)
+    yield made
+    made.close()
 
 
-def test_a_droop_of_millimetres_is_trimmed_to_a_tenth(
-    sagging_arm: tuple[Arm, Plant, ServoArm],
-) -> None:
+def test_a_droop_of_millimetres_is_trimmed_to_a_tenth(sagging_arm: SaggingArm) -> None:
     """Without any droop in a model: the tip stands where a sound arm's would."""
-    arm, plant, driver = sagging_arm
-    sound = TrueArm(arm, (), steps=2)
-    off = []
+    arm, off = sagging_arm.arm, []
     for q in np.round(sobol(arm, 4, np.random.default_rng(2)).q[1:] / arm.steps) * arm.steps:
-        driver.cycle(time.monotonic())
-        points = (TrajectoryPoint(1.0, tuple(q)),)
-        driver.accept(JointTrajectory(arm.joint_names, points), time.monotonic())
-        said: set[EventKind] = set()
-        while not said & {EventKind.ARRIVED, EventKind.SHORT, EventKind.FAULT}:
-            said |= {e.kind for e in driver.cycle(time.monotonic()).step.events}
-            plant.tip_pose(0.0)
-        assert EventKind.ARRIVED in said
-        want = sound.tip(q, TrueContext(payload_kg=0.0)).ravel()
-        off.append(float(np.linalg.norm(plant.tip_pose(0.0)[:3, 3] - want)))
+        assert sagging_arm.move(q).kind is EventKind.ARRIVED
+        off.append(sagging_arm.miss(q))
     assert max(off) < 2e-4
     assert np.mean(off) < 1e-4
-    assert any(abs(v) > 40 for v in driver.follower.trimmed.values())
+    assert any(abs(v) > 40 for v in sagging_arm.driver.follower.trimmed.values())
+
+
+def test_a_trimmed_joint_stands_where_its_encoder_says(tmp_path: Path) -> None:
+    """In bytes: the encoder's zero is what is left."""
+    rig = SaggingArm(CONFIGS, tmp_path, trim=True, off=7.0)
+    q = np.round(rig.arm.mid / rig.arm.steps) * rig.arm.steps
+    assert rig.move(q).kind is EventKind.ARRIVED
+    left = np.abs(rig.plant.joints() - q) / rig.arm.steps
+    rig.close()
+    assert left == pytest.approx(np.full(rig.arm.n, 7.0), abs=0.6)
+
+
+@pytest.mark.parametrize(
+    ("follows", "jump", "end"),
+    [
+        (0.0, 0.0, EventKind.SHORT),  # frozen
+        (0.4, 0.0, EventKind.ARRIVED),  # slips: nobody can know
+        (1.0, 30.0, EventKind.ARRIVED),  # jumped
+        (1.0, 120.0, EventKind.SHORT),
+    ],
+)
+def test_a_wrong_encoder_on_the_bus_moves_the_joint_no_farther_than_the_bound(
+    sagging_arm: SaggingArm, follows: float, jump: float, end: EventKind
+) -> None:
+    """One that asks for more is told, and what was done for it is undone."""
+    rig, arm = sagging_arm, sagging_arm.arm
+    joint = arm.joint_names.index("joint4")
+    tick = rig.driver.config.joints["joint4"].si_per_tick
+    servo, bound = rig.driver.config.ids["joint4"], LIMITS.trim_ticks
+    q = np.round(arm.mid / arm.steps) * arm.steps
+    assert rig.move(q).kind is EventKind.ARRIVED
+    rig.plant.emulator.wrong_encoder(servo, follows, jump)
+    goal, farthest = q + 30 * tick * np.eye(arm.n)[joint], 0.0
+
+    def watch() -> None:
+        nonlocal farthest
+        farthest = max(farthest, (rig.plant.joints() - goal)[joint] / tick, key=abs)
+
+    said = rig.move(goal, watch)
+    assert said.kind is end
+    assert 10.0 < abs(farthest) <= bound
+    if end is EventKind.SHORT:
+        assert "joint4 by" in said.message and "of trim" in said.message
+        for _ in range(50):
+            rig.cycle()
+        assert rig.driver.follower.trimmed["joint4"] == 0.0

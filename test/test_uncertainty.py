@@ -22,7 +22,12 @@ from longarm_comp.core.identify.arm_share import arm_share
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.uncertainty import LeftOut, uncertainty, with_uncertainty
+from longarm_comp.core.identify.uncertainty import (
+    LeftOut,
+    about_the_mean,
+    uncertainty,
+    with_uncertainty,
+)
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store
@@ -108,6 +113,41 @@ def test_ninety_of_a_hundred_rows_and_tips_lie_inside(hidden: list) -> None:
     assert np.mean(true) < 1.1 * np.mean(stated) and np.mean(stated) < 3.0 * np.mean(true)
 
 
+def test_the_radius_is_as_wide_as_the_rows_left_out_ask_for() -> None:
+    """Also where the posterior alone would hold more than 90 %: no stretch brings more inside."""
+    rng = np.random.default_rng(2)
+    count = np.ones(400)
+    unit = np.tile(np.eye(3), (400, 1, 1))
+    error = 1e-3 * rng.standard_normal((400, 3))
+    error[:20] *= 30.0
+    small = LeftOut(error, 1e-9 * unit, count)
+    stretch, rest = small.judged(1e-9 * np.eye(3))
+    radius = sizes(stretch.of(small.covariance) + rest + 1e-9 * np.eye(3))[1]
+    assert 0.9 <= np.mean(np.linalg.norm(error, axis=1) <= radius) <= 0.91
+
+
+def test_what_the_form_lacks_may_grow_faster_than_the_posterior() -> None:
+    rng = np.random.default_rng(3)
+    size = np.geomspace(0.2, 5.0, 600) ** 2 * 1e-6
+    error = 5.0 * rng.standard_normal((600, 3)) * (size**0.75 * 1e-6**-0.25)[:, None]
+    left = LeftOut(error, size[:, None, None] * np.eye(3), np.ones(600))
+    stretch, rest = left.judged(1e-10 * np.eye(3))
+    assert stretch.growth == 1.5
+    radius = sizes(stretch.of(left.covariance) + rest)[1]
+    far = size > np.quantile(size, 0.8)
+    assert 0.84 <= np.mean(np.linalg.norm(error, axis=1)[far] <= radius[far]) <= 0.96
+
+
+def test_touched_points_are_judged_about_their_mean(rng: np.random.Generator) -> None:
+    names = np.array(["a", "a", "b", "a", "c", "b"])
+    rows = rng.standard_normal((6, 3))
+    off, alone = about_the_mean(rows, names)
+    assert alone.tolist() == [False, False, False, False, True, False]
+    np.testing.assert_allclose(off[[2, 5]].sum(axis=0), 0.0, atol=1e-12)
+    drawn = about_the_mean(rng.standard_normal((20000, 3)), np.repeat(np.arange(10000), 2))[0]
+    assert drawn.var() == pytest.approx(1.0, abs=0.03)
+
+
 def test_noise_is_told_from_what_the_arm_does() -> None:
     assert arm_share(calibrated(session([ZEROS], n=150))) < 0.15
     assert arm_share(calibrated(session([ZEROS, LACKING], n=150))) > 0.5
@@ -135,8 +175,7 @@ def test_far_from_the_rows_the_error_grows() -> None:
     q = np.tile(ARM.mid, (2, 1))
     q[:, 0] = ARM.lower[0], ARM.upper[0]
     here, there = (
-        expected_miss(model, joints, Context.empty(), model.tip(joints), np.zeros(3)).expected_m
-        for joints in q
+        expected_miss(model, joints, Context.empty(), model.tip(joints)).expected_m for joints in q
     )
     assert there > 1.5 * here
 
@@ -150,9 +189,7 @@ def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
     back = load_model(tmp_path / "model.yaml", ARM)
     for model in (back, load_model(tmp_path / "model.yaml", ARM)):
         target = model.tip(ARM.mid) + 1e-3
-        mine, theirs = (
-            expected_miss(m, ARM.mid, Context.empty(), target, np.zeros(3)) for m in (made, model)
-        )
+        mine, theirs = (expected_miss(m, ARM.mid, Context.empty(), target) for m in (made, model))
         assert theirs.expected_m == pytest.approx(mine.expected_m, rel=1e-4)
         assert theirs.p90_m == pytest.approx(mine.p90_m, rel=1e-4)
     assert (tmp_path / "model.yaml").stat().st_size < 40_000
@@ -167,6 +204,8 @@ def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
         (lambda u: u["factor"].__setitem__(0, "AADAfw=="), "line 1"),  # NaN
         (lambda u: u["structure_m2"][0].__setitem__(0, -1.0), "structure_m2"),
         (lambda u: u.__setitem__("stretch", 0.5), "stretch"),
+        (lambda u: u.__setitem__("growth", 0.5), "growth"),
+        (lambda u: u.__setitem__("typical_m", 0.0), "typical_m"),
     ],
 )
 def test_a_damaged_record_is_refused(tmp_path: Path, change, said: str) -> None:

@@ -1,4 +1,4 @@
-"""``longarm apply``."""
+"""``longarm apply`` and ``longarm undo``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from longarm_comp.cli.output import note, print_json, progress
 @options.seed
 @options.effects
 @options.as_json
-def command(
+def apply(
     diagnosis: Path,
     session: Path | None,
     no_network: bool,
@@ -66,3 +66,23 @@ def command(
     if done.set_aside is not None:
         note(f"the predictor before is kept as {done.set_aside}")
     note(f"to take it back: {done.undo}")
+
+
+@click.command()
+@click.argument("model", type=click.Path(path_type=Path), metavar="MODEL")
+def undo(model: Path) -> None:
+    """Restore the version of MODEL before the last change, byte for byte.
+
+    The predictor beside it that belonged to that version comes back too. One that belongs to the
+    version taken back is set aside. Nodes that run with these files notice.
+
+    \b
+    Example:
+      longarm undo model.yaml
+    """
+    from longarm_comp.workflows import at_work
+
+    back = at_work.undo(model)
+    note(f"{model} is the previous version again")
+    if back is not None:
+        note(f"{back} is the predictor that belongs to it")

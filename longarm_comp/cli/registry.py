@@ -1,19 +1,31 @@
 """List of the commands: name, module in this folder, one line of help.
 
-The module has a click command named `command`.  A name of two words is a command of a group.
+A name of two words is a command of a group.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import importlib
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    import click
 
 
 class Entry(NamedTuple):
-    """One command."""
+    """One command: ``module:name`` of its click command, which is else named `command`."""
 
     name: str
     module: str
     summary: str
+
+    def load(self, folder: str = "longarm_comp.cli") -> click.Command:
+        """Import the command."""
+        module, _, name = self.module.partition(":")
+        command: click.Command = getattr(
+            importlib.import_module(f"{folder}.{module}"), name or "command"
+        )
+        return command
 
 
 COMMANDS = (
@@ -30,26 +42,28 @@ COMMANDS = (
     Entry("import-data", "import_data", "Convert another program's CSV or XLSX to a session."),
     Entry("import-urdf", "import_urdf", "Write an arm.yaml from a URDF."),
     Entry("export-urdf", "export_urdf", "Write a calibrated arm as a URDF."),
-    Entry("bag info", "bag_info", "Contents of a bag, and the topics a session is read from."),
-    Entry("bag to-csv", "bag_to_csv", "Convert a bag to samples.csv."),
-    Entry("bag from-csv", "bag_from_csv", "Convert a samples.csv to a bag."),
+    Entry("bag info", "bag:info", "Contents of a bag, and the topics a session is read from."),
+    Entry("bag to-csv", "bag:to_csv", "Convert a bag to samples.csv."),
+    Entry("bag from-csv", "bag:from_csv", "Convert a samples.csv to a bag."),
     Entry("find-port", "find_port", "Which serial port is the servo bus: unplug it and see."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study", "study", "What prints the figures of docs/studies.md, from a checkout."),
     Entry("bench", "bench", "Speed compared with peers, in one run."),
     Entry("demo", "demo", "The whole loop over the ROS graph on a simulated arm."),
     Entry("view", "view", "A page that shows the running graph, with buttons to stop it."),
-    Entry("status", "status", "How the running arm stands: troubles, causes, the next command."),
-    Entry("hold", "hold", "Stop the running arm and keep it up."),
-    Entry("stop", "stop", "Cut the running arm's torque now."),
-    Entry("reset", "reset", "Go on after a hold, a stop or a fault."),
-    Entry("sim unplug", "sim_unplug", "Rehearse: a servo of the simulated arm does not answer."),
-    Entry("sim cover", "sim_cover", "Rehearse: a camera of the simulated arm sees nothing."),
-    Entry("sim freeze", "sim_freeze", "Rehearse: a node of the simulated arm stands still."),
+    Entry(
+        "status", "attend:status", "How the running arm stands: troubles, causes, the next command."
+    ),
+    Entry("hold", "attend:hold", "Stop the running arm and keep it up."),
+    Entry("stop", "attend:stop", "Cut the running arm's torque now."),
+    Entry("reset", "attend:reset", "Go on after a hold, a stop or a fault."),
+    Entry("sim unplug", "sim:unplug", "Rehearse: a servo of the simulated arm does not answer."),
+    Entry("sim cover", "sim:cover", "Rehearse: a camera of the simulated arm sees nothing."),
+    Entry("sim freeze", "sim:freeze", "Rehearse: a node of the simulated arm stands still."),
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
     Entry("touch", "touch", "Record the joints while the tip touches points: one key a touch."),
     Entry("verify", "verify", "Drive fresh targets over ROS, without and with compensation."),
-    Entry("apply", "apply", "Put a diagnosis to work on the running graph."),
+    Entry("apply", "apply:apply", "Put a diagnosis to work on the running graph."),
     Entry("sweep", "sweep", "Drive every joint to both limits: play and friction are known then."),
     Entry("loop", "loop", "Plan, collect, diagnose, apply, verify: the cycle as one command."),
     Entry("record", "record", "Record an arm's topics as a rosbag2."),
@@ -63,7 +77,7 @@ COMMANDS = (
     Entry("stereo webcams", "stereo_webcams", "The webcams, a picture of each, their ROS nodes."),
     Entry("stereo calibrate", "stereo_calibrate", "Calibrate the two cameras from a board."),
     Entry("stereo hand-eye", "stereo_hand_eye", "Find where the two cameras stand."),
-    Entry("undo", "undo", "Restore the version of a model.yaml before the last change."),
+    Entry("undo", "apply:undo", "Restore the version of a model.yaml before the last change."),
 )
 
 GROUPS = {

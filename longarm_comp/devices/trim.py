@@ -33,6 +33,7 @@ class Trim:
     def __init__(self, config: ServoConfig) -> None:
         self._joints = config.joints
         self._most = config.follower.trim_ticks
+        self._held = config.follower.stall_error_ticks / MOST_STEPS
         self._rate = np.array([j.max_speed_ticks_s for j in config.joints.values()])
         self.drop()
 
@@ -75,15 +76,16 @@ class Trim:
         return bool((self.offset != before).any())
 
     def failed(self, wanted: Mapping[str, int], states: Mapping[str, ServoState]) -> str:
-        """Which joints no step brought to within a tick, and how far off; those lose theirs.
+        """Which joints no step brought near, and how far off; those lose theirs.
 
-        One that would have to go beyond its limit is as near as it may be.
+        What friction holds is off by so little that all steps together are no stall.  One that
+        would have to go beyond its limit is as near as it may be.
         """
         said = []
         for k, (name, joint) in enumerate(self._joints.items()):
             off = (states[name].position_ticks - wanted[name]) * joint.si_per_tick
             free = joint.tick_limits[0] < wanted[name] + self.offset[k] < joint.tick_limits[1]
-            if free and abs(off) > 1.5 * joint.si_per_tick:
+            if free and abs(off) > self._held * joint.si_per_tick:
                 by = abs(self.offset[k]) * joint.si_per_tick
                 said.append(
                     f"{name} by {abs(off):.4g} {joint.unit} after {by:.4g} {joint.unit} of trim"

@@ -31,6 +31,8 @@ from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.msg import DriverState, Motion
 
+_ANSWER_S = 60.0
+"""A node that is starting beside six others on two cores has answered by then."""
 _ASK_AGAIN_S = 2.0
 """Without an answer for so long, a request that may be served twice is sent again."""
 
@@ -129,7 +131,7 @@ class GraphClient:
         self.until(lambda: time.monotonic() >= end, seconds + 60.0, "waiting")
 
     def call(
-        self, client: Any, request: Any, within_s: float = 20.0, *, again: bool = False
+        self, client: Any, request: Any, within_s: float = _ANSWER_S, *, again: bool = False
     ) -> Any:
         """Call a service and return its response.
 

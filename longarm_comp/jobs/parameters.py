@@ -14,7 +14,7 @@ from longarm_comp.jobs.client import GraphClient
 
 
 def read_parameters(
-    client: GraphClient, node: str, *names: str, within_s: float = 20.0
+    client: GraphClient, node: str, *names: str, within_s: float = 60.0
 ) -> list[Any]:
     """Values of a node's parameters, in the order of the names; None where it has none."""
     service = client.node.create_client(GetParameters, f"{node}/get_parameters")

@@ -16,7 +16,7 @@ from longarm_comp.core.compensation.joint_trust import JointTrust
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.messages import joints_of, tilt_of
+from longarm_comp.nodes.messages import efforts_of, joints_of, tilt_of
 from longarm_comp.nodes.orders import untimely
 from longarm_comp.nodes.stamps import stamp_ns
 
@@ -49,6 +49,7 @@ class ArmState:
         self._on_moved = moved
         self.readings = Readings(started_s=time.monotonic())
         self._joints: tuple[np.ndarray, float] | None = None
+        self.effort = np.full(arm.n, np.nan)
         graph.JOINT_STATES.subscription(node, self._on_joints)
         graph.TEMPERATURE.subscription(node, self._on_temperature)
         graph.PAYLOAD.subscription(node, self._on_payload)
@@ -76,7 +77,7 @@ class ArmState:
         if stamp and (why := self.untimely(stamp, self._max_age_s)):
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
-            self._joints = q, now
+            self._joints, self.effort = (q, now), efforts_of(message, self._arm)
             self._on_moved(q, 1e-9 * (stamp or self._clock.now().nanoseconds))
             return
         self._refused("doubtful joint_states", self._trust.doubt)

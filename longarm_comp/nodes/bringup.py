@@ -136,6 +136,7 @@ class BringUp:
         port = bus if self.sim else self.port
         per_node: dict[str, dict[str, Any]] = {
             "kinematics": arm
+            | {"servos": servos}
             | _path("model", self.model)
             | _paths("effects", self.effects)
             | ({"trimmed": True} if (trim if said is None else said) else {}),

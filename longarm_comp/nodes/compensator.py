@@ -94,7 +94,8 @@ class Compensator:
             physics_of(loaded.model, options.method), time.monotonic(), self._max_age_s
         )
         known = tuple(sorted(now.columns))
-        return loaded.file_hash, options.method, options.run_up, options.realisable, known
+        asked = (options.method, options.run_up, options.realisable)
+        return loaded.file_hash, loaded.learned, *asked, known
 
     def rehearse(self) -> None:
         """Compute a target that nobody asked for: the next one finds everything compiled."""

@@ -12,7 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
+from geometry_msgs.msg import (
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Vector3Stamped,
+    WrenchStamped,
+)
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -200,6 +205,9 @@ CONTACT = Topic(
 INCLINATION = Topic(
     "inclination", Imu, 5, BEST_EFFORT, "tilt of a frame; frame_id is the row's number, 0 the base"
 )
+WRENCH = Topic(
+    "wrench", WrenchStamped, 5, BEST_EFFORT, "load on a wrist sensor, N; frame_id: the row's number"
+)
 MARKERS = Topic(
     "markers", MarkerArray, 5, RELIABLE, "for RViz: arm as declared and as it hangs, target, tip"
 )
@@ -224,6 +232,8 @@ PREDICT_ERROR = Service("predict_error", PredictError, "learned error at given j
 RELOAD = Service("~/reload", Trigger, "read the node's files again")
 ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; false: ready again")
 HOLD = Service("~/hold", SetBool, "true: stop, stay with torque on, refuse commands; false: ready")
+FREEZE = Service("~/freeze", SetBool, "true: learn no more at work; false: learn again")
+UNDO = Service("~/undo", Trigger, "serve the version before what was learned last; then frozen")
 PAUSE = Service("collect/pause", SetBool, "true: `longarm collect` rests after the pose at hand")
 RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
 
@@ -246,8 +256,18 @@ TOPICS: tuple[Topic, ...] = (
     PREDICTED_ERROR,
     *(TIP_MEASURED, TIP_BY_READINGS),
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_COMPRESSED, RIGHT_COMPRESSED, LEFT_INFO, RIGHT_INFO),
-    *(TEMPERATURE, PAYLOAD, INCLINATION, CONTACT),
+    *(TEMPERATURE, PAYLOAD, INCLINATION, WRENCH, CONTACT),
     *(MARKERS, COLLECT_PROGRESS, DIAGNOSTICS, ROBOT_DESCRIPTION),
     *((TF, TF_STATIC) if HAS_TF else ()),
 )
-SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, HOLD, RESET, PAUSE)
+SERVICES: tuple[Service, ...] = (
+    COMPENSATE,
+    PREDICT_ERROR,
+    RELOAD,
+    ESTOP,
+    HOLD,
+    RESET,
+    PAUSE,
+    FREEZE,
+    UNDO,
+)

@@ -7,26 +7,30 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.online import StaleContext
 from longarm_comp.core.compensation.stands import TipByReadings
+from longarm_comp.core.data.rest import RestPose
 from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import (
     arm_frames,
     by_readings,
     compensator,
+    learning,
     markers,
     monitoring,
+    payload,
     reach,
     targets,
 )
@@ -37,12 +41,24 @@ from longarm_comp.nodes.by_readings import ReadingsTeller
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.frames import FrameListener, prefix_of
-from longarm_comp.nodes.health import ERROR, OK, PERIOD, TIP_SAID, WARN, Health, Report, Tally
+from longarm_comp.nodes.health import (
+    ERROR,
+    LEARNED_SAID,
+    OK,
+    PERIOD,
+    TIP_SAID,
+    WARN,
+    Health,
+    Report,
+    Tally,
+)
 from longarm_comp.nodes.interfaces import BEST_EFFORT
+from longarm_comp.nodes.learning import Learning
 from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.monitoring import Sighted, TipMonitor
 from longarm_comp.nodes.params import Param, declare
+from longarm_comp.nodes.payload import Weigher
 from longarm_comp.nodes.predictor_client import Caller, PredictorClient
 from longarm_comp.nodes.reach import ReachServer
 from longarm_comp.nodes.readiness import Readiness
@@ -70,15 +86,18 @@ PARAMS = (
     Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
     *reach.PARAMS,
     *monitoring.PARAMS,
+    *learning.PARAMS,
     *markers.PARAMS,
     *arm_frames.PARAMS,
     *by_readings.PARAMS,
+    *payload.PARAMS,
     Param("trimmed", False, "the driver trims: what encoders see is not compensated again"),
     PERIOD,
 )
 
 
 Asked = Callable[[Worker], Caller]
+Response = TypeVar("Response", Trigger.Response, SetBool.Response)
 
 
 class Kinematics(Node):
@@ -111,14 +130,18 @@ class Kinematics(Node):
                 p["arm"], p["model"] if self._files.loaded.file_hash else "", self.get_namespace()
             ),
         )  # fmt: skip
+        self._learning = Learning(self._files, p["at_work"], p["at_work_step_m"])
         self._markers = Markers(self, self._base_frame)
         self._state = ArmState(
-            self, self._arm, tally.count, self._monitor.on_joints,
+            self, self._arm, tally.count, self._on_joints,
             p["joints_max_age_s"], p["joints_max_rate"],
         )  # fmt: skip
+        self._weigher = Weigher(
+            self, self._arm, p, self._state, self._worker, tally.count, self._standing
+        )
         self._driver = DriverLink(
             inlets, self._arm, acknowledged=p["acknowledged"], joints=lambda: self._state.joints,
-            commanded=self._monitor.on_command, told=self._on_told,
+            commanded=self._on_command, told=self._on_told,
             refused=tally.count,
         )  # fmt: skip
         self._twins = Twins(self)
@@ -140,6 +163,8 @@ class Kinematics(Node):
         self._reach = ReachServer(self, self._arm, self, p["reach.feedback_s"], p["reach.look_s"])
         self._tips = graph.TIP_MEASURED.subscription(self, self._on_tip)
         graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
+        graph.FREEZE.server(self, self._on_freeze, ReentrantCallbackGroup())
+        graph.UNDO.server(self, self._on_undo, ReentrantCallbackGroup())
         self._watch = FileWatch((p["model"],))
         steady_timer(self, p["watch_period_s"], self._look)
         if p["markers.period_s"]:
@@ -154,7 +179,9 @@ class Kinematics(Node):
             "monitor": self._monitor.report,
             "at the target": self._monitor.target_report,
             "servos": self._monitor.servo_report,
+            "payload": self._weigher.report,
             TIP_SAID: self._tip_by_readings.report,
+            LEARNED_SAID: self._learning.report,
         }
         self._health = Health(self, parts, p[PERIOD.name])
         self._worker.start()
@@ -205,6 +232,7 @@ class Kinematics(Node):
 
     def _reload(self) -> tuple[bool, str]:
         done = self._files.reload()
+        self._learning.begin()
         self._monitor.reset()
         return done
 
@@ -215,7 +243,21 @@ class Kinematics(Node):
     async def _on_reload(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        future = self._worker.ask(self._reload)
+        return await self._done(self._reload, response)
+
+    async def _on_undo(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        return await self._done(self._learning.undo, response)
+
+    async def _on_freeze(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        return await self._done(partial(self._learning.freeze, request.data), response)
+
+    async def _done(self, job: Callable[[], tuple[bool, str]], response: Response) -> Response:
+        """What a job on the worker says."""
+        future = self._worker.ask(job)
         if future is None:
             response.message = "too many targets wait"
             return response
@@ -227,8 +269,12 @@ class Kinematics(Node):
         rest = self._monitor.on_tip(message, 1e-9 * self.get_clock().now().nanoseconds)
         context = None if rest is None else self._now_context(rest.history)
         if rest is not None and context is not None:
-            model = self._files.loaded.model
-            self._worker.submit(partial(self._monitor.judge, rest, model, context))
+            self._worker.submit(partial(self._judge, rest, context))
+
+    def _judge(self, rest: RestPose, context: Context) -> None:
+        learned = self._monitor.judge(rest, self._files.loaded.model, context)
+        now_s = 1e-9 * self.get_clock().now().nanoseconds
+        self._learning.seen(rest, context, learned, now_s)
 
     def _now_context(self, history: History) -> Context | None:
         """Circumstances at this moment; None while one that the model needs is unknown."""
@@ -243,11 +289,20 @@ class Kinematics(Node):
         q, context = self._state.joints, self._now_context(self._driver.history)
         return None if q is None or context is None else (self._files.loaded.model, q, context)
 
+    def _on_joints(self, q: np.ndarray, at_s: float) -> None:
+        self._monitor.on_joints(q, at_s)
+        self._weigher.read()
+
+    def _on_command(self, q: np.ndarray, history: History) -> None:
+        self._weigher.moving()
+        self._monitor.on_command(q, history)
+
     def _on_told(self, motion: Motion) -> None:
         self._reach.told(motion)
         if motion.event != Motion.REACHED:
             return
         self._monitor.on_reached()
+        self._weigher.reached()
         now = self._standing()
         if now is not None:
             self._worker.submit(partial(self._monitor.judge_servos, *now))

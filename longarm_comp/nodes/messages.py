@@ -15,6 +15,7 @@ from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
     Quaternion,
     Vector3,
+    WrenchStamped,
 )
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
@@ -109,6 +110,14 @@ def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
     return _in_order(at, list(message.name), arm, where)
 
 
+def efforts_of(message: JointState, arm: Arm) -> np.ndarray:
+    """Efforts (n,) in the order of the arm, N m and N; NaN where none is said."""
+    if len(message.effort) != len(message.name):
+        return np.full(arm.n, np.nan)
+    at = dict(zip(message.name, message.effort, strict=True))
+    return np.array([at[name] for name in arm.joint_names])
+
+
 def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str) -> np.ndarray:
     """Side (n,) of -1, 0, +1 that each joint arrives from, in the order of the arm."""
     sides = [float(side) for side in approach]
@@ -193,6 +202,18 @@ def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
     row = message.header.frame_id or "0"
     x, y = quaternion.tilt(turn)
     return row, {f"incl_{row}_x": x, f"incl_{row}_y": y}
+
+
+def wrench_of(message: WrenchStamped, arm: Arm) -> tuple[int, np.ndarray]:
+    """Row whose axes a wrist sensor measures in, and its force (3,), N."""
+    name, f = message.header.frame_id, message.wrench.force
+    rows = [str(row) for row in range(len(arm.joints) + 1)]
+    if name not in rows:
+        raise InputError("wrench", "frame_id", name, f"a row of arm.yaml: 0 to {rows[-1]}")
+    force = np.array([f.x, f.y, f.z])
+    if not np.isfinite(force).all():
+        raise InputError("wrench", "force", force.tolist(), "finite numbers, N")
+    return int(name), force
 
 
 def sighting_of(message: PoseWithCovarianceStamped) -> tuple[np.ndarray, np.ndarray]:

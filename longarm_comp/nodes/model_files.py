@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from longarm_comp.core.arm.arm import Arm
@@ -17,10 +17,14 @@ from longarm_comp.nodes.health import OK, WARN, Report
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """A model and the SHA-256 of its file. The hash of the declared arm is empty."""
+    """A model and the SHA-256 of its file. The hash of the declared arm is empty.
+
+    ``learned`` counts the models that were put in its place since.
+    """
 
     model: Model
     file_hash: str = ""
+    learned: int = 0
 
 
 class ModelFiles:
@@ -33,7 +37,7 @@ class ModelFiles:
         self._path = model_path
         self.rigid = Model(self.arm)
         self._of_commands = by_readings if trimmed else (lambda model: model)
-        self.loaded = LoadedModel(self._of_commands(declared_model(self.arm)))
+        self.loaded = self.given = LoadedModel(self._of_commands(declared_model(self.arm)))
         self._fault = ""
         self.loads = 0
         self.reload()
@@ -44,13 +48,18 @@ class ModelFiles:
             return True, "the arm as declared: no model.yaml is configured"
         try:
             model = self._of_commands(load_model(self._path, self.arm))
-            self.loaded = LoadedModel(model, file_hash(self._path))
+            self.loaded = self.given = LoadedModel(model, file_hash(self._path))
         except LongarmError as error:
             self._fault = str(error)
             return False, self._fault
         self._fault = ""
         self.loads += 1
         return True, f"{self._path} {self.loaded.file_hash[:12]}"
+
+    def put(self, model: Model) -> None:
+        """Serve what was learned in place of the model of the file."""
+        if model is not self.loaded.model:
+            self.loaded = replace(self.loaded, model=model, learned=self.loaded.learned + 1)
 
     def report(self) -> Report:
         """State of the model, for diagnostics."""

@@ -53,10 +53,11 @@ def _mm(vector: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class Promise:
-    """Tip expected at a rest pose, and its standard deviation: (3,) m each."""
+    """Tip expected at a rest pose, its standard deviation, and what a predictor added: (3,) m."""
 
     tip: np.ndarray
     sigma: np.ndarray
+    learned: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,19 +135,23 @@ class TipMonitor:
         with self._feeding:
             return self._watch.sighted(tip, variance, 1e-9 * stamp if stamp else now_s)
 
-    def judge(self, rest: RestPose, model: Model, context: Context) -> None:
-        """Add a rest pose to the sequential tests."""
+    def judge(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
+        """Add a rest pose to the sequential tests.
+
+        Returns the learned error (3,) m that was expected there; None where no predictor speaks.
+        """
         missed = self._missed(rest, model, context)
         promise = self._promise(rest, model, context)
         if promise is None:
             self._outside += 1
-            return
+            return None
         residual = rest.tip - promise.tip
         self._monitor = self._monitor.seen(residual, promise.sigma)
         self._last = f"residual {_mm(residual)}"
         if missed is not None:
             self._at_target = self._at_target.seen(missed, promise.sigma)
             self._last_miss = f"tip - target {_mm(missed)}"
+        return promise.learned
 
     def _missed(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
         """tip - target (3,) m where the arm rests at a target, without the measuring side."""
@@ -169,7 +174,7 @@ class TipMonitor:
             return Promise(tip, fallback)
         if not found.in_domain:
             return None
-        return Promise(tip + found.error, found.sigma)
+        return Promise(tip + found.error, found.sigma, found.error)
 
     def judge_servos(self, model: Model, read: np.ndarray, context: Context) -> None:
         """Add the readings (n,) at the end of a move to the test of the servos.

@@ -27,6 +27,7 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Method, physics_of
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext
 from longarm_comp.core.compensation.path import (
+    TURN_M,
     CompensatedPath,
     PathRefused,
     PlannedPath,
@@ -63,6 +64,7 @@ PARAMS = (
     Param("max_velocity", [0.0], "of each joint, rad/s or m/s, or one for all; 0: none", 0.0, 1e6),
     Param("max_acceleration", [0.0], "the same, rad/s^2 or m/s^2; 0: none", 0.0, 1e6),
     Param("max_correction_m", 0.05, "most that the declared tip is moved", 1e-6, 1.0),
+    Param("turn_m", TURN_M, "the tip may be so far off where a joint with play turns", 0.0, 0.1),
     Param("order_max_age_s", 2.0, "older goals move nothing", 0.01, 60.0),
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
     Param("joints_max_age_s", 5.0, "older joint_states are not believed", 0.1, 1e6),
@@ -92,6 +94,7 @@ class TrajectoryCompensator(Node):
         self._files, self._method = ModelFiles(p["arm"], p["model"]), Method(p["method"])
         self._arm, self._controller = self._files.arm, p["controller"]
         self._limits, self._correction_m = self._limits_of(p), p["max_correction_m"]
+        self._turn_m = p["turn_m"]
         self._context_age_s = p["context_max_age_s"]
         self._tally = Tally(self)
         self._worker = Worker(self, executor, _WAITING, self.survived)
@@ -248,14 +251,15 @@ class TrajectoryCompensator(Node):
         loaded, now = self._files.loaded, time.monotonic()
         physics, readings = physics_of(loaded.model, self._method), self._state.readings
 
-        def context_after(arrived: History, row: int) -> Context:
+        def context_at(arrived: History) -> Context:
             return readings.context(physics, now, self._context_age_s, arrived)
 
         moving = self._following > 0
         known: dict[str, Any] = {
             "start": start,
             "history": History.unknown(self._arm.n) if moving else self._driver.history,
-            "context_after": context_after,
+            "context_at": context_at,
+            "turn_m": self._turn_m,
             "limits": self._limits,
             "max_correction_m": self._correction_m,
             "options": CompensationOptions(self._method),

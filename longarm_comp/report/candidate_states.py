@@ -11,7 +11,6 @@ from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import (
     IMPLAUSIBLE,
     columns_at,
-    key,
     marginal_without,
     score,
 )
@@ -67,11 +66,11 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
     for term in result.chosen:
         single = Candidate(term.name, (term,))
         gain = score(
-            result.fit, marginal_without(result.fit, columns, {key(term)}), single, columns
+            result.fit, marginal_without(result.fit, columns, {term.key}), single, columns
         ).log_bayes_factor
         form = f", {_form(single)}" if single.form else ""
         state, why = "accepted", f"log Bayes factor {gain:.1f} on top of the rest{form}"
-        if key(term) not in {key(t) for t in diagnosis.model.terms}:
+        if term.key not in {t.key for t in diagnosis.model.terms}:
             state, why = "rejected", f"{why}; a command is expected to err less without it"
         accepted[label(single)] = _row(label(single), gain, state, why)
     return accepted

@@ -11,8 +11,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from longarm_comp.core.errors import InputError
-
 STAGES = (
     *("nominal", "frames_only", "calibrated"),
     *("with_effects", "with_functions", "with_network"),
@@ -37,7 +35,7 @@ class Input:
 
 @dataclass(frozen=True, eq=False)
 class SeenRows:
-    """Rows of a session whose marker was seen: the hold-out, or those fitted.
+    """Held-out rows of a session whose marker was seen.
 
     Attributes:
         index: (N,) row numbers in the session.
@@ -53,26 +51,9 @@ class SeenRows:
     inputs: tuple[Input, ...] = ()
     arms_m: tuple[np.ndarray, ...] = ()
 
-    def __post_init__(self) -> None:
-        """Check shapes, finiteness and names.
-
-        Raises:
-            InputError: an array is of another length, a number is not finite, a stage unknown.
-        """
-        n = len(self.index)
-        _check("measured_m", self.measured_m, (n, 3))
-        for stage, errors in self.errors_m.items():
-            if stage not in STAGES:
-                raise InputError("report detail", "errors_m", stage, ", ".join(STAGES))
-            _check(f"errors_m[{stage}]", errors, (n, 3))
-        for entry in self.inputs:
-            _check(f"input {entry.name}", entry.values, (n,))
-        for line in self.arms_m:
-            _check("arms_m", line, (len(line), 3))
-
-    def input(self, name: str) -> Input | None:
-        """The input of that name, or None."""
-        return next((entry for entry in self.inputs if entry.name == name), None)
+    def input(self, name: str) -> Input:
+        """The input of that name."""
+        return next(entry for entry in self.inputs if entry.name == name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,18 +69,6 @@ class Correlation:
     parameters: tuple[str, ...]
     geometry: tuple[str, ...]
     matrix: np.ndarray
-
-    def __post_init__(self) -> None:
-        """Check shape and range.
-
-        Raises:
-            InputError: the matrix does not fit its labels or leaves [-1, 1].
-        """
-        _check("correlation", self.matrix, (len(self.parameters), len(self.geometry)))
-        if self.matrix.size and np.abs(self.matrix).max() > 1 + 1e-9:
-            raise InputError(
-                "report detail", "correlation", np.abs(self.matrix).max(), "between -1 and 1"
-            )
 
 
 @dataclass(frozen=True)
@@ -124,18 +93,10 @@ class Detectable:
 
 @dataclass(frozen=True)
 class SplitPose:
-    """A pose to measure next. None: as it is now.
-
-    Attributes:
-        q: commanded joints, rad and m.
-        approach: +1 from below, -1 from above, 0 from anywhere.
-        payload_kg, temperature_c: what to change besides.
-    """
+    """A pose to measure next: joints (rad, m), from below (+1), above (-1) or anywhere (0)."""
 
     q: tuple[float, ...]
     approach: int = 0
-    payload_kg: float | None = None
-    temperature_c: float | None = None
 
 
 @dataclass(frozen=True)
@@ -170,6 +131,27 @@ class Check:
     result: str
 
 
+@dataclass(frozen=True)
+class Encoder:
+    """What the readings of a joint said, over the rows that were fitted; mrad or mm.
+
+    Attributes:
+        joint: its name.
+        unit: ``mrad`` or ``mm``.
+        mean, rms, most: of reading - command: mean, spread about it, largest distance from it.
+        left: rms that the model leaves of it.
+        noise: of the encoder.
+    """
+
+    joint: str
+    unit: str
+    mean: float
+    rms: float
+    most: float
+    left: float
+    noise: float
+
+
 @dataclass(frozen=True, eq=False)
 class Marked:
     """The arm in one posture, with the places of a finding.
@@ -182,16 +164,6 @@ class Marked:
     arm_m: np.ndarray
     places_m: Mapping[str, np.ndarray]
 
-    def __post_init__(self) -> None:
-        """Check shapes and finiteness.
-
-        Raises:
-            InputError: a point is not one.
-        """
-        _check("marked arm", self.arm_m, (len(self.arm_m), 3))
-        for place, point in self.places_m.items():
-            _check(f"place {place}", point, (3,))
-
 
 @dataclass(frozen=True, eq=False)
 class Detail:
@@ -201,15 +173,15 @@ class Detail:
         title: what was diagnosed, such as the session's name.
         joints: names of the commanded joints, in order.
         joint_units: ``rad`` or ``m``, in order.
-        held_out, train: rows with their errors.
+        held_out: rows with their errors.
         before, after: the stages that the verdict compares.
         guilty: inputs that the findings, or the structure left, depend on; the worst first.
         correlation: of the accepted parameters with geometry.
         detectable: smallest visible size per effect.
         splits: sets with the poses that split them.
         checks: tests of the robustness of the findings.
+        encoders: of the joints that were read.
         marked: where each finding is on the arm, in the order of the cards.
-        plausibility: (effect, where, parameter) -> a remark on the value.
         provenance: further facts, name -> value, shown after those of report.json.
     """
 
@@ -217,7 +189,6 @@ class Detail:
     joints: tuple[str, ...] = ()
     joint_units: tuple[str, ...] = ()
     held_out: SeenRows | None = None
-    train: SeenRows | None = None
     before: str = "calibrated"
     after: str = "with_effects"
     guilty: tuple[str, ...] = ()
@@ -225,30 +196,6 @@ class Detail:
     detectable: tuple[Detectable, ...] = ()
     splits: tuple[SetSplit, ...] = ()
     checks: tuple[Check, ...] = ()
+    encoders: tuple[Encoder, ...] = ()
     marked: tuple[Marked, ...] = ()
-    plausibility: Mapping[tuple[str, str, str], str] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Check that the fields are consistent.
-
-        Raises:
-            InputError: an unknown stage, joints without units, a pose of another length.
-        """
-        for name, stage in (("before", self.before), ("after", self.after)):
-            if stage not in STAGES:
-                raise InputError("report detail", name, stage, ", ".join(STAGES))
-        if len(self.joint_units) != len(self.joints):
-            raise InputError(
-                "report detail", "joint_units", self.joint_units, f"{len(self.joints)} units"
-            )
-        for pose in (pose for split in self.splits for pose in split.poses):
-            if self.joints and len(pose.q) != len(self.joints):
-                raise InputError("report detail", "q", pose.q, f"{len(self.joints)} joints")
-
-
-def _check(name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
-    if np.shape(array) != shape:
-        raise InputError("report detail", name, np.shape(array), f"shape {shape}")
-    if not np.isfinite(array).all():
-        raise InputError("report detail", name, "not finite", "finite numbers")

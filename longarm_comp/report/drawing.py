@@ -9,9 +9,9 @@ import numpy as np
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.identify.visible_size import Smallest
+from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.outline import outline
 from longarm_comp.report.candidate_states import best_forms
 from longarm_comp.report.detail import (
@@ -19,6 +19,7 @@ from longarm_comp.report.detail import (
     Correlation,
     Detail,
     Detectable,
+    Encoder,
     Input,
     SeenRows,
     SetSplit,
@@ -52,6 +53,7 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
         detectable=_detectable(diagnosis, tried),
         splits=tuple(split(diagnosis, s) for s in diagnosis.split_by),
         checks=_checks(diagnosis),
+        encoders=_encoders(diagnosis, units),
         marked=marked(diagnosis),
         provenance=facts,
     )
@@ -93,8 +95,8 @@ def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
             names += [f"q{commanded.index(j) + 1}" for j in term.joints if j in commanded]
         names += found.terms[0].inputs
     names += diagnosis.structure.inputs
-    known = [name for name in dict.fromkeys(names) if rows.input(name) is not None]
-    return tuple(known[:GUILTY])
+    known = {entry.name for entry in rows.inputs}
+    return tuple(name for name in dict.fromkeys(names) if name in known)[:GUILTY]
 
 
 def _size(diagnosis: Diagnosis, term: Term) -> float:
@@ -104,9 +106,9 @@ def _size(diagnosis: Diagnosis, term: Term) -> float:
 
 
 def _correlation(diagnosis: Diagnosis) -> Correlation | None:
-    found = {key(t) for f in diagnosis.findings for t in f.terms}
+    found = {t.key for f in diagnosis.findings for t in f.terms}
     fit = diagnosis.fit
-    own = [k for k, s in enumerate(fit.slots) if key(s.owner) in found]
+    own = [k for k, s in enumerate(fit.slots) if s.owner.key in found]
     rest = [k for k, s in enumerate(fit.slots) if s.owner.geometry]
     if not own or not rest:
         return None
@@ -149,6 +151,14 @@ def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
     if by.log_bayes_factor < SPLITS:
         reason = f"No pose tells {pair} apart: expected log odds {by.log_bayes_factor:.1f}."
         others = [a.candidate.terms[0] for a in found.alternatives[:1]]
+        first, read = found.terms[0], diagnosis.fit.session.read_joints
+        deciding = [
+            f"read_q{k + 1}"
+            for k, row in enumerate(diagnosis.arm.commanded)
+            if k not in read and any(tell_apart(diagnosis.arm, [row], first, o) for o in others)
+        ]
+        if deciding:
+            reason += f" What the encoders say does ({', '.join(deciding)})."
         if any({"temperature_c", "t_s"} & set(t.needs) for t in (*found.terms, *others)):
             reason += " Measure again after a pause, at another temperature."
         return SetSplit(found.names, reason, (), by.log_bayes_factor)
@@ -158,6 +168,23 @@ def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
     )
     reason = f"These poses do not tell {pair} apart."
     return SetSplit(found.names, reason, poses, by.log_bayes_factor)
+
+
+def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> tuple[Encoder, ...]:
+    """Reading less command of every joint that was read."""
+    fit, made = diagnosis.fit, []
+    rows, names = fit.session, diagnosis.arm.joint_names
+    for k in rows.read_joints:
+        name = f"read_q{k + 1}"
+        channel = rows.channels.index(name)
+        held = rows.measured[:, channel] & (fit.weights > 0)
+        off = 1e3 * (rows.readings[name][held, 0] - rows.q[held, k])
+        about = off - off.mean()
+        figures = (off.mean(), about.std(), np.abs(about).max())
+        left = 1e3 * np.sqrt(np.mean(fit.residual[held, channel] ** 2))
+        noise = 1e3 * fit.sigma[channel]
+        made.append(Encoder(names[k], f"m{units[k]}", *map(float, (*figures, left, noise))))
+    return tuple(made)
 
 
 def _checks(diagnosis: Diagnosis) -> tuple[Check, ...]:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from longarm_comp.report.arrows import arrows, exaggeration, points_of, stages_of
+from longarm_comp.report.arrows import arrows, exaggeration, points_of
 from longarm_comp.report.detail import Correlation, Input, Marked, SeenRows
-from longarm_comp.report.noise_floor import normal_length
-from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, SKY, VERMILLION
+from longarm_comp.report.style import GRID, INK, LOOKS, SKY, VERMILLION
 
 _MM = 1e3
 _LEVELS = 8
@@ -23,76 +21,14 @@ _MANY = 800
 """Above this many points, a scatter plot is rasterised."""
 
 
-def distribution(rows: SeenRows, sigma_mm: tuple[float, float, float] | None) -> Figure:
-    """Share of rows below an error, and the errors per axis, for every stage."""
-    drawn = Figure(figsize=(9, 3.8))
-    left, right = drawn.subplots(1, 2, width_ratios=(1.15, 1))
-    share = (np.arange(len(rows.index)) + 1) / max(1, len(rows.index))
-    for stage in stages_of(rows):
-        look = LOOKS[stage]
-        length = np.sort(np.linalg.norm(rows.errors_m[stage], axis=1)) * _MM
-        left.plot(
-            np.maximum(length, 1e-4),
-            share,
-            label=look.label,
-            color=look.color,
-            linestyle=look.dash,
-            marker=look.marker,
-            markevery=max(1, len(length) // 8),
-            markersize=5,
-        )
-    if sigma_mm is not None:
-        scale = float(np.sqrt(np.mean(np.square(sigma_mm))))
-        at = np.linspace(0.005, 0.995, 200)
-        left.plot(scale * normal_length(at), at, color=INK, linewidth=1, label=FLOOR)
-    left.set(
-        xscale="log", ylim=(0, 1.02), xlabel="3-D error, mm (log scale)", ylabel="share of rows"
-    )
-    left.set_title("Share of hold-out rows below an error")
-    left.legend(fontsize=8, loc="best")
-    _boxes(right, rows)
-    drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.13, top=0.88, wspace=0.18)
-    return drawn
-
-
-def _boxes(axes: Axes, rows: SeenRows) -> None:
-    stages = stages_of(rows)
-    width = 0.8 / max(1, len(stages))
-    for k, stage in enumerate(stages):
-        look = LOOKS[stage]
-        at = np.arange(3) + (k - (len(stages) - 1) / 2) * width
-        boxes = axes.boxplot(
-            list((rows.errors_m[stage] * _MM).T),
-            positions=at,
-            widths=width * 0.8,
-            patch_artist=True,
-            whis=(2.5, 97.5),
-            showfliers=False,
-            medianprops={"color": INK, "linewidth": 1.5},
-        )
-        for box in boxes["boxes"]:
-            box.set(facecolor="white", edgecolor=look.color, hatch=look.hatch)
-        axes.plot([], [], color=look.color, marker=look.marker, linestyle="", label=look.label)
-    axes.axhline(0, color=INK, linewidth=0.8)
-    axes.set_xticks(range(3), ["x", "y", "z"])
-    axes.set(ylabel="measured − predicted, mm", yscale="symlog")
-    axes.set_title(
-        "Per axis: quartiles and 95 % range\n(from left to right in the order of the legend)"
-    )
-
-
 def against_input(
     rows: SeenRows,
     entry: Input,
     before: str,
     after: str,
     sigma_mm: tuple[float, float, float] | None,
-    fitted: SeenRows | None = None,
 ) -> Figure:
-    """Errors over one input, one row of panels per axis, before on the left, after on the right.
-
-    Rows that were fitted are small dots behind those of the hold-out.
-    """
+    """Errors over one input, one row of panels per axis, before on the left, after on the right."""
     drawn = Figure(figsize=(9, 6.4))
     panels = drawn.subplots(3, 2, sharex=True, sharey="row")
     values = np.asarray(entry.values, dtype=float)
@@ -105,7 +41,6 @@ def against_input(
                 half = 1.96 * sigma_mm[axis]
                 panel.axhspan(-half, half, color=GRID, alpha=0.6, linewidth=0)
             panel.axhline(0, color=INK, linewidth=0.8)
-            _behind(panel, fitted, entry.name, stage, axis)
             panel.plot(
                 _spread(values),
                 error,
@@ -127,16 +62,6 @@ def against_input(
         panels[2, 0].set_xticks(levels, [f"{level:.2g}" for level in levels])
     drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.075, top=0.96, wspace=0.04, hspace=0.08)
     return drawn
-
-
-def _behind(panel: Axes, fitted: SeenRows | None, name: str, stage: str, axis: int) -> None:
-    """The fitted rows, as far as they have that input and stage."""
-    entry = fitted.input(name) if fitted is not None else None
-    if fitted is None or entry is None or stage not in fitted.errors_m:
-        return
-    error = fitted.errors_m[stage][:, axis] * _MM
-    at = _spread(np.asarray(entry.values, dtype=float))
-    panel.plot(at, error, ".", color="#808080", markersize=2, alpha=0.5, rasterized=True)
 
 
 def _spread(values: np.ndarray) -> np.ndarray:

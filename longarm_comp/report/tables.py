@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.report.arrows import stages_of
-from longarm_comp.report.detail import Correlation, Detail, SetSplit, SplitPose
+from longarm_comp.report.detail import Correlation, SetSplit
 from longarm_comp.report.noise_floor import ErrorFigures, NoiseFloor, noise_floor
 from longarm_comp.report.record import (
     DiagnosisReport,
@@ -124,40 +123,21 @@ def floor_of(report: DiagnosisReport) -> NoiseFloor | None:
     return noise_floor(report.noise.sigma_mm, held.n, rows, structure)
 
 
-def fitted_lines(detail: Detail) -> list[ErrorLine]:
-    """The errors on the fitted rows; without excess."""
-    if detail.train is None or not len(detail.train.index):
-        return []
-    lines = []
-    for stage in stages_of(detail.train):
-        error = detail.train.errors_m[stage] * 1e3
-        length = np.linalg.norm(error, axis=1)
-        values = (
-            *(length.mean(), np.sqrt((length**2).mean()), np.percentile(length, 95)),
-            *(length.max(), np.abs(error[:, 2]).mean(), error.var(axis=0).mean()),
-        )
-        lines.append(ErrorLine(LOOKS[stage].label, _mm(*map(float, values))))
-    return lines
-
-
 def _mm(*values: float | None) -> tuple[str, ...]:
     shown = (DASH if v is None else f"{v:.3f}" if v < 100 else f"{v:.1f}" for v in values)
     return tuple(shown)
 
 
-def parameter_lines(report: DiagnosisReport, detail: Detail) -> list[ParameterLine]:
+def parameter_lines(report: DiagnosisReport) -> list[ParameterLine]:
     """Every parameter of every finding."""
     return [
-        _parameter_line(finding, parameter, detail)
+        _parameter_line(finding, parameter)
         for finding in report.findings
         for parameter in finding.parameters
     ]
 
 
-def _parameter_line(
-    finding: ReportFinding, parameter: FindingParameter, detail: Detail
-) -> ParameterLine:
-    remark = detail.plausibility.get((finding.effect, parameter.where, parameter.name))
+def _parameter_line(finding: ReportFinding, parameter: FindingParameter) -> ParameterLine:
     return ParameterLine(
         finding.effect,
         parameter.name,
@@ -167,7 +147,7 @@ def _parameter_line(
         interval(parameter.ci95),
         _zero(parameter),
         number(parameter.prior_scale),
-        ". ".join(filter(None, (_size(parameter), remark))),
+        _size(parameter),
     )
 
 
@@ -218,16 +198,12 @@ def strongest(entry: Correlation) -> list[tuple[str, str]]:
     return lines
 
 
-def pose_lines(split: SetSplit, detail: Detail) -> list[tuple[list[str], str]]:
-    """The joints of every pose, and what else to change."""
-    return [([f"{value:.4f}" for value in pose.q], _besides(pose)) for pose in split.poses]
+_SIDES = {1: "all joints from below", -1: "all joints from above"}
 
 
-def _besides(pose: SplitPose) -> str:
-    sides = {1: "all joints from below", -1: "all joints from above"}
-    parts = [
-        sides.get(pose.approach, ""),
-        "" if pose.payload_kg is None else f"payload {number(pose.payload_kg)} kg",
-        "" if pose.temperature_c is None else f"at {number(pose.temperature_c)} °C",
+def pose_lines(split: SetSplit) -> list[tuple[list[str], str]]:
+    """The joints of every pose, and how they arrive."""
+    return [
+        ([f"{value:.4f}" for value in pose.q], _SIDES.get(pose.approach, "as it is"))
+        for pose in split.poses
     ]
-    return ", ".join(filter(None, parts)) or "as it is"

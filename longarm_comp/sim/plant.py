@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -91,7 +92,13 @@ class PlantConfig:
 class Plant:
     """The running plant: `start` and `stop` it. Times are seconds since the start."""
 
-    def __init__(self, config: PlantConfig, link: Path, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        config: PlantConfig,
+        link: Path,
+        rng: np.random.Generator,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         if sorted(j.name for j in config.servos.joints) != sorted(config.arm.joint_names):
             names = ", ".join(j.name for j in config.servos.joints)
             raise InputError("plant", "servo joints", names, ", ".join(config.arm.joint_names))
@@ -104,9 +111,10 @@ class Plant:
             for j in config.servos.joints
         }
         self._loads: Mapping[int, float] = {}
+        self._loaded = [j for j in config.servos.joints if j.told or droops]
         self.emulator = ServoEmulator(
             config.servos.protocol, config.servos.start_ticks(), specs, link=link,
-            load_of=(lambda _: self._loads) if droops else None,
+            load_of=lambda _: self._loads, clock=clock,
         )  # fmt: skip
         self._rng = rng
         self._true = TrueArm(config.arm, self._behind, steps=_STEPS)
@@ -214,7 +222,7 @@ class Plant:
         by_name = dict(zip(self.config.arm.joint_names, torques.tolist(), strict=True))
         return {
             j.servo_id: math.copysign(1.0, j.travel) * by_name[j.name] / j.full_effort
-            for j in self.config.servos.joints
+            for j in self._loaded
         }
 
     def look(self, t_s: float) -> tuple[Grey, Grey]:
@@ -227,14 +235,15 @@ class Plant:
 def _drooping(
     spec: MotorSpec, joint: EmulatedJoint, droops: Sequence[ServoDroop], number: int
 ) -> MotorSpec:
-    """The mechanics of a joint's servo, whose controller gives way as it should not."""
+    """The mechanics of a joint's servo: its data sheet, and a controller that gives way."""
+    spec = replace(spec, **joint.sheet)
     for droop in droops:
         soft = droop.yielding[number] * joint.full_effort
         spec = replace(
             spec,
             droop_ticks=spec.droop_ticks + soft / abs(joint.travel),
             dead_band_ticks=spec.dead_band_ticks + droop.deadband[number] / abs(joint.travel),
-            hold_share=spec.hold_share + droop.friction / joint.full_effort,
+            hold_share=droop.friction / joint.full_effort,
         )
     return spec
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +65,7 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
     for group in _groups(old, new):
         terms = {key: new[key] for key in new if key not in group}
         terms |= {key: old[key] for key in group if key in old}
-        moved = _with(after, list(terms.values())).measured(q, context) - seen
+        moved = after.with_terms(list(terms.values())).measured(q, context) - seen
         first = new.get(group[0]) or old[group[0]]
         single = len(group) == 1 and _name(first) == first.name
         found.append(
@@ -126,14 +124,6 @@ def _values(
         if not np.isclose(was, now, rtol=_SAME, atol=0.0):
             rows.append((p.name, p.unit, was, now))
     return tuple(rows)
-
-
-def _with(model: Model, terms: Sequence[Term]) -> Model:
-    return dataclasses.replace(
-        model,
-        effects=tuple(t for t in terms if isinstance(t, Effect)),
-        biases=tuple(t for t in terms if isinstance(t, Bias)),
-    )
 
 
 def _number(value: float) -> str:

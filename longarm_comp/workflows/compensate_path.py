@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.arrive import CompensationOptions
+from longarm_comp.core.arm.moves import plan_move
+from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions
 from longarm_comp.core.compensation.path import PlannedPath
 from longarm_comp.core.compensation.path import compensate_path as solve_path
 from longarm_comp.core.compensation.result import Method, Settling
@@ -104,16 +105,23 @@ def compensate_path(
                     _each(max_acceleration, n, "max_acceleration"))  # fmt: skip
     start, came = (None, History.unknown(n)) if history is None else points.last(history, model)
     first = start if seed is None else np.asarray(seed, float)
+    given = path.context(n) if isinstance(path, Targets) else context or Context.empty()
     found = solve_path(
         model, predictor,
         PlannedPath(carried, None if times is None else np.asarray(times, float)),
         start=start, history=came, seed=first,
-        context_after=lambda arrived, row: points.after(contexts[row], arrived),
+        context_at=lambda arrived: points.after(given, arrived),
         limits=limits, max_correction_m=max_correction_m, position_only=position_only,
         options=CompensationOptions(chosen, Settling(**settling), tuple(locked)),
     )  # fmt: skip
+    before, arrivals = start, []
+    for row, target in enumerate(carried):
+        outcome = found.answers.at(row, model, chosen, target)
+        move = plan_move(model.arm, before, outcome.command, np.zeros(n))
+        arrivals.append(Arrival(outcome, move, found.answers.context.take(row), found.history))
+        before = outcome.command
     return PathCommands(
-        numbers, found.arrivals, placements,
+        numbers, tuple(arrivals), placements,
         timed=found.timed, correction_m=found.correction_m, notes=found.notes,
     )  # fmt: skip
 

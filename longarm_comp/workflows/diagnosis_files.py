@@ -11,7 +11,6 @@ import numpy as np
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -110,12 +109,12 @@ def _stored(
     for k, slot in enumerate(model.slots):
         interval = found.intervals[k]
         intervals[slot.term, slot.parameter.name] = (interval.low, interval.high)
-    added = {key(t) for t in found.search.chosen}
+    added = {t.key for t in found.search.chosen}
     held = {} if before is None else _origins(before)
     origins = {}
     for number, term in enumerate(model.terms):
         new = f"{found.verdict}, session {session_hash[:16]}, seed {found.seed}"
-        origins[number] = new if key(term) in added else held.get(key(term), "")
+        origins[number] = new if term.key in added else held.get(term.key, "")
     return store(
         model,
         None,

@@ -16,11 +16,15 @@ from longarm_comp.cli.output import print_json, print_rows, progress
 @click.option(
     "--arms", type=click.IntRange(min=0), default=6, show_default=True, help="Simulated arms."
 )
+@click.option(
+    "--pandas/--no-pandas", "touched", default=True, help="Six real arms that touched sockets."
+)
 @options.as_json
-def command(data: Path | None, arm: Path | None, arms: int, as_json: bool) -> None:
+def command(data: Path | None, arm: Path | None, arms: int, touched: bool, as_json: bool) -> None:
     """How many rows left out lie inside the 90 % radius that their model states.
 
-    The radius is of a measured row: error of the tip and noise.
+    The radius is of a measured row: error of the tip and noise. "kept" says whether it holds, or
+    why that cannot be told.
 
     \b
     Example:
@@ -33,6 +37,8 @@ def command(data: Path | None, arm: Path | None, arms: int, as_json: bool) -> No
     declared = Arm.load(arm or folder("config") / "arm_demo.yaml")
     with progress("study coverage") as show:
         found = [] if data is None else list(coverage.real(data, lambda text: show(text, 0.0)))
+        if touched:
+            found += coverage.pandas(lambda text: show(text, 0.3))
         found += coverage.simulated(declared, arms, lambda text: show(text, 0.5))
     rows = coverage.table(found)
     if as_json:

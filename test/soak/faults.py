@@ -12,7 +12,7 @@ from typing import Protocol
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from longarm_comp.core.files import write_text
 from longarm_comp.nodes import interfaces as graph
@@ -101,11 +101,7 @@ class Freeze:
             scene.go_on(self.seconds)
         finally:
             os.kill(pid, signal.SIGCONT)
-        reset = graph.RESET.client(scene.client.node, of="servo_driver")
-        scene.client.until(
-            lambda: scene.client.call(reset, Trigger.Request(), again=True).success,
-            scene.setting.patience_s, "the driver's fault cannot be reset",
-        )  # fmt: skip
+        scene.reset()
 
 
 @dataclass(frozen=True)

@@ -140,6 +140,7 @@ def _report(scene: Scene, seconds: float) -> dict[str, Any]:
         "faults": dict(scene.struck),
         "wrong": dict(ledger.wrong),
         "crashes": crashes,
+        "driver_resets": scene.resets,
         "driver_refusals": scene.driver_refusals,
         "growth": [{**vars(g), "leaks": g.leaks} for g in growth],
         "leaks_judged": sum(g.judged for g in growth),

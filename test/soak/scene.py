@@ -14,6 +14,7 @@ from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from bench.slow_path import slow_path
@@ -56,6 +57,9 @@ class Scene:
     held_back: int = 0
     driver_refusals: int = 0
     """Trajectories that the driver received and refused."""
+    resets: int = 0
+    """Faults of the driver that no fault of the soak explains: it or its servos got no time."""
+    _untold: int | None = None
     _refused: int = 0
     _driver: int = 0
     _driver_reports: int = 0
@@ -96,8 +100,10 @@ class Scene:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
+            facts = {pair.key: pair.value for pair in status.values}
+            if status.name == f"/{NAMESPACE}/kinematics: targets":
+                self._untold = int(facts["superseded, not told yet"])
             if status.name == f"/{NAMESPACE}/servo_driver: arm":
-                facts = {pair.key: pair.value for pair in status.values}
                 before, refused = self._driver, int(facts["refused"])
                 self.driver_refusals += refused - (self._refused if refused >= self._refused else 0)
                 self._refused = refused
@@ -120,6 +126,7 @@ class Scene:
             if not (self._probed and self._driver_rose):
                 self._publish(good=True)
                 client.spin(0.2)
+                self._help()
             return bool(self._probed and self._driver_rose)
 
         client.until(through, _PATIENCE_S, "no target gets through to the servos")
@@ -165,11 +172,15 @@ class Scene:
             self._mark()
 
     def flood(self, count: int) -> None:
-        """Targets as fast as they can be sent: the last one must be answered."""
+        """Targets as fast as they can be sent: the last must be answered, the others told of."""
+        patience = self.setting.patience_s
         with self.aside():
             last = [self._publish(good=True, number=n) for n in range(count)][-1]
-            if not self._within(self.setting.patience_s, lambda: self._probed == last):
+            if not self._within(patience, lambda: self._probed == last):
                 self.ledger.wrong["the last target of a flood has no answer"] += 1
+            self._untold = None
+            if not self._within(patience, lambda: self._untold == 0):
+                self.ledger.wrong["a flood is not told of"] += 1
 
     def path(self, points: int, seconds: float) -> None:
         """A planned path there and back, for `trajectory_compensator`: it must say how it ended."""
@@ -215,8 +226,10 @@ class Scene:
         if not self._within(_TRY_S, lambda: self._probed == stamp) or self._answer is None:
             return why
         if self._answer.status != Compensation.SUCCESS:
+            why = f"status {self._answer.status}: {self._answer.message}"
+            self._help()
             self.client.spin(0.1)
-            return f"status {self._answer.status}: {self._answer.message}"
+            return why
         goal = np.array(self._answer.executed.position)
 
         def there() -> bool:
@@ -228,6 +241,22 @@ class Scene:
         if before is not None and np.abs(goal - before).max() < 2 * _NEAR:
             return "the joints were there before"
         return ""
+
+    def _help(self) -> None:
+        """Reset the driver if the last answer says that it needs it."""
+        said, self._answer = self._answer, None
+        if said and said.status == Compensation.NO_DRIVER and "reset" in said.message:
+            self.resets += 1
+            self.reset()
+
+    def reset(self) -> None:
+        """Reset the driver, as a person would whose servos answer again."""
+        reset = graph.RESET.client(self.client.node, of="servo_driver")
+        self.client.until(
+            lambda: self.client.call(reset, Trigger.Request(), again=True).success,
+            self.setting.patience_s, "the driver's fault cannot be reset",
+        )  # fmt: skip
+        self.client.node.destroy_client(reset)
 
     def _within(self, seconds: float, condition: Callable[[], bool]) -> bool:
         """Spin until a condition holds, or for so many seconds; whether it holds."""

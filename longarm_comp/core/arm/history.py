@@ -49,6 +49,31 @@ def moved(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float,
     return side, legs
 
 
+def _walked(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Side (k,) and legs (k, LEGS) of a joint after each of k ways: `moved`, run by run."""
+    moves = np.abs(ways) >= SAME_POSE
+    done = ways[moves]
+    sides = np.append(np.sign(done), side)  # the last: before the first move
+    made = np.zeros((len(sides), LEGS))
+    made[-1, : len(held)] = held
+    cuts = np.flatnonzero(np.diff(sides[:-1])) + 1
+    for begin, end in zip([0, *cuts], [*cuts, len(done)], strict=True):
+        gone, at = np.cumsum(done[begin:end]), 0
+        while at < len(gone):
+            now = onward(held, float(gone[at]))
+            first = now[0] + gone[at:] - gone[at]
+            inside = len(first)
+            if len(now) > 1:  # until it swallows the loop before it
+                inside = max(1, int(np.searchsorted(np.abs(first), abs(now[1]) - SAME_POSE)))
+            part = made[begin + at : begin + at + inside]
+            part[:, : len(now)] = now
+            part[:, 0] = first[:inside]
+            at += inside
+        held = onward(held, float(gone[-1])) if len(gone) else held
+    row = np.cumsum(moves) - 1
+    return sides[row], made[row]
+
+
 def play(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
     """Least and largest state that a play operator can have after some legs; equal where known.
 
@@ -99,6 +124,22 @@ class History:
             sides[joint], made[joint, : len(after)] = side, after
         return History(sides, made)
 
+    def along(self, points: np.ndarray, start: np.ndarray | None) -> History:
+        """After each of the way-points (k, n) of one motion without a stop; as `after`."""
+        first = points[0] if start is None else start
+        ways = np.diff(points, axis=0, prepend=first[None])
+        legs = np.zeros_like(self.legs) if start is None else self.legs
+        sides, made = np.zeros(ways.shape), np.zeros((*ways.shape, LEGS))
+        for joint, side in enumerate(self.approach.tolist()):
+            held = [leg for leg in legs[joint].tolist() if leg]
+            sides[:, joint], made[:, joint] = _walked(side, held, ways[:, joint])
+        return History(sides, made)
+
+    @property
+    def latest(self) -> History:
+        """The last of N."""
+        return History(self.approach[-1], self.legs[-1])
+
     def told(self, sides: np.ndarray) -> History:
         """Where a side (n,) of +-1 is told but not from how far: the legs are not known."""
         mine = sides != 0
@@ -120,8 +161,12 @@ class History:
         return History(np.where(same, self.approach, 0), np.where(same[:, None], self.legs, 0.0))
 
     def fields(self) -> dict[str, Any]:
-        """The per-joint fields of a `Context` at one posture, 0 where they are unknown."""
-        return {name: tuple(getattr(self, name).ravel().tolist()) for name in PER_JOINT}
+        """The per-joint fields of a `Context` at one posture or N, 0 where they are unknown."""
+        if self.approach.ndim == 1:
+            return {name: tuple(getattr(self, name).ravel().tolist()) for name in PER_JOINT}
+        return {
+            name: tuple(getattr(self, name).reshape(len(self.approach), -1).T) for name in PER_JOINT
+        }
 
 
 def recorded(

@@ -39,7 +39,12 @@ from longarm_comp.core.compensation.result import (
     outside,
     shifted,
 )
-from longarm_comp.core.compensation.unknown import missing_column, outside_data, unknown_history
+from longarm_comp.core.compensation.unknown import (
+    missing_column,
+    outside_data,
+    uncertain_payload,
+    unknown_history,
+)
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
@@ -125,6 +130,34 @@ def compensate(
     ).reach()  # fmt: skip
 
 
+def judged(
+    model: Model,
+    method: Method,
+    command: np.ndarray,
+    context: Context,
+    pseudo: np.ndarray,
+    sigma: np.ndarray | None,
+    doubtful: np.ndarray | None = None,
+) -> tuple[ExpectedMiss, bool, tuple[str, ...]]:
+    """How far off a command may be, by all that the model knows, and what it cannot know.
+
+    Args:
+        command: (n,) joints. pseudo: (3,) m, where the physics should bring the tip.
+        sigma: (3,) m of the learned error that was taken off; None: none was.
+        doubtful: as in `compensate`.
+
+    Returns:
+        Second, whether the model's own error is one that its fitted rows have too.
+    """
+    physics = physics_of(model, method)
+    whole = sigma is None and not missing_column(model, context)
+    miss = expected_miss(model if whole else physics, command, context, pseudo, sigma)
+    spread, why = unknown_history(physics, command, context, doubtful)
+    sag, doubt = uncertain_payload(physics, command, context)
+    doubts = why, doubt, outside_data(physics, command, context)
+    return miss.beside(spread**2 + sag**2), inside_data(model, miss), doubts
+
+
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
     """Where the servos can stand; None: nothing is known of it, or it is not asked for."""
     if realisable is False or (realisable is True and not model.arm.steps.any()):
@@ -190,7 +223,7 @@ class _Target:
             size = math.sqrt(self.error @ self.error)
             self.inside = bool(expected.in_domain[0]) and math.isfinite(size)
             if not self.inside:
-                return self._ended(Status.OUT_OF_DOMAIN, outside(_reason(expected)))
+                return self._ended(Status.OUT_OF_DOMAIN, outside(reason_of(expected)))
             if size > settling.max_correction_m:
                 return self._ended(Status.CORRECTION_TOO_LARGE, settling.too_large(size))
             if self.passes and math.dist(self.error, before) <= settling.tol_m:
@@ -222,26 +255,19 @@ class _Target:
             applied = np.zeros(3) if alone else self.error
             reason = "; ".join(filter(None, (reason, chosen.note)))
         if status.success:
-            miss = self._miss(command, applied, learned=self.method.learned and not alone)
-            if status is Status.OUT_OF_DOMAIN and inside_data(self.whole, miss):
+            sigma = self.sigma if self.method.learned and not alone else None
+            at = self.target if self.target.ndim == 1 else self.target[:3, 3]
+            miss, inside, doubts = judged(
+                self.whole, self.method, command, self.context, at - applied, sigma, self.doubtful
+            )
+            if status is Status.OUT_OF_DOMAIN and inside:
                 status = Status.SUCCESS
-            spread, why = unknown_history(self.model, command, self.context, self.doubtful)
-            miss = miss.beside(spread**2)
-            beyond = outside_data(self.model, command, self.context)
-            reason = "; ".join(filter(None, (reason, why, beyond)))
+            reason = "; ".join(filter(None, (reason, *doubts)))
         return Compensation(
             self.target, self.ideal, applied, miss.sigma, self.inside,
             shifted(self.target, applied), command, self.passes, status, reason, chosen,
             miss.expected_m, miss.p90_m,
         )  # fmt: skip
-
-    def _miss(self, command: np.ndarray, applied: np.ndarray, *, learned: bool) -> ExpectedMiss:
-        """How far off the command may be, by all that the model knows."""
-        whole = not learned and not missing_column(self.whole, self.context)
-        model = self.whole if whole else self.model
-        target = self.target if self.target.ndim == 1 else self.target[:3, 3]
-        sigma = self.sigma if learned else None
-        return expected_miss(model, command, self.context, target, applied, sigma)
 
     def _chosen(self, lattice: Lattice, joints: np.ndarray, status: Status) -> Realisable:
         """Realisable joints in place of some; what is learned is looked up again where they are."""
@@ -268,6 +294,7 @@ class _Target:
         return chosen
 
 
-def _reason(expected: ExpectedError) -> str:
+def reason_of(expected: ExpectedError) -> str:
+    """Why a predictor has no answer; empty where it does not say."""
     texts = getattr(expected, "reason", None)
     return str(texts[0]) if texts else ""

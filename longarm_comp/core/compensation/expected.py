@@ -18,7 +18,7 @@ from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model, slots_of
-from longarm_comp.core.model.uncertainty import ModelUncertainty, sizes
+from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,20 +61,18 @@ def expected_miss(
     model: Model,
     q: np.ndarray,
     context: Context,
-    target: np.ndarray,
-    applied: np.ndarray,
+    pseudo: np.ndarray,
     learned: np.ndarray | None = None,
 ) -> ExpectedMiss:
     """How far the tip may come to rest from a target, at the commanded joints.
 
     Args:
         q: (n,) commanded joints, rad and m.
-        target: (3,) m.
-        applied: (3,) m, learned error that was taken off the target.
+        pseudo: (3,) m, the target less the learned error.
         learned: (3,) m, its sigma (of a measurement), if a predictor is used.
     """
     at = model.posture(tuple(q.tolist()), context)
-    mean = np.array(model.tip_frame(at).p) + applied - target
+    mean = np.array(model.tip_frame(at).p) - pseudo
     known = model.uncertainty or of_tolerances(model)
     if learned is not None and model.uncertainty is None:
         return ExpectedMiss(mean, np.diag(learned**2))
@@ -107,7 +105,7 @@ def of_tolerances(model: Model) -> ModelUncertainty | None:
         widths = np.array([slot.parameter.width for slot in slots])
         none = np.zeros((3, 3))
         names = tuple(slot.identity for slot in slots)
-        held = ModelUncertainty(names, np.diag(widths), 1.0, none, none, np.inf, 0)
+        held = ModelUncertainty(names, np.diag(widths), Stretch(), none, none, np.inf, 0)
         model.__dict__["_tolerances"] = held
     return held
 

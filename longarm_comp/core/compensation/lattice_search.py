@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -36,7 +36,6 @@ class Search:
         kept: points of the lattice that the model judges in each round.
         rounds: linearisations, the first at the rounded joints, the others at the best so far.
         max_nodes: of the search tree of one target and round.
-        compiled: machine code or plain Python; by default as in `Traced.run`.
     """
 
     length_m: float
@@ -44,7 +43,6 @@ class Search:
     kept: int = 16
     rounds: int = 2
     max_nodes: int = 5000
-    compiled: bool | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("length_m", "price_m"):
@@ -208,7 +206,6 @@ class _Search:
             problem.high - self.whole,
             kept=self.search.kept,
             max_nodes=self.search.max_nodes,
-            compiled=self.search.compiled,
         )
         self.nodes += points.nodes
         q = np.repeat(self.rounded[:, None], self.search.kept, axis=1)

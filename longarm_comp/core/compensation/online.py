@@ -42,12 +42,17 @@ class Readings:
         """With a new reading."""
         return replace(self, readings={**self.readings, source: Reading(columns, at_s)})
 
+    def fresh(self, source: str, now_s: float, max_age_s: float) -> Mapping[str, float]:
+        """What a source told last; nothing where it is older than ``max_age_s``."""
+        reading = self.readings.get(source)
+        return reading.columns if reading and now_s - reading.at_s <= max_age_s else {}
+
     def context(
         self, model: Model, now_s: float, max_age_s: float, history: History | None = None
     ) -> Context:
         """The context of a target that is asked for now.
 
-        A payload that was never told is the declared one.
+        A payload that was never told is the declared one. The latest word counts.
 
         Args:
             history: of the joints when they have arrived.
@@ -57,12 +62,12 @@ class Readings:
                 ``max_age_s`` or was never told.
         """
         columns = {"t_s": now_s - self.started_s}
-        old: dict[str, float] = {}
-        for reading in self.readings.values():
+        ages: dict[str, float] = {}
+        for reading in sorted(self.readings.values(), key=lambda reading: reading.at_s):
             age = now_s - reading.at_s
-            (columns if age <= max_age_s else old).update(
-                reading.columns if age <= max_age_s else dict.fromkeys(reading.columns, age)
-            )
+            ages.update(dict.fromkeys(reading.columns, age))
+            columns.update(reading.columns if age <= max_age_s else {})
+        old = {name: age for name, age in ages.items() if age > max_age_s}
         context = Context(**({} if history is None else history.fields()), columns=columns)
         if "payload_kg" in old and model.arm.payload is not None:
             raise _stale("payload_kg", old)

@@ -1,23 +1,32 @@
-"""A planned path: joints that bring the real tip where the plan meant it, one way-point on.
+"""A planned path: joints that bring the real tip where the plan meant it, way-points all at once.
 
-Way-points are solved in their order, each from the planned joints (without them from the joints
-before), and for the history that the path up to it leaves in the joints. No run-ups, no choice
-among servo steps and no restarts of the search, so joints do not jump where the plan does not.
+Each way-point is solved from its planned joints, without restarts, run-ups and choice among servo
+steps, so joints do not jump where the plan does not.  What the path itself does to the joints'
+history, and what is learned, is looked up where they were found, until both settle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
-from longarm_comp.core.compensation.result import Method, ResidualPredictor, Status
+from longarm_comp.core.compensation.arrive import CompensationOptions
+from longarm_comp.core.compensation.compensate import judged, physics_of, reason_of
+from longarm_comp.core.compensation.result import (
+    Compensation,
+    Method,
+    ResidualPredictor,
+    Status,
+    missed,
+    other_unit,
+    outside,
+    shifted,
+)
 from longarm_comp.core.compensation.retime import (
     MotionLimits,
     Timed,
@@ -25,14 +34,25 @@ from longarm_comp.core.compensation.retime import (
     retimed,
     slopes_of,
 )
+from longarm_comp.core.compensation.take_up import TakeUp
+from longarm_comp.core.compensation.unknown import (
+    missing_column,
+    outside_data,
+    uncertain_payload,
+    unknown_history,
+)
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered_at
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.outline import reach
 
 _POSE_JOINTS = 6
 """An arm of fewer joints cannot keep a planned orientation: its path is one of positions."""
+
+ContextAt = Callable[[History], Context]
+"""Circumstances at all way-points, given the histories (k, n) there."""
 
 
 class PathRefused(JobError):  # noqa: N818
@@ -75,23 +95,59 @@ class PlannedPath:
 
 
 @dataclass(frozen=True, eq=False)
+class PathAnswers:
+    """Joints at all way-points, and what they are for.
+
+    Attributes:
+        ideal, command: (k, n) joints without and with what is learned.
+        error, sigma: (k, 3) m, as learned; NaN sigma where nothing is.
+        context: circumstances at the way-points. passes: of the pseudo-targets.
+    """
+
+    ideal: np.ndarray
+    command: np.ndarray
+    error: np.ndarray
+    sigma: np.ndarray
+    context: Context
+    passes: int
+
+    def at(self, row: int, model: Model, method: Method, target: np.ndarray) -> Compensation:
+        """The answer at a way-point, with how good it is expected to be."""
+        command, error, sigma = self.command[row], self.error[row], self.sigma[row]
+        learned, pseudo = bool(np.isfinite(sigma).all()), shifted(target, error)
+        place = pseudo if pseudo.ndim == 1 else pseudo[:3, 3]
+        miss, _, doubts = judged(
+            model, method, command, self.context.take(row), place, sigma if learned else None
+        )
+        return Compensation(
+            target, self.ideal[row], error, miss.sigma, learned, pseudo, command, self.passes,
+            Status.SUCCESS, "; ".join(filter(None, doubts)), None, miss.expected_m, miss.p90_m,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
 class CompensatedPath:
     """A path to send.
 
     Attributes:
         timed: joints, velocities and times; where the plan has neither times nor limits, a second
             a way-point.
-        arrivals: of each way-point that was solved; not of one where the arm stood already.
+        answers: what `Compensation` says, of all way-points (k, ...); of one where the arm stood
+            already nothing holds.
         correction_m: (k,) m, by how much the declared arm's tip is moved.
         history: of the joints at the end.
-        notes: doubts of way-points, each once.
+        notes: doubts.
     """
 
     timed: Timed
-    arrivals: tuple[Arrival, ...]
+    answers: PathAnswers
     correction_m: np.ndarray
     history: History
     notes: tuple[str, ...]
+
+
+TURN_M = 1e-4
+"""The tip may leave a path by so much where a joint turns: what a camera sees of one picture."""
 
 
 def compensate_path(
@@ -101,10 +157,11 @@ def compensate_path(
     *,
     start: np.ndarray | None,
     history: History,
-    context_after: Callable[[History, int], Context],
+    context_at: ContextAt,
     seed: np.ndarray | None = None,
     limits: MotionLimits | None = None,
     max_correction_m: float = np.inf,
+    turn_m: float = TURN_M,
     position_only: bool = False,
     options: CompensationOptions | None = None,
 ) -> CompensatedPath:
@@ -116,9 +173,11 @@ def compensate_path(
     Args:
         start: (n,) where the joints stand; None: not known. A plan that has begun begins there.
         history: of the joints at ``start``.
-        context_after: the circumstances at a way-point, given the history there and its number.
+        context_at: the circumstances at all way-points, given the histories (k, n) there.
         seed: (n,) start of the first search, where no joints were planned; ``start`` by default.
         max_correction_m: most that the declared arm's tip may be moved, m.
+        turn_m: how far the tip may leave the path where a joint turns, so that its play is taken
+            up without a kick.
 
     Raises:
         PathRefused: a way-point cannot be reached, or needs too large a correction; a limit or a
@@ -128,50 +187,162 @@ def compensate_path(
     arm = model.arm
     _check(plan, arm.n)
     options = options or CompensationOptions()
-    if predictor is None:
-        options = replace(options, method=_WITHOUT[options.method])
-    chosen = replace(options, run_up=False, realisable=False)
+    free = position_only or plan.targets.ndim == 2
+    faults = ik.target_faults(plan.targets, free, "path")
+    for row in (row for row, fault in enumerate(faults) if fault):
+        raise PathRefused(Status.BAD_TARGET, row, faults[row])
     begun = plan.begun and start is not None
-    at, came = start, history
-    arrivals: list[Arrival] = []
-    for row in range(int(begun), len(plan.targets)):
-        guess = at if arrivals or seed is None else seed
-        if plan.joints is not None:
-            guess = np.clip(plan.joints[row], arm.lower, arm.upper)
-        alone = plan.joints is None and not arrivals
-        arrival = compensate_move(
-            model, predictor, plan.targets[row], start=at, history=came, seed=guess,
-            context_after=partial(_at_row, context_after, row),
-            position_only=position_only or plan.targets.ndim == 2,
-            options=chosen if alone else replace(chosen, starts=1),
-        )  # fmt: skip
-        outcome = arrival.outcome
-        if not outcome.success:
-            raise PathRefused(outcome.status, row, outcome.reason)
-        if outcome.status.physics_only and predictor is not None:
-            found = compensate_path(
-                model, None, plan, start=start, history=history, context_after=context_after,
-                seed=seed, limits=limits, max_correction_m=max_correction_m,
-                position_only=position_only, options=options,
-            )  # fmt: skip
-            why = f"physics only, as way-point {row} is {outcome.status}: {outcome.reason}"
-            return replace(found, notes=(why, *found.notes))
-        at, came = outcome.command, arrival.history
-        arrivals.append(arrival)
-    joints = np.array([a.outcome.command for a in arrivals])
-    if begun and start is not None:
-        joints = np.vstack([start, joints.reshape(-1, arm.n)])
-    corrected = _corrections(model.arm, plan, joints, int(begun), max_correction_m)
-    timed = _timed(plan, joints, limits or MotionLimits.none(arm.n), arm)
+    notes: tuple[str, ...] = ()
+    way = _Way(model, predictor, plan, start, history, context_at, begun, turn_m, free, options)
+    try:
+        answers, came = way.solved(seed)
+    except _Unanswered as unanswered:
+        notes = (str(unanswered),)
+        way = replace(way, predictor=None)
+        answers, came = way.solved(seed)
+    corrected = _corrections(arm, plan, answers.command, int(begun), max_correction_m)
+    timed = _timed(plan, answers.command, limits or MotionLimits.none(arm.n), arm)
     _keep_out(arm, timed)
-    notes = dict.fromkeys(a.outcome.reason for a in arrivals if a.outcome.reason)
-    return CompensatedPath(timed, tuple(arrivals), corrected, came, tuple(notes))
+    return CompensatedPath(timed, answers, corrected, came, (*notes, *way.doubts(answers)))
 
 
-def _at_row(
-    context_after: Callable[[History, int], Context], row: int, arrived: History
-) -> Context:
-    return context_after(arrived, row)
+class _Unanswered(Exception):  # noqa: N818
+    """The predictor has no answer for a way-point."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """A plan, and all that its way-points are solved with."""
+
+    model: Model
+    predictor: ResidualPredictor | None
+    plan: PlannedPath
+    start: np.ndarray | None
+    history: History
+    context_at: ContextAt
+    begun: bool
+    turn_m: float
+    free: bool
+    options: CompensationOptions
+
+    @property
+    def physics(self) -> Model:
+        return physics_of(self.model, self.options.method)
+
+    def solved(self, seed: np.ndarray | None) -> tuple[PathAnswers, History]:
+        """Joints at all way-points, and the joints' history at the end."""
+        settling, count = self.options.settling, len(self.plan.targets)
+        learned = self.predictor is not None and self.options.method.learned
+        take = TakeUp(self.physics, self.turn_m)
+        times = np.arange(float(count)) if self.plan.times is None else self.plan.times
+        error, sigma = np.zeros((count, 3)), np.full((count, 3), np.nan)
+        lag, passes = np.zeros((count, self.model.arm.n)), 0
+        seeds = q = ideal = self._seeds(seed)
+        while True:
+            came = self._histories(take.steady(q))
+            context = self._context(came)
+            if passes and learned:
+                error, sigma = self._expected(q, context)
+            if take.joints:
+                lag = take.lag(q, context)
+            found = self._reached(seeds + lag, error, context)
+            moved = np.abs(found - q)
+            q, ideal = found, ideal if passes else found
+            once = not (learned or take.joints) or (settling.single_pass and passes > 0)
+            if once or (moved <= np.maximum(take.near, settling.tol_m)).all():
+                break
+            if passes == settling.max_passes:
+                row = int(np.argmax(moved.max(axis=1)))
+                raise PathRefused(Status.NOT_CONVERGED, row, settling.unsettled)
+            passes += 1
+        q = self._standing(take.spread(q, lag, came.approach, times))
+        return PathAnswers(ideal, q, error, sigma, context, passes), self._histories(q).latest
+
+    def doubts(self, answers: PathAnswers) -> tuple[str, ...]:
+        """What is not known where the path begins, and what lies beyond the data."""
+        rows = range(int(self.begun), len(answers.command))
+        found = [
+            doubt(self.physics, answers.command[k], answers.context.take(k))[1]
+            for k in rows[:1]
+            for doubt in (unknown_history, uncertain_payload)
+        ]
+        if any(effect.bounded for effect in self.physics.effects):
+            found += [
+                outside_data(self.physics, answers.command[k], answers.context.take(k))
+                for k in rows
+            ]
+        return tuple(dict.fromkeys(filter(None, found)))
+
+    def _histories(self, q: np.ndarray) -> History:
+        """Of the joints at all way-points."""
+        return self.history.along(q, q[0] if self.begun else self.start)
+
+    def _context(self, came: History) -> Context:
+        context = self.context_at(came)
+        if lacking := missing_column(self.physics, context):
+            raise PathRefused(Status.STALE_CONTEXT, 0, lacking)
+        return context
+
+    def _seeds(self, seed: np.ndarray | None) -> np.ndarray:
+        """(k, n) joints to start from: as planned, or each from those of the one before."""
+        arm, plan = self.model.arm, self.plan
+        if plan.joints is not None:
+            return self._standing(np.clip(plan.joints, arm.lower, arm.upper))
+        held = (np.repeat(part[None], len(plan.targets), axis=0)
+                for part in (self.history.approach, self.history.legs))  # fmt: skip
+        context = self._context(History(*held))
+        made: list[np.ndarray] = []
+        first = self.start if seed is None else seed
+        for row, target in enumerate(plan.targets):
+            found = ik.solve(
+                self.physics, target, seed=made[-1] if made else first,
+                context=context.take(row), position_only=self.free, locked=self.options.locked,
+                max_starts=1 if made else self.options.starts,
+            )  # fmt: skip
+            self._refuse(row, found)
+            made.append(found.q)
+        return self._standing(np.array(made))
+
+    def _standing(self, q: np.ndarray) -> np.ndarray:
+        """Joints (k, n) on the path; a path that has begun begins where the arm stands."""
+        if self.begun:
+            q[0] = self.start
+        return q
+
+    def _reached(self, seeds: np.ndarray, error: np.ndarray, context: Context) -> np.ndarray:
+        found = ik.solve_many(
+            self.physics, shifted(self.plan.targets, error), seed=seeds, context=context,
+            position_only=self.free, locked=self.options.locked, max_starts=1,
+        )  # fmt: skip
+        for row in np.flatnonzero(~found.ok):
+            if row or not self.begun:
+                self._refuse(int(row), found[int(row)])
+        return self._standing(found.q)
+
+    def _refuse(self, row: int, found: ik.Solution) -> None:
+        """If it did not reach its way-point."""
+        if not found.ok:
+            target = self.plan.targets[row]
+            here = target if target.ndim == 1 else target[:3, 3]
+            why = other_unit(here, *reach(self.physics)) or missed("target", found)
+            raise PathRefused(Status.UNREACHABLE, row, why)
+
+    def _expected(self, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
+        """What is learned at all way-points (k, n): error and sigma (k, 3) m."""
+        error, sigma = np.zeros((len(q), 3)), np.full((len(q), 3), np.nan)
+        assert self.predictor is not None
+        for row in range(int(self.begun), len(q)):
+            found = self.predictor.predict(q[row : row + 1], context.take(row))
+            error[row], sigma[row] = found.error[0], found.sigma[0]
+            size = float(np.linalg.norm(error[row]))
+            if not found.in_domain[0] or not np.isfinite(size):
+                raise _Unanswered(
+                    f"physics only, as way-point {row} is {outside(reason_of(found))}"
+                )
+            if size > self.options.settling.max_correction_m:
+                why = self.options.settling.too_large(size)
+                raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
+        return error, sigma
 
 
 def as_planned(rigid: Model, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
@@ -182,13 +353,6 @@ def as_planned(rigid: Model, model: Model, q: np.ndarray, context: Context) -> n
     real = model.pose(q, context)
     target = real if model.arm.n >= _POSE_JOINTS else real[:3, 3]
     return ik.solve(rigid, target, seed=q, max_starts=1).q
-
-
-_WITHOUT = {
-    Method.BOTH: Method.DEFLECTION, Method.NETWORK: Method.NONE,
-    Method.DEFLECTION: Method.DEFLECTION, Method.NONE: Method.NONE,
-}  # fmt: skip
-"""Methods without what is learned."""
 
 
 def _check(plan: PlannedPath, n: int) -> None:

@@ -39,4 +39,4 @@ def tip_by_readings(model: Model, readings: np.ndarray, context: Context) -> Tip
     """
     arm = by_readings(model)
     tip = arm.tip(readings, context)
-    return TipByReadings(tip, expected_miss(arm, readings, context, tip, np.zeros(3)))
+    return TipByReadings(tip, expected_miss(arm, readings, context, tip))

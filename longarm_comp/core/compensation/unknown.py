@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
+from longarm_comp.core.compensation.weighing import SD
+from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.model.model import Model
 
 _LEAST_M = 1e-5
@@ -77,9 +79,7 @@ def unknown_history(
     columns = {name: np.full(2 * len(open_), value) for name, value in context.columns.items()}
     history = {name: tuple(rows.reshape(len(rows), -1).T) for name, rows in trials.items()}
     supposed = Context(**history, columns=columns, labels=context.labels)
-    if not _matters(model, q, context, supposed):
-        return np.zeros(3), ""
-    tip = model.tip(np.tile(q, (2 * len(open_), 1)), supposed)
+    tip = tip_poses(model, np.tile(q, (2 * len(open_), 1)), supposed)[:, :3, 3]
     half = 0.5 * (tip[0::2] - tip[1::2])
     size = np.linalg.norm(half, axis=1)
     if not (size > _LEAST_M).any():
@@ -96,18 +96,17 @@ def unknown_history(
     return spread, why
 
 
-def _matters(model: Model, q: np.ndarray, context: Context, supposed: Context) -> bool:
-    """Whether any twist of an effect differs between supposed histories: cheap, and mostly not."""
-    reads = [e for e in model.effects if any(name in PER_JOINT for name in e.inputs)]
-    posture = model.posture(tuple(q.tolist()), context)
-    told = dataclasses.replace(posture, context=supposed)
-    # m, rad
-    return any(
-        np.ptp(part) > 1e-9
-        for effect in reads
-        for twist in effect.twists(told).values()
-        for part in twist
-    )
+def uncertain_payload(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, str]:
+    """How far the tip depends on a payload that is known to `SD` only: as `unknown_history`."""
+    sd = float(context.column(SD, 0.0))  # type: ignore[arg-type]
+    if not sd:
+        return np.zeros(3), ""
+    kg = context.payload_kg(0.0) + sd * np.array([1.0, -1.0])
+    told = dataclasses.replace(context, columns={**context.columns, "payload_kg": kg})
+    tips = [model.tip(q, told.take(k)) for k in range(2)]
+    half = np.abs(tips[0] - tips[1]) / 2.0
+    mm = 1e3 * float(np.linalg.norm(half))
+    return half, f"the payload is known to {sd:.3f} kg only (sigma {mm:.2f} mm)"
 
 
 def _either_side(side: np.ndarray, unsure: bool) -> np.ndarray | None:

@@ -14,6 +14,12 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place, rows
+from longarm_comp.core.effects.joint_term import reach
+from longarm_comp.core.errors import InputError
+
+MOST_OF_REACH = 0.25
+"""A length that is wrong by more, as a share of the arm's reach, is of another arm: calibration
+refuses rows that see the arm as far off."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,15 @@ class DhError(Effect):
         if joint.commanded:
             priors["theta" if joint.type == "revolute" else "d"] = 0.0
         return tuple(dataclasses.replace(p, prior=priors[p.name]) for p in self.declared())
+
+    def check(self, arm: Arm, where: str) -> None:
+        """No length is wrong by a quarter of the arm's reach."""
+        most = MOST_OF_REACH * reach(arm)
+        for p in self.declared():
+            value = getattr(self, p.name)
+            if p.unit == "m" and abs(value) > most:
+                allowed = f"within +-{most:.3g} m, a quarter of the arm's reach"
+                raise InputError(where, f"{self.name}.{p.name} at {self.where}", value, allowed)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:

@@ -22,7 +22,7 @@ SHARES = np.linspace(0.0, 0.95, 20)
 
 def arm_share(fit: ModelFit) -> float:
     """Expected share of the residual's variance, 0 to 1; all shares alike beforehand."""
-    kept = np.flatnonzero((fit.weights > 0) & fit.session.located)
+    kept = np.flatnonzero((fit.weights > 0) & fit.pointed)
     kept = kept[np.unique(np.linspace(0, len(kept) - 1, ROWS).round().astype(int))]
     residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
     size = np.maximum(np.sqrt((residual**2).mean(axis=0)), 1e-12)

@@ -31,7 +31,7 @@ from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.next_poses import next_poses
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.plausible import check_fits, check_noise
-from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session, without
+from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.offers import tolerances
 from longarm_comp.core.identify.proof import LearnedCorrection, prove
 from longarm_comp.core.identify.standing import standing
@@ -174,7 +174,7 @@ def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
     made = {CALIBRATED: bare, WITH_EFFECTS: whole if found.found else bare}
     functions = {t.key for f in found.found if f.unnamed for t in f.terms}
     if functions:
-        named = without(whole.model, functions)
+        named = whole.model.without(functions)
         less = fit(named, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
         made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
     return {name: folded(fitted) for name, fitted in made.items()}

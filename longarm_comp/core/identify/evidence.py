@@ -148,11 +148,6 @@ class Score:
     mean: np.ndarray
 
 
-def key(term: Term) -> tuple[str, str]:
-    """An effect at a place: it can be there in one form only."""
-    return term.key
-
-
 def marginal_without(
     fitted: ModelFit,
     columns: CandidateColumns,
@@ -163,10 +158,10 @@ def marginal_without(
 
     A term with parameters leaves with its columns; one without gives its shift back to the data.
     """
-    kept = [k for k, s in enumerate(fitted.slots) if key(s.owner) not in places]
+    kept = [k for k, s in enumerate(fitted.slots) if s.owner.key not in places]
     data = fitted.data
     for term in fitted.model.terms:
-        if key(term) in places and not slots_of(fitted.model.arm, [term]):
+        if term.key in places and not slots_of(fitted.model.arm, [term]):
             data = data + fitted.whitened(columns.shift([term])[..., None])[:, 0]
     return FitMarginal(fitted, kept, data, beside)
 

@@ -75,7 +75,6 @@ def left_in_words(structure: Structure) -> str:
         return ""
     size = f"{1e3 * structure.size_m:.2f} mm of structure"
     moved = f", as if {structure.at} moved" if structure.at else ""
-    moved += f" ({structure.driven})" if structure.driven else ""
     shows = structure.sign or f"depends on {', '.join(structure.inputs)}"
     return f"{size if 1e3 * structure.size_m >= _SAME_MM else 'structure'} {shows}{moved}"
 

@@ -70,6 +70,13 @@ class ModelFit:
         believed = not np.isin(self.weights, (0.0, 1.0)).all()
         return rows.uneven(self.session.claimed) if believed else np.ones(len(rows))
 
+    @cached_property
+    def pointed(self) -> np.ndarray:
+        """(N,) rows that say where the tip is in three channels: a position, a touched point."""
+        if self.session.blocks[0].kind not in ("position", "touch"):
+            return np.zeros(len(self.session), dtype=bool)
+        return np.asarray(self.session.measured[:, :3].all(axis=1))
+
     @property
     def width(self) -> int:
         """Number d of channels."""

@@ -8,7 +8,6 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.identify.candidates import CandidateColumns
-from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.findings import EffectFinding, Rival
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
@@ -102,11 +101,11 @@ def _designs(
     own_rows = len(q) == len(fit.session) and q is fit.session.q
     posture = fit.model.posture([q[:, j] for j in range(q.shape[1])], context)
     built = CandidateColumns(fit.model, posture, fit.session if own_rows else None)
-    places = set(map(key, found.terms))
-    rest = [s for s in fit.slots if key(s.owner) not in places]
+    places = {t.key for t in found.terms}
+    rest = [s for s in fit.slots if s.owner.key not in places]
     columns = built.unscaled(rest) * priors(tuple(rest))
     a = np.concatenate([columns, built.of(other.candidate.terms)], axis=-1)
-    own = [s for s in fit.slots if key(s.owner) in places]
+    own = [s for s in fit.slots if s.owner.key in places]
     values = np.array([getattr(s.owner, s.parameter.name) for s in own])
     shift = built.unscaled(own) @ values
     if own_rows:

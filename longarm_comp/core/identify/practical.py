@@ -6,7 +6,6 @@ rest fitted again (to first order), so that what geometry can take up does not c
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,10 +14,9 @@ import numpy as np
 from longarm_comp.core.data.commanded import as_commanded, own_way
 from longarm_comp.core.data.measurement import errors, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.candidates import Term
-from longarm_comp.core.identify.evidence import columns_at, key, marginal_without
+from longarm_comp.core.identify.evidence import columns_at, marginal_without
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.proof import block_means
 from longarm_comp.core.model.model import Model
@@ -85,9 +83,9 @@ def practical(
     after = errors(model, placed, at[0]), errors(told, own, at[1])
     made = []
     for terms in findings:
-        places = {key(t) for t in terms}
+        places = {t.key for t in terms}
         less = refitted_without(fitted, places)
-        without = _without(model, places)
+        without = model.without(places)
         still = without.measured_at(without.posture_near(fitted.posture))
         made.append(
             Practical(
@@ -102,18 +100,9 @@ def practical(
 def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
     """The model without the terms at some places, all others fitted again to first order."""
     marginal = marginal_without(fitted, columns_at(fitted), places)
-    kept = tuple(s for s in fitted.slots if key(s.owner) not in places)
+    kept = tuple(s for s in fitted.slots if s.owner.key not in places)
     scale = priors(kept)
     lower = np.array([s.parameter.lower for s in kept]) / scale
     upper = np.array([s.parameter.upper for s in kept]) / scale
     found = linear.solve(marginal.a, marginal.y, lower, upper)
-    return _without(fitted.model, places).with_values(found.u * scale)
-
-
-def _without(model: Model, places: set[tuple[str, str]]) -> Model:
-    left = [t for t in model.terms if key(t) not in places]
-    return dataclasses.replace(
-        model,
-        effects=tuple(t for t in left if isinstance(t, Effect)),
-        biases=tuple(t for t in left if isinstance(t, Bias)),
-    )
+    return fitted.model.without(places).with_values(found.u * scale)

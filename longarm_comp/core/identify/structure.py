@@ -7,8 +7,6 @@ library has a name for it or not.
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -17,7 +15,6 @@ import numpy as np
 
 from longarm_comp.core.arm.history import play
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.drivers import Driver, drivers
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
 
@@ -49,8 +46,6 @@ class Structure:
         groups: (what, standardised statistic) of every group tested.
         at: the joint that the strongest of them moves; empty where it is the tip.
         sign: where it shows, if another sign than this test tells it: ``shows in held-out poses``.
-        drivers: recorded columns that the residual follows, the strongest first.
-        channels: names of the residual's channels.
     """
 
     flag: bool
@@ -61,22 +56,12 @@ class Structure:
     groups: tuple[tuple[str, float], ...]
     at: str = ""
     sign: str = ""
-    drivers: tuple[Driver, ...] = ()
-    channels: tuple[str, ...] = ()
-
-    @property
-    def driven(self) -> str:
-        """For people: ``x moves with sin(6 pump_bar)``; empty without drivers."""
-        return "; ".join(
-            f"{', '.join(self.channels[axis] for axis in d.axes)} moves with {d.shape}"
-            for d in self.drivers
-        )
 
 
 def examine(
     fit: ModelFit, base: ModelFit, rng: np.random.Generator, beside: np.ndarray | None = None
 ) -> Structure:
-    """Test what a fit leaves: as a function of every input, and against every recorded column.
+    """Test what a fit leaves, as a function of every input.
 
     Args:
         fit: with everything that was named.
@@ -84,39 +69,6 @@ def examine(
         rng: for the permutations.
         beside: (m, k) whitened columns of what the forms of the fitted effects may leave.
     """
-    return _driven(fit, _tested(fit, base, rng, beside))
-
-
-def _driven(fit: ModelFit, tested: Structure) -> Structure:
-    """The structure, with the recorded columns that the residual follows.
-
-    The noise cannot hide them: its scale is judged anew (`drivers`).
-    """
-    rows = fit.session
-    joints = np.concatenate([smooth_in(rows.q[:, j])[:, :2] for j in range(rows.n)], axis=1)
-    found = drivers(fit.residual, rows.columns, beside=joints)
-    found = [d for d in found if d.share > WORTH**2 / (1.0 + WORTH**2)]
-    if not found:
-        return tested
-    part = np.sum([d.part for d in found], axis=0) * fit.metres
-    size = float(np.sqrt((part**2).sum(1).mean()))
-    return dataclasses.replace(
-        tested,
-        flag=True,
-        p_value=min(tested.p_value, math.exp(-found[0].log_bayes_factor)),
-        inputs=tuple(dict.fromkeys((*(d.column for d in found), *tested.inputs))),
-        size_m=max(size, tested.size_m),
-        share_explained=tested.share_explained if tested.flag else 0.0,
-        at="",
-        drivers=tuple(found),
-        channels=tuple(rows.channels),
-    )
-
-
-def _tested(
-    fit: ModelFit, base: ModelFit, rng: np.random.Generator, beside: np.ndarray | None
-) -> Structure:
-    """The score test of every group of inputs."""
     tested = groups(fit)
     design = fit.design if beside is None else np.concatenate([fit.design, beside], axis=1)
     marginal = Marginal(design, fit.data)

@@ -11,18 +11,27 @@ radius that they give (split conformal; Vovk 2015, Ann. Math. Artif. Intell. 74)
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.arm_share import arm_share
 from longarm_comp.core.identify.linear import whiten
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, radius, sizes, triangular
+from longarm_comp.core.model.uncertainty import (
+    LEVEL,
+    ModelUncertainty,
+    Stretch,
+    radius,
+    sizes,
+    triangular,
+)
 
 PARTS, SMALL = 4, 20
 """Parts of a joint's range, and random parts, that are left out one at a time."""
@@ -31,9 +40,10 @@ MOST = 1000
 FEWEST = 20
 """Rows with a position, at least, of which a 90 % radius can be told."""
 HALVINGS = 30
-"""Of the range of the rest: to nine digits."""
-STRETCHES = np.geomspace(1.0, 100.0, 13)
-"""Variances tried over the posterior's: to ten times its standard deviation."""
+"""Of a range: to nine digits."""
+MOST_STRETCH, STRETCHES = 1e4, 13
+"""Variance over the posterior's, at most: a hundred standard deviations; how many are tried."""
+GROWTHS = (1.0, 1.5)
 
 
 def with_uncertainty(fit: ModelFit) -> Model:
@@ -47,9 +57,9 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
     """What a fit does not know, judged at rows that are left out of it."""
     left = LeftOut.of(fit)
     if left is None:
-        noise, stretch, structure = _noise_of_lengths(fit), 1.0, np.zeros((3, 3))
+        noise, stretch, structure = _noise_of_lengths(fit), Stretch(), np.zeros((3, 3))
     else:
-        spread = fit.residual[(fit.weights > 0) & fit.session.located][:, :3]
+        spread = fit.residual[(fit.weights > 0) & fit.pointed][:, :3]
         noise = (1.0 - arm_share(fit)) * np.diag((spread**2).mean(axis=0))
         stretch, structure = left.judged(noise)
     made = ModelUncertainty(
@@ -80,10 +90,14 @@ class LeftOut:
 
     @classmethod
     def of(cls, fit: ModelFit) -> LeftOut | None:
-        """Of a fit to positions; None where too few rows hold one."""
-        kept = np.flatnonzero((fit.weights > 0) & fit.session.located)
-        if fit.session.blocks[0].kind != "position" or len(kept) < FEWEST:
+        """Of a fit to positions or touches; None where too few rows hold one.
+
+        A touched point is not known: rows of it are judged against their mean.
+        """
+        kept = np.flatnonzero((fit.weights > 0) & fit.pointed)
+        if len(kept) < FEWEST:
             return None
+        touched = fit.session.labels["touch"][kept] if not fit.session.located.any() else None
         whole = whiten(
             np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1),
             fit.weights, fit.sigma, 0.0, fit.session.mask,
@@ -94,27 +108,31 @@ class LeftOut:
         length = fit.sigma[:3] / np.sqrt(fit.weights[kept])[:, None]
         judged = np.unique(np.linspace(0, len(kept) - 1, MOST).round().astype(int))
         errors, covariances, counts = [], [], []
-        for division, share in _divisions(fit.session.q[kept]):
+        places = None if touched is None else _places(touched, fit.session.touch_distances)
+        for division, share in _divisions(fit.session.q[kept], places):
             for part in np.unique(division):
                 out = division == part
                 a = whole[here[out]]
                 flat = a.reshape(-1, a.shape[-1])
                 inverse = np.linalg.inv(gram - flat[:, :-1].T @ flat[:, :-1])
                 shift = inverse @ (flat[:, :-1].T @ flat[:, -1])
+                rows = a[:, :3] * length[out][..., None]
                 mine = np.isin(np.flatnonzero(out), judged)
-                a, scale = a[mine, :3], length[out][mine]
-                missed = a[..., -1] + a[..., :-1] @ shift
-                carried = a[..., :-1] @ inverse @ np.swapaxes(a[..., :-1], 1, 2)
-                errors.append(missed * scale)
-                covariances.append(carried * scale[:, :, None] * scale[:, None, :])
-                counts.append(np.full(len(a), share))
+                if touched is not None:
+                    rows, alone = about_the_mean(rows, touched[out])
+                    mine &= ~alone
+                moved = rows[mine, :, :-1]
+                errors.append(rows[mine, :, -1] + moved @ shift)
+                covariances.append(moved @ inverse @ np.swapaxes(moved, 1, 2))
+                counts.append(np.full(mine.sum(), share))
         return cls(*(np.concatenate(each) for each in (errors, covariances, counts)))
 
-    def judged(self, noise: np.ndarray) -> tuple[float, np.ndarray]:
+    def judged(self, noise: np.ndarray) -> tuple[Stretch, np.ndarray]:
         """Stretch of the posterior, and what the arm does besides (3, 3) m^2.
 
-        For every stretch the rest is what brings 90 % inside.  Among these the stretch is kept
-        whose radii are the tightest (pinball loss), so that they are wide where the errors are.
+        For every stretch the rest is what brings 90 % inside, and no stretch brings more.  Among
+        these the one is kept whose radii are the tightest (pinball loss), so that they are wide
+        where the errors are.
 
         Args:
             noise: (3, 3) m^2, of the measurement.
@@ -122,30 +140,39 @@ class LeftOut:
         shape = np.einsum("n,ni,nj->ij", self.count, self.error, self.error)
         shape /= np.trace(shape) or 1.0
         size = np.linalg.norm(self.error, axis=1)
-        found = []
-        for stretch in STRETCHES:
-            radii = _Radii.of(stretch * self.covariance + noise, shape)
-            rest = self._rest(radii, size)
-            beyond = size - radii.at(rest)
-            loss = self.count @ np.maximum(LEVEL * beyond, (LEVEL - 1.0) * beyond)
-            found.append((float(loss), float(stretch), rest))
-        _, stretch, rest = min(found)
-        return stretch, rest * shape
-
-    def _rest(self, radii: _Radii, size: np.ndarray) -> float:
-        """Trace of the rest with which `LEVEL` of the rows are inside, m^2; 0 where more are."""
+        square = self.count @ np.trace(self.covariance, axis1=1, axis2=2) / self.count.sum()
+        typical = math.sqrt(max(float(square), 1e-300))
         wanted = LEVEL * (self.count.sum() + 1.0)
 
-        def enough(rest: float) -> bool:
-            return float(self.count @ (size <= radii.at(rest))) >= wanted
+        def radii(log: float, growth: float) -> _Radii:
+            stretch = Stretch(math.exp(log), growth, typical)
+            return _Radii.of(stretch.of(self.covariance) + noise, shape)
 
-        low, high = 0.0, float((size**2).max())
-        if enough(low):
-            return low
-        for _ in range(HALVINGS):
-            rest = 0.5 * (low + high)
-            low, high = (low, rest) if enough(rest) else (rest, high)
-        return high
+        def enough(tried: _Radii, rest: float) -> bool:
+            return float(self.count @ (size <= tried.at(rest))) >= wanted
+
+        found = []
+        for growth in GROWTHS:
+            most = _least(lambda x, g=growth: enough(radii(x, g), 0.0), math.log(MOST_STRETCH))
+            for log in np.linspace(0.0, most, STRETCHES).tolist():
+                tried = radii(log, growth)
+                rest = _least(lambda x, tried=tried: enough(tried, x), float((size**2).max()))
+                beyond = size - tried.at(rest)
+                loss = self.count @ np.maximum(LEVEL * beyond, (LEVEL - 1.0) * beyond)
+                found.append((float(loss), Stretch(math.exp(log), growth, typical), rest))
+        _, stretch, rest = min(found, key=lambda each: each[0])
+        return stretch, rest * shape
+
+
+def _least(enough: Callable[[float], bool], most: float) -> float:
+    """The least number from 0 to `most` that is enough, where more of it is too."""
+    low, high = 0.0, most
+    if enough(low):
+        return low
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high
 
 
 class _Radii(NamedTuple):
@@ -174,11 +201,41 @@ class _Radii(NamedTuple):
         return radius(self.square + rest, self.own + rest * self.both + rest**2 * self.shape)
 
 
-def _divisions(q: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
+def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (N, ...) against the mean of those that touched the same point.
+
+    They are scaled so that independent noise keeps its variance.
+
+    Returns:
+        The rows; (N,) which of them touched a point alone.
+    """
+    _, which, count = np.unique(touched, return_inverse=True, return_counts=True)
+    sums = np.zeros((len(count), *rows.shape[1:]))
+    np.add.at(sums, which, rows)
+    beside = (...,) + (None,) * (rows.ndim - 1)
+    kept = np.maximum(1.0 - 1.0 / count, 0.5)[which][beside]
+    return (rows - (sums / count[beside])[which]) / np.sqrt(kept), count[which] == 1
+
+
+def _places(touched: np.ndarray, known: Sequence[KnownDistance]) -> np.ndarray:
+    """Names (N,) of touched points, those of known distances alike: they are one tool's."""
+    places = touched.copy()
+    for first, second, *_ in known:
+        places[places == second] = first
+    return places
+
+
+def _divisions(
+    q: np.ndarray, places: np.ndarray | None = None
+) -> Iterator[tuple[np.ndarray, float]]:
     """Parts (N,) that the rows are left out in, and the weight of a row in each division.
 
-    Half of the weight is with places, half with rows amid the others, as targets are.
+    Half of the weight is with places, half with rows amid the others, as targets are.  Where
+    points were touched, these are the places.
     """
+    if places is not None and len(np.unique(places)) > 1:
+        yield np.unique(places, return_inverse=True)[1], 1.0
+        return
     moving = [q[:, j] for j in range(q.shape[1]) if np.ptp(q[:, j]) > 0.0]
     for values in moving:
         place = np.argsort(np.argsort(values, kind="stable"))
@@ -202,8 +259,8 @@ def _noise_of_lengths(fit: ModelFit) -> np.ndarray:
 def _largest(fit: ModelFit, made: ModelUncertainty) -> float:
     """Expected error of the tip, the largest over the fitted rows, m."""
     mine = [k for k, slot in enumerate(fit.slots) if isinstance(slot.owner, Effect)]
-    rows = fit.session.located & (fit.weights > 0)
-    if not rows.any() or fit.session.blocks[0].kind != "position":
+    rows = fit.pointed & (fit.weights > 0)
+    if not rows.any():
         return 0.0
     columns = fit.columns[rows][:, :3, mine]
     covariance = made.carried(columns, [fit.slots[k].identity for k in mine]) + made.structure

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -126,7 +126,7 @@ class Model:
         changes: list[dict[str, float]] = [{} for _ in self.terms]
         for slot, value in zip(self.slots, values, strict=True):
             changes[slot.term][slot.parameter.name] = float(value)
-        return self._with_terms(
+        return self.with_terms(
             [t.with_values(c) if c else t for t, c in zip(self.terms, changes, strict=True)]
         )
 
@@ -138,9 +138,14 @@ class Model:
     def lasting(self) -> Model:
         """A copy without facts of one session, as where a touched point was."""
         kept = [t for t in self.terms if not t.passing]
-        return self if len(kept) == len(self.terms) else self._with_terms(kept)
+        return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
-    def _with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
+    def without(self, places: Container[tuple[str, str]]) -> Model:
+        """A copy without its terms at some places (`Effect.key`)."""
+        return self.with_terms([t for t in self.terms if t.key not in places])
+
+    def with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
+        """A copy with these terms and no others."""
         model = dataclasses.replace(
             self,
             effects=tuple(t for t in terms if isinstance(t, Effect)),
@@ -362,7 +367,7 @@ class Model:
         terms = list(self.terms)
         if slot.term < len(terms) and terms[slot.term] is slot.owner:
             terms[slot.term] = self._moved(slot, step)
-            model = self._with_terms(terms)
+            model = self.with_terms(terms)
         else:  # a load that the model does not hold: from none of it on
             none = slot.owner.with_values({p.name: 0.0 for p in slot.owner.parameters(self.arm)})
             model = self.plus(self._moved(dataclasses.replace(slot, owner=none), step))

@@ -24,7 +24,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.model.model import Model, slots_of
-from longarm_comp.core.model.uncertainty import ModelUncertainty, read, triangular, written
+from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, read, triangular, written
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
 MOST_PASSES, MOST_ELEMENTS = 50, 64
@@ -80,6 +80,8 @@ class StoredUncertainty(Declared):
 
     factor: list[str] = Field(description="triangle of the covariance, rows in base 64")
     stretch: float = Field(ge=1.0)
+    growth: float = Field(1.0, ge=1.0)
+    typical_m: float = Field(1.0, gt=0.0)
     structure_m2: Square
     noise_m2: Square
     largest_m: float = Field(ge=0.0)
@@ -177,7 +179,9 @@ def _stored_uncertainty(model: Model) -> StoredUncertainty | None:
             factor[k] = known.factor[row[identity]]
     return StoredUncertainty(
         factor=written(triangular(factor)),
-        stretch=known.stretch,
+        stretch=known.stretch.factor,
+        growth=known.stretch.growth,
+        typical_m=known.stretch.typical_m,
         structure_m2=known.structure.tolist(),
         noise_m2=known.noise.tolist(),
         largest_m=known.largest_m,
@@ -368,9 +372,8 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
         if least < -1e-9 * size or not np.allclose(square, square.T, atol=1e-9 * size):
             raise InputError(where, f"uncertainty.{name}", "no covariance", "a covariance, m^2")
     names = tuple(slot.identity for slot in slots)
-    return ModelUncertainty(
-        names, factor, given.stretch, structure, noise, given.largest_m, given.rows
-    )
+    stretch = Stretch(given.stretch, given.growth, given.typical_m)
+    return ModelUncertainty(names, factor, stretch, structure, noise, given.largest_m, given.rows)
 
 
 def _arrivals(stored: StoredModel, arm: Arm, where: str) -> tuple[tuple[int, int], ...]:

@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,30 @@ _log_gamma = np.vectorize(math.lgamma, otypes=[float])  # SciPy loads for half a
 _Identity = tuple[object, ...]
 
 
+class Stretch(NamedTuple):
+    """Variance at rows that were left out over what the posterior says.
+
+    What a model's form lacks grows with the distance from the rows as the posterior does, or
+    faster: a term of one order more than the quadratic grows as the third power of its deviation.
+    Nowhere is it less than the posterior.
+
+    Attributes:
+        factor: where the posterior is of its typical size.
+        growth: power of the variance, 1 or 1.5.
+        typical_m: standard deviation that the posterior has at rows left out.
+    """
+
+    factor: float = 1.0
+    growth: float = 1.0
+    typical_m: float = 1.0
+
+    def of(self, covariance: np.ndarray) -> np.ndarray:
+        """Covariances (..., 3, 3) m^2, stretched."""
+        size = np.trace(covariance, axis1=-2, axis2=-1) / self.typical_m**2
+        factor = np.maximum(1.0, self.factor * size ** (self.growth - 1.0))
+        return np.asarray(factor[..., None, None] * covariance)
+
+
 @dataclass(frozen=True, eq=False)
 class ModelUncertainty:
     """What is not known of a fitted model.
@@ -32,8 +57,7 @@ class ModelUncertainty:
     Attributes:
         slots: identities of the fitted parameters (`Slot.identity`).
         factor: (p, r), the parameters' covariance is ``factor @ factor.T``.
-        stretch: variance at rows that were left out over what the covariance says; 1 where the
-            model's form is right.
+        stretch: of the posterior; none where the model's form is right.
         structure: (3, 3) m^2, what the arm does besides and no parameter explains.
         noise: (3, 3) m^2, of the measurement: in every measured row, and no error of the tip.
         largest_m: expected error of the tip, the largest over the fitted rows, m.
@@ -42,7 +66,7 @@ class ModelUncertainty:
 
     slots: tuple[_Identity, ...]
     factor: np.ndarray
-    stretch: float
+    stretch: Stretch
     structure: np.ndarray
     noise: np.ndarray
     largest_m: float
@@ -58,7 +82,7 @@ class ModelUncertainty:
         row = {identity: k for k, identity in enumerate(self.slots)}
         held = [k for k, identity in enumerate(slots) if identity in row]
         moved = columns[..., held] @ self.factor[[row[slots[k]] for k in held]]
-        return np.asarray(self.stretch * moved @ np.swapaxes(moved, -1, -2))
+        return self.stretch.of(moved @ np.swapaxes(moved, -1, -2))
 
 
 def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

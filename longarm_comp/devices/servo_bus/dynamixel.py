@@ -28,8 +28,9 @@ _ALARM_BITS = {
 }
 
 
-def _x(name: str, number: int, full_load: float) -> ServoModel:
-    return ServoModel(name, "dynamixel", number, 4096, (0, 4095), (-1048575, 1048575), full_load)
+def _x(name: str, number: int, full_load: float, friction: float | None = None) -> ServoModel:
+    turns = (0, 4095), (-1048575, 1048575)
+    return ServoModel(name, "dynamixel", number, 4096, *turns, full_load, friction)
 
 
 def _crc_table() -> tuple[int, ...]:
@@ -53,7 +54,7 @@ class DynamixelX(Dialect):
         _x("xl330-m077", 1190, 1750.0),  # present current, 1 mA a unit
         _x("xl330-m288", 1200, 1750.0),
         _x("xl430-w250", 1060, 1000.0),  # present load, 0.1 % a unit
-        _x("xm430-w350", 1020, 1193.0),  # present current, 2.69 mA a unit
+        _x("xm430-w350", 1020, 1193.0, 0.13 / 3.21),  # present current, 2.69 mA a unit
         _x("xm540-w270", 1120, 2047.0),
     )
     overhead = 11

@@ -24,15 +24,15 @@ _ALARM_BITS = {
 }
 
 
-def _sts(name: str, number: int) -> ServoModel:
-    return ServoModel(name, "feetech", number, 4096, (0, 4095), (-30719, 30719), 1000.0)
+def _sts(name: str, number: int, friction: float | None = None) -> ServoModel:
+    return ServoModel(name, "feetech", number, 4096, (0, 4095), (-30719, 30719), 1000.0, friction)
 
 
 class FeetechSts(Dialect):
     """STS3215 and its family."""
 
     name = "feetech"
-    models = (_sts("sts3215", 777), _sts("sts3250", 2825))
+    models = (_sts("sts3215", 777, 0.18 / 2.7), _sts("sts3250", 2825))
     overhead = 6
     model = Block(3, 2)
     firmware = Block(0, 2)

@@ -53,6 +53,8 @@ class ServoModel:
         single_turn: lowest and highest goal in ordinary position mode, ticks.
         multi_turn: the same when it may turn more than once.
         full_load: present-load (or present-current) reading at full effort.
+        friction: share of full effort that turns it free: its current then over that at a stall;
+            None: its data sheet does not say. It bounds what its load tells of a payload.
     """
 
     name: str
@@ -62,3 +64,4 @@ class ServoModel:
     single_turn: tuple[int, int]
     multi_turn: tuple[int, int]
     full_load: float
+    friction: float | None = None

@@ -15,7 +15,7 @@ from longarm_comp.share import folder
 NAMESPACE = "longarm_demo"
 """Its own namespace: apart from any real arm on the same network."""
 
-PACE = Pace(sightings=3, dwell_s=0.08, move_s=0.05, arrive_s=20.0, look_s=3.0, tolerance=2e-4)
+PACE = Pace(sightings=3, dwell_s=0.08, move_s=0.05, arrive_s=60.0, look_s=30.0, tolerance=2e-4)
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class DynamixelWire(Wire):
 
     def device(self, servo_id: int, motor: Motor) -> Device:
         device = Device(servo_id, bytearray(MEMORY), motor)
-        device.put(MODEL, 2, 1060)
+        device.put(MODEL, 2, motor.spec.model or 1060)
         device.put(FIRMWARE, 1, 45)
         device.put(ID, 1, servo_id)
         device.put(MODE, 1, 3)
@@ -112,8 +112,11 @@ class DynamixelWire(Wire):
     def _read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
         if address + length > MEMORY:
             return BAD_RANGE, b""
+        return 0, self.read(device, address, length)
+
+    def read(self, device: Device, address: int, length: int) -> bytes:
         _refresh(device)
-        return 0, bytes(device.memory[address : address + length])
+        return bytes(device.memory[address : address + length])
 
     def _write(self, device: Device, address: int, data: bytes) -> int:
         """Write registers; the error code (0: done)."""
@@ -147,9 +150,9 @@ def _refresh(device: Device) -> None:
     device.put(HARDWARE_ERROR, 1, sum(_HARDWARE_BITS[name] for name in motor.alarms))
     device.put(GOAL, 4, round(motor.goal) & 0xFFFFFFFF)
     device.put(MOVING, 1, int(motor.moving))
-    device.put(LOAD, 2, round(motor.effort * 1000) & 0xFFFF)
+    device.put(LOAD, 2, round(motor.effort * motor.spec.load_units) & 0xFFFF)
     device.put(VELOCITY, 4, round(motor.velocity / _SPEED_UNIT) & 0xFFFFFFFF)
-    device.put(POSITION, 4, round(motor.position) & 0xFFFFFFFF)
+    device.put(POSITION, 4, motor.reading & 0xFFFFFFFF)
     device.put(VOLTS, 2, round(motor.voltage_v * 10))
     device.put(TEMPERATURE, 1, round(motor.temperature_c))
 

@@ -36,6 +36,7 @@ class ServoEmulator:
         link: path of a symbolic link to the pseudo-terminal, updated by ``replug``.
         load_of: external load from positions; none: unloaded.
         baudrate: when given, replies take as long as their bytes take at this rate.
+        clock: seconds, by which the servos move.
 
     Use as a context manager, or ``start`` and ``stop``.
     """
@@ -48,6 +49,7 @@ class ServoEmulator:
         link: Path | None = None,
         load_of: LoadOf | None = None,
         baudrate: int | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         if isinstance(protocol, str) and protocol not in WIRES:
             raise InputError("servo emulator", "protocol", protocol, ", ".join(WIRES))
@@ -65,7 +67,7 @@ class ServoEmulator:
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._fds: tuple[int, int] | None = None
-        self._now = time.monotonic()
+        self._clock, self._now = clock, clock()
         self.protocol = self._wire.name
         self.faults = WireFaults()
         self.port = ""
@@ -169,7 +171,15 @@ class ServoEmulator:
         """Turn a servo by hand to ``ticks``; driven servos go back to their goal."""
         with self._lock:
             self._advance()
-            self._devices[servo_id].motor.position = ticks
+            motor = self._devices[servo_id].motor
+            motor.turn(ticks - motor.position)
+
+    def wrong_encoder(self, servo_id: int, follows: float = 1.0, jump: float = 0.0) -> None:
+        """The encoder jumps by so many ticks, and sees a share of every motion from now on."""
+        with self._lock:
+            self._advance()
+            motor = self._devices[servo_id].motor
+            motor.follows, motor.seen = follows, motor.seen + jump
 
     def add_twin(self, servo_id: int, ticks: float) -> None:
         """Put another servo with the same id on the bus; both answer at once."""
@@ -179,7 +189,7 @@ class ServoEmulator:
 
     def _advance(self) -> None:
         """Bring the mechanics up to the present in small steps (the load follows the motion)."""
-        now = time.monotonic()
+        now = self._clock()
         while self._now < now:
             dt = min(_STEP_S, now - self._now)
             self._now += dt

@@ -31,7 +31,7 @@ class FeetechWire(Wire):
     def device(self, servo_id: int, motor: Motor) -> Device:
         device = Device(servo_id, bytearray(MEMORY), motor)
         device.put(FIRMWARE, 2, 3 | 10 << 8)
-        device.put(MODEL, 2, 777)
+        device.put(MODEL, 2, motor.spec.model or 777)
         device.put(ID, 1, servo_id)
         device.put(MIN_ANGLE, 2, 0)
         device.put(MAX_ANGLE, 2, 4095)
@@ -62,7 +62,7 @@ class FeetechWire(Wire):
         if instruction == SYNC_READ:
             address, length = params[0], params[1]
             asked = [devices[i] for i in params[2:] if i in devices]
-            return [_status(d, self._read(d, address, length)) for d in asked]
+            return [_status(d, self.read(d, address, length)) for d in asked]
         if instruction == SYNC_WRITE:
             address, length = params[0], params[1]
             for start in range(2, len(params) - length, length + 1):
@@ -79,7 +79,7 @@ class FeetechWire(Wire):
     def _single(self, device: Device, instruction: int, params: bytes) -> bytes:
         """Carry out an instruction to one servo; the data it answers with."""
         if instruction == READ:
-            return self._read(device, params[0], params[1])
+            return self.read(device, params[0], params[1])
         if instruction == WRITE:
             self._write(device, params[0], params[1:])
         elif instruction == REG_WRITE:
@@ -89,7 +89,7 @@ class FeetechWire(Wire):
             device.pending = None
         return b""
 
-    def _read(self, device: Device, address: int, length: int) -> bytes:
+    def read(self, device: Device, address: int, length: int) -> bytes:
         _refresh(device)
         return bytes(device.memory[address : address + length])
 
@@ -117,12 +117,12 @@ def _refresh(device: Device) -> None:
     """Bring the read-only part of the memory up to date."""
     motor = device.motor
     device.put(TORQUE, 1, int(motor.torque_on))
-    ticks = round(motor.position)
+    ticks = motor.reading
     if device.get(MAX_ANGLE, 2):
         ticks %= motor.spec.ticks_per_turn  # in ordinary mode the encoder knows one turn only
     device.put(POSITION, 2, _sign_magnitude(ticks, 15))
     device.put(SPEED, 2, _sign_magnitude(round(motor.velocity), 15))
-    device.put(LOAD, 2, _sign_magnitude(round(motor.effort * 1000), 10))
+    device.put(LOAD, 2, _sign_magnitude(round(motor.effort * motor.spec.load_units), 10))
     device.put(VOLTS, 1, round(motor.voltage_v * 10))
     device.put(TEMPERATURE, 1, round(motor.temperature_c))
     device.put(STATUS, 1, _status_bits(motor))

@@ -22,13 +22,18 @@ class MotorSpec:
         max_speed_ticks_s: no-load speed (STS3215 at 7.4 V: about 3,000).
         lag_s: time constant of the position loop near the goal.
         dead_band_ticks: error that the controller leaves alone; beyond it the effort grows.
-        hold_share: share of full effort by which friction holds the gear wherever it stopped.
+        hold_share: share of full effort by which friction holds the gear wherever it stopped; so
+            much more than the load does a drive give that came from below, so much less from above.
         wind_up_ticks: travel that winds the gear train up from slack to one side; turning round,
             it takes twice as much to wind it up to the other.
         droop_ticks: error at which the proportional controller gives its full effort: so far does
             a load as large push the horn off its goal.
+        encoder_zero_ticks, encoder_step_ticks: what the encoder says too much, and its resolution;
+            the controller has a finer one of its own.
         stiff_ticks: position error at which a jammed drive gives its full effort.
         friction_share: effort to turn freely at full speed.
+        load_units: reading of the register of load, or current, at full effort.
+        model: number that it says it is; None: the protocol's usual one.
         ambient_c, heating_c, heat_time_s: temperature at rest, rise at full effort, time constant.
         shutdown_c: the servo alarms and lets go above this.
         overload_share, overload_s: so much effort for so long makes it alarm and let go.
@@ -41,8 +46,12 @@ class MotorSpec:
     hold_share: float = 0.0
     wind_up_ticks: float = 650.0
     droop_ticks: float = 0.0
+    encoder_zero_ticks: float = 0.0
+    encoder_step_ticks: float = 1.0
     stiff_ticks: float = 200.0
     friction_share: float = 0.2
+    load_units: float = 1000.0
+    model: int | None = None
     ambient_c: float = 25.0
     heating_c: float = 60.0
     heat_time_s: float = 120.0
@@ -52,11 +61,17 @@ class MotorSpec:
 
 
 class Motor:
-    """One servo's mechanics. Advance it in time; read and set its fields between."""
+    """One servo's mechanics. Advance it in time; read and set its fields between.
+
+    Attributes:
+        follows: share of a motion that the encoder sees: 0 is frozen, less than 1 slips.
+        seen: where the encoder stands, not rounded.
+    """
 
     def __init__(self, spec: MotorSpec, position_ticks: float) -> None:
         self.spec = spec
         self.position = float(position_ticks)
+        self.seen, self.follows = self.position + spec.encoder_zero_ticks, 1.0
         self.goal = self._sent = float(position_ticks)
         self._towards = 0
         self.velocity = 0.0
@@ -71,6 +86,17 @@ class Motor:
         self.wound = 0.0
         self.alarms: set[str] = set()
         self._overloaded_s = 0.0
+
+    @property
+    def reading(self) -> int:
+        """What the encoder says, ticks."""
+        step = self.spec.encoder_step_ticks
+        return round(step * round(self.seen / step))
+
+    def turn(self, by: float) -> None:
+        """The horn turns by so many ticks."""
+        self.position += by
+        self.seen += self.follows * by
 
     @property
     def moving(self) -> bool:
@@ -96,7 +122,7 @@ class Motor:
             return
         start = self.position
         if self.torque_on and not self.blocked:
-            self.position = self._travelled(dt_s)
+            self.turn(self._travelled(dt_s) - start)
         self.velocity = (self.position - start) / dt_s
         wound = self.wound + (self.position - start) / self.spec.wind_up_ticks
         self.wound = max(-1.0, min(1.0, wound))
@@ -142,6 +168,7 @@ class Motor:
         """Effort, temperature and the servo's own protection."""
         spec = self.spec
         own = spec.friction_share * self.velocity / spec.max_speed_ticks_s
+        own += spec.hold_share * self.approach
         if self.blocked:
             own = (self.goal - self.position) / spec.stiff_ticks
         wanted = own - self.external_load

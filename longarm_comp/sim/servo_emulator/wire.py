@@ -53,6 +53,10 @@ class Wire(ABC):
         motor.torque_on, motor.speed_limit, motor.goal = False, 0.0, motor.position
         motor.clear_alarms()
 
+    def read(self, device: Device, address: int, length: int) -> bytes:
+        """Registers as they are now."""
+        return bytes(device.memory[address : address + length])
+
     @abstractmethod
     def take(self, buffer: bytearray) -> list[bytes]:
         """Remove whole, undamaged instruction frames from the front of ``buffer``."""

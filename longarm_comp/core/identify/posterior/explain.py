@@ -9,11 +9,11 @@ and forms on a scale move to where the evidence is highest.  It ends when the ex
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
@@ -21,7 +21,7 @@ from longarm_comp.core.identify.evidence import FitColumns, columns_at, refined
 from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
-from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.found import CREDIBLE, Explained, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import TOLERANCES, offered
 from longarm_comp.core.identify.posterior.propositions import propositions
@@ -155,9 +155,8 @@ class _Search:
         for _ in range(ROUNDS):
             self._scan(state)
             self.propositions = functions(state.fit, state.found) if functions else ()
-            banks = self._offered(state)
-            explained = max((b.explained() for b in banks), key=lambda e: e.evidence)
-            if explained.evidence < max(b.standing for b in banks) + BETTER:
+            explained = self._explained(state)
+            if explained is None:
                 break
             for f in explained.found:
                 say(Candidate(f.name, f.terms).label)
@@ -169,6 +168,15 @@ class _Search:
                 break
             state = taken
         return state
+
+    def _explained(self, state: _State) -> Explained | None:
+        """A better explanation than what stands, by the likeliest tolerance that has one."""
+        banks = sorted(self._offered(state), key=lambda bank: -bank.standing)
+        for bank in banks:
+            explained = bank.explained()
+            if explained.evidence >= banks[0].standing + BETTER:
+                return explained
+        return None
 
     def _rose(self, before: _State, now: _State) -> bool:
         """Whether the explanation in the model is better, once fitted, than the one before.
@@ -341,16 +349,6 @@ def _loose(found: FoundEffect) -> FoundEffect:
     return replace(found, terms=terms)
 
 
-def without(model: Model, places: Container[tuple[str, str]]) -> Model:
-    """A model without its terms at some places."""
-    left = [t for t in model.terms if t.key not in places]
-    return replace(
-        model,
-        effects=tuple(t for t in left if isinstance(t, Effect)),
-        biases=tuple(t for t in left if isinstance(t, Bias)),
-    )
-
-
 def _known(model: Model, found: Sequence[FoundEffect]) -> list[Term]:
     """The terms of what was found, at the model's values where it holds them."""
     known = {t.variant: t for t in model.terms}
@@ -360,9 +358,4 @@ def _known(model: Model, found: Sequence[FoundEffect]) -> list[Term]:
 def _with(base: Model, now: Model, terms: Sequence[Term]) -> Model:
     """The base model with further terms, the geometry started from the model as it is now."""
     known = {t.key: t for t in now.terms}
-    every = [*(known.get(t.key, t) for t in base.terms), *terms]
-    return replace(
-        base,
-        effects=tuple(t for t in every if isinstance(t, Effect)),
-        biases=tuple(t for t in every if isinstance(t, Bias)),
-    )
+    return base.with_terms([*(known.get(t.key, t) for t in base.terms), *terms])

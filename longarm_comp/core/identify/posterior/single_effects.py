@@ -117,10 +117,11 @@ class OfferBank:
     ) -> None:
         self.offers = tuple(offers)
         self.gram, self.along, self.lower, self.upper = gram, along, lower, upper
-        self._names = np.array([offer.name for offer in offers])
-        self.again = math.log(max(0.5 * len(set(self._names.tolist())), 1.0))
+        names = np.array([offer.name for offer in offers])
+        self._of_name = {name: names == name for name in dict.fromkeys(names.tolist())}
+        self.again = math.log(max(0.5 * len(self._of_name), 1.0))
         self._stacks = _stacks(self, dict(enumerate(self.offers)))
-        self._reduced: dict[tuple[int, Offer], list[_Stack]] = {}
+        self._beside: dict[frozenset[Hashable], _Beside] = {}
 
     def single(
         self,
@@ -137,30 +138,27 @@ class OfferBank:
             held: places that other effects hold.
             names: names of other effects.
         """
+        if held not in self._beside:
+            self._beside[held] = _Beside.of(self, held)
+        beside = self._beside[held]
         scores = np.full(len(self.offers), -np.inf)
-        means: Means = {}
-        changed: dict[int, Offer] = {}
-        for stack in self._stacks:
-            stack.score(along, scores, means)
-        for number, offer in enumerate(self.offers):
-            if number in closed:
-                scores[number] = -np.inf
-            elif not held.isdisjoint(offer.keys):
-                scores[number] = -np.inf
-                left = offer.beside(held)
-                if left is not None:
-                    changed[number] = left
-                    for stack in self._stack_of(number, left):
-                        stack.score(along, scores, means)
-        scores[np.isin(self._names, list(names))] += self.again
+        scored = [(stack, stack.score(along, scores)) for stack in self._stacks]
+        scores[beside.taken] = -np.inf
+        scored += [(stack, stack.score(along, scores)) for stack in beside.stacks]
+        scores[list(closed)] = -np.inf
+        for name in names:
+            scores[self._of_name[name]] += self.again
         top = max(float(scores.max(initial=-np.inf)), 0.0)
         weights = np.exp(scores - top)
         q = weights / (weights.sum() + math.exp(-top))
         mean = np.zeros(len(self.along))
-        for likely in np.flatnonzero(q > 1e-6).tolist():
-            stack, row, z = means[likely]
-            np.add.at(mean, stack.columns[row], q[likely] * stack.mean(row, z))
-        return SingleEffect(q, mean, changed)
+        likely = q > 1e-6
+        for stack, found in scored:
+            for row in np.flatnonzero(likely[stack.numbers]).tolist():
+                number = int(stack.numbers[row])
+                if stack.whole == (number not in beside.changed):
+                    np.add.at(mean, stack.columns[row], q[number] * stack.mean(row, found))
+        return SingleEffect(q, mean, beside.changed)
 
     def evidence(self, chosen: Sequence[Offer]) -> float:
         """Log evidence of some offers together, each with its prior odds against none."""
@@ -194,12 +192,6 @@ class OfferBank:
             start += count
         return float(total), values
 
-    def _stack_of(self, number: int, offer: Offer) -> list[_Stack]:
-        key = number, offer
-        if key not in self._reduced:
-            self._reduced[key] = _stacks(self, {number: offer})
-        return self._reduced[key]
-
 
 def _solved(
     s: np.ndarray, t: np.ndarray, scale: np.ndarray
@@ -227,10 +219,16 @@ def _sized(chosen: Sequence[Offer], mean: np.ndarray) -> tuple[np.ndarray, float
 
 
 class _Stack:
-    """OfferBank of one number of columns, scored at once."""
+    """Offers of one number of columns, scored at once.
 
-    def __init__(self, bank: OfferBank, numbers: Sequence[int], offers: Sequence[Offer]) -> None:
-        self.numbers = np.array(numbers)
+    Attributes:
+        whole: whether the offers are as the bank has them; not what others leave of them.
+    """
+
+    def __init__(
+        self, bank: OfferBank, numbers: Sequence[int], offers: Sequence[Offer], whole: bool
+    ) -> None:
+        self.numbers, self.whole = np.array(numbers), whole
         self.fixed = offers[0].fixed
         self.columns = np.array([offer.places for offer in offers])
         self.prior = np.array([offer.log_prior for offer in offers]) - NONE
@@ -252,13 +250,12 @@ class _Stack:
             low, high = (b[:, None, :] / sizes[..., None] for b in (self.lower, self.upper))
             self.outside = log_mass(low, high).sum(-1)
 
-    def score(self, along: np.ndarray, scores: np.ndarray, means: Means) -> None:
-        """Log posterior odds against none of every offer; what its mean is made of."""
+    def score(self, along: np.ndarray, scores: np.ndarray) -> Scored:
+        """Log posterior odds against none of every offer; what their means are made of."""
         t = along[self.columns]
         if self.fixed:
             scores[self.numbers] = t.sum(1) - self.half + self.prior
-            means.update({int(n): (self, row, None) for row, n in enumerate(self.numbers)})
-            return
+            return None
         z = np.einsum("cik,ci->ck", self.turn, t)
         each = (self.share * z[:, None, :] ** 2).sum(-1) / 2 - self.log_det + self.chances
         if self.bounded:
@@ -267,27 +264,41 @@ class _Stack:
             high = (self.upper[:, None, :] - mean) / self.sd
             each = each + log_mass(low, high).sum(-1) - self.outside
         top = each.max(1)
-        scores[self.numbers] = top + np.log(np.exp(each - top[:, None]).sum(1)) + self.prior
         chance = np.exp(each - top[:, None])
-        chance /= chance.sum(1, keepdims=True)
-        means.update(
-            {int(n): (self, row, (z[row], chance[row])) for row, n in enumerate(self.numbers)}
-        )
+        whole = chance.sum(1)
+        scores[self.numbers] = top + np.log(whole) + self.prior
+        return z, chance / whole[:, None]
 
-    def mean(self, row: int, found: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
+    def mean(self, row: int, found: Scored) -> np.ndarray:
         """(k,) coefficients of one offer on average over its sizes, within bounds."""
         if found is None:
             return np.ones(self.columns.shape[1])
         z, chance = found
-        mean = self.turn[row] @ ((chance[:, None] * self.share[row]).sum(0) * z)
+        mean = self.turn[row] @ ((chance[row][:, None] * self.share[row]).sum(0) * z[row])
         return np.clip(mean, self.lower[row], self.upper[row])
 
 
-Means = dict[int, tuple[_Stack, int, tuple[np.ndarray, np.ndarray] | None]]
+Scored = tuple[np.ndarray, np.ndarray] | None
 
 
-def _stacks(bank: OfferBank, offers: dict[int, Offer]) -> list[_Stack]:
+@dataclass(frozen=True)
+class _Beside:
+    """What is left of the offers where others hold some places."""
+
+    taken: list[int]
+    changed: dict[int, Offer]
+    stacks: list[_Stack]
+
+    @classmethod
+    def of(cls, bank: OfferBank, held: frozenset[Hashable]) -> _Beside:
+        taken = [n for n, o in enumerate(bank.offers) if not held.isdisjoint(o.keys)]
+        left = {n: bank.offers[n].beside(held) for n in taken}
+        changed = {n: offer for n, offer in left.items() if offer is not None}
+        return cls(taken, changed, _stacks(bank, changed, whole=False))
+
+
+def _stacks(bank: OfferBank, offers: dict[int, Offer], whole: bool = True) -> list[_Stack]:
     kinds: dict[tuple[bool, int, int], list[int]] = {}
     for number, offer in offers.items():
         kinds.setdefault((offer.fixed, len(offer.places), len(offer.sizes)), []).append(number)
-    return [_Stack(bank, ns, [offers[n] for n in ns]) for ns in kinds.values()]
+    return [_Stack(bank, ns, [offers[n] for n in ns], whole) for ns in kinds.values()]

@@ -1,0 +1,92 @@
+"""``longarm bag info``, ``to-csv`` and ``from-csv``."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from longarm_comp.cli import options, outputs
+from longarm_comp.cli.output import note, print_json, print_table
+
+_bag = click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
+
+
+@click.command()
+@_bag
+@options.as_json
+def info(bag: Path, as_json: bool) -> None:
+    """Topics, types and counts of a BAG folder (mcap or sqlite3).
+
+    \b
+    Example:
+      longarm bag info session_bag
+    """
+    from longarm_comp.sessions.bag_info import bag_info
+
+    found = bag_info(bag)
+    if as_json:
+        print_json(dataclasses.asdict(found))
+        return
+    title = f"{found.path}: {found.storage}, {found.duration_s:.1f} s, {found.messages} messages"
+    rows = [(t.topic, t.type, t.count, "yes" if t.read else "") for t in found.topics]
+    print_table(title, ("topic", "type", "messages", "read for a session"), rows)
+
+
+@click.command()
+@options.arm
+@_bag
+@options.output("samples.csv", "Session to write.", outputs.session)
+@click.option("--namespace", help="Which arm, where the bag holds several.")
+@options.as_json
+def to_csv(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: bool) -> None:
+    """Write what BAG recorded of ARM as a session in CSV.
+
+    A row is a command and the mean of its settled sightings.
+
+    \b
+    Example:
+      longarm bag to-csv arm.yaml session_bag -o samples.csv
+    """
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.sessions.bag import read_bag
+    from longarm_comp.sessions.csv import write_csv
+
+    session = read_bag(bag, Arm.load(arm), namespace)
+    write_csv(session, output)
+    seen = int(session.seen.sum())
+    if as_json:
+        print_json(
+            {"output": str(output), "rows": len(session), "seen": seen, "hash": session.hash}
+        )
+    else:
+        note(f"{len(session)} rows, {seen} with a marker, in {output}")
+
+
+@click.command()
+@options.arm
+@options.session
+@options.output(None, "Bag folder to write.", outputs.left_to_the_command)
+@click.option(
+    "--storage", type=click.Choice(["mcap", "sqlite3"]), default="mcap", show_default=True
+)
+@click.option("--namespace", default="", help="Put before every topic.")
+def from_csv(
+    arm: Path, session: Path, output: Path, storage: Literal["mcap", "sqlite3"], namespace: str
+) -> None:
+    """Write SESSION (CSV) as a bag of the robot's own topics.
+
+    \b
+    Example:
+      longarm bag from-csv arm.yaml samples.csv -o session_bag
+    """
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.sessions.bag_write import write_bag
+    from longarm_comp.sessions.read import read_session
+
+    declared = Arm.load(arm)
+    read = read_session(session, declared)
+    write_bag(read, output, declared, storage, namespace)
+    note(f"{len(read)} rows in {output}")

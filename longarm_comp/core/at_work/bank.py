@@ -1,0 +1,154 @@
+"""Posteriors side by side, one for each explanation of what has changed so far.
+
+Where something changed, the posterior parts into one for each effect that may have (generalised
+pseudo-Bayes; Tugnait 1982, Automatica 18): each goes on as a Kalman filter of its own, in which
+further changes begin anew.  Their weights follow from what each predicts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.at_work.changes import Key, Parameters
+from longarm_comp.core.at_work.posterior import NEGLIGIBLE, Posterior, Row
+from longarm_comp.core.identify.posterior.found import CREDIBLE
+
+MOST = 4
+"""Explanations that are carried along."""
+KEPT = 0.99
+"""Probability that these must have among all, so that the others may be forgotten."""
+FEWEST, LATEST = 2, 15
+"""Sightings of a change after which posteriors part: at least; and at last, whatever is left out."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """An effect that changed, by one explanation.
+
+    Attributes:
+        key: of the effect.
+        where: it is.
+        since_s: time of the first sighting that shows it.
+        sightings: from then until posteriors parted.
+        before: (k,) values of its parameters until then.
+    """
+
+    key: Key
+    where: str
+    since_s: float
+    sightings: int
+    before: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """One explanation: its weight, what it knows, and what has changed by it, in order."""
+
+    weight: float
+    known: Posterior
+    changes: tuple[Change, ...] = ()
+
+    def parted(self) -> Iterator[Branch]:
+        """One for each effect that may have changed; itself where that is not clear yet."""
+        known = self.known
+        chance = known.probability.sum(axis=0)
+        some = float(chance.sum())
+        order = np.argsort(-chance)[:MOST]
+        sure = some > CREDIBLE and known.unexplained < NEGLIGIBLE + 0.5 * some
+        count = known.count[int(known.probability[:, order[0]].argmax())] if sure else 0
+        few = sure and chance[order].sum() >= KEPT * some and count >= FEWEST
+        if not (few or count >= LATEST):
+            yield self
+            return
+        whole = float(chance[order].sum())
+        for c in order.tolist():
+            if chance[c] > NEGLIGIBLE * whole:
+                changes = self._changed(c)
+                yield Branch(self.weight * float(chance[c]) / whole, known.given(c), changes)
+
+    def _changed(self, c: int) -> tuple[Change, ...]:
+        known = self.known
+        key, t = known.space.keys[c], int(known.probability[:, c].argmax())
+        if any(change.key == key for change in self.changes):
+            return self.changes
+        own = known.space.own(c)
+        before, where = tuple(known.mean[own].tolist()), known.space.slots[own[0]].owner.where
+        made = Change(key, where, float(known.since[t]), int(known.count[t]), before)
+        return (*self.changes, made)
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """All explanations; weights sum to 1.
+
+    Attributes:
+        branches: the most probable first.
+        log_likelihood: of the last sighting.
+    """
+
+    branches: tuple[Branch, ...]
+    log_likelihood: float = 0.0
+
+    @property
+    def space(self) -> Parameters:
+        """The numbers."""
+        return self.branches[0].known.space
+
+    def seen(self, row: Row) -> Bank:
+        """The next sighting taken in."""
+        each = [(b, b.known.seen(row)) for b in self.branches]
+        logs = np.array([math.log(b.weight) + known.log_likelihood for b, known in each])
+        top = float(logs.max())
+        likelihood = top + math.log(float(np.exp(logs - top).sum()))
+        weights = np.exp(logs - likelihood).tolist()
+        made = [
+            part
+            for (b, known), w in zip(each, weights, strict=True)
+            if w > NEGLIGIBLE
+            for part in Branch(w, known, b.changes).parted()
+        ]
+        kept = sorted(made, key=lambda b: -b.weight)[:MOST]
+        whole = sum(b.weight for b in kept)
+        return Bank(
+            tuple(dataclasses.replace(b, weight=b.weight / whole) for b in kept), likelihood
+        )
+
+    @cached_property
+    def expected(self) -> np.ndarray:
+        """(q,) mean over all explanations."""
+        return np.sum([b.weight * b.known.expected for b in self.branches], axis=0)
+
+    def predicted(self, row: Row) -> np.ndarray:
+        """(3,) m, how far a sighting is from what is expected."""
+        return row.value - row.columns @ self.expected
+
+    def covariance(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (p,) of what is not known exactly, and its covariance (p, p)."""
+        active = np.unique(np.concatenate([b.known.active for b in self.branches]))
+        made = np.zeros((len(active), len(active)))
+        for b in self.branches:
+            held = np.isin(active, b.known.active)
+            off = (b.known.expected - self.expected)[active]
+            made += b.weight * np.outer(off, off)
+            made[np.ix_(held, held)] += b.weight * b.known.covariance
+        return active, made
+
+    @property
+    def unexplained(self) -> float:
+        """Probability that something changed that no known effect explains."""
+        return sum(b.weight * b.known.unexplained for b in self.branches)
+
+    @cached_property
+    def places(self) -> dict[str, float]:
+        """Where something has changed, with the probability of it."""
+        made: dict[str, float] = {}
+        for b in self.branches:
+            for place in {c.where for c in b.changes}:
+                made[place] = made.get(place, 0.0) + b.weight
+        return made

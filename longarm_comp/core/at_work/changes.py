@@ -1,0 +1,145 @@
+"""What may change at an arm at work: every effect at every place, and where its numbers stand."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.effects.catalogue import searched
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model, Slot, slots_of
+
+Key = tuple[str, str]
+WIDEST = 3
+"""Parameters of an effect that may change, at most: those first that it declares first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """The numbers of a model and of all effects that may come to it, in one order.
+
+    Attributes:
+        model: as it was given.
+        absent: effects that it does not hold, at none.
+        slots: of the model, then of these.
+        keys: (C,) effect and place of every possible change.
+        places: (C, `WIDEST`) positions of its numbers; -1 where it has fewer.
+        log_prior: (C,) of it, given that something changes: every name as likely as any other,
+            and every place of it.
+    """
+
+    model: Model
+    absent: tuple[Effect | Bias, ...]
+    slots: tuple[Slot, ...]
+    keys: tuple[Key, ...]
+    places: np.ndarray
+    log_prior: np.ndarray
+
+    @classmethod
+    def of(cls, model: Model, context: Context) -> Parameters:
+        """Of a model, with every effect whose inputs the circumstances hold."""
+        held = {term.key for term in model.terms}
+        absent = tuple(t for k, t in _possible(model.arm, context).items() if k not in held)
+        slots = (*model.slots, *slots_of(model.arm, absent))
+        at: dict[Key, list[int]] = {}
+        for k, slot in enumerate(slots):
+            if slot.owner.searched and not slot.owner.geometry and not slot.owner.passing:
+                at.setdefault(slot.owner.key, []).append(k)
+        keys = tuple(at)
+        places = np.full((len(keys), WIDEST), -1)
+        for row, key in enumerate(keys):
+            mine = at[key][:WIDEST]
+            places[row, : len(mine)] = mine
+        names = Counter(name for name, _ in keys)
+        prior = np.array([-math.log(len(names) * names[name]) for name, _ in keys])
+        return cls(model, absent, slots, keys, places, prior)
+
+    def __len__(self) -> int:
+        return len(self.slots)
+
+    def own(self, c: int) -> list[int]:
+        """Positions of the numbers of a possible change."""
+        return [int(k) for k in self.places[c] if k >= 0]
+
+    @cached_property
+    def identities(self) -> tuple[tuple[object, ...], ...]:
+        """(q,) of the slots."""
+        return tuple(slot.identity for slot in self.slots)
+
+    @cached_property
+    def position(self) -> Mapping[tuple[object, ...], int]:
+        """Of a slot by its identity."""
+        return {identity: k for k, identity in enumerate(self.identities)}
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """(q,) as the model has them."""
+        return np.array([getattr(s.owner, s.parameter.name) for s in self.slots], dtype=float)
+
+    @cached_property
+    def widths(self) -> np.ndarray:
+        """(q,) ordinary sizes."""
+        return np.array([s.parameter.prior for s in self.slots], dtype=float)
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """(q,) lower and upper."""
+        lower = np.array([s.parameter.lower for s in self.slots], dtype=float)
+        return lower, np.array([s.parameter.upper for s in self.slots], dtype=float)
+
+    def at(self, values: np.ndarray) -> Model:
+        """The model with values (q,), and with those absent effects that are not at none."""
+        values = np.clip(values, *self.bounds)
+        count = len(self.model.slots)
+        model = self.model.with_values(values[:count])
+        given: dict[int, dict[str, float]] = {}
+        for slot, value in zip(self.slots[count:], values[count:].tolist(), strict=True):
+            if value != 0.0:
+                given.setdefault(slot.term, {})[slot.parameter.name] = value
+        if not given:
+            return model
+        made = model.plus(*(self.absent[k].with_values(v) for k, v in given.items()))
+        made.__dict__["chain"] = self.model.chain
+        return made
+
+    def columns(self, at: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
+        """Predicted sighting (3,) m at joints (n,), and its derivative by every number, (3, q)."""
+        held = {term.key for term in at.terms}
+        rest = slots_of(at.arm, [t for t in self.absent if t.key not in held and _told(t, context)])
+        slots = (*at.slots, *rest)
+        point, columns = at.columns(at.posture(tuple(q.tolist()), context), slots)
+        made = np.zeros((3, len(self)))
+        made[:, [self.position[slot.identity] for slot in slots]] = columns.reshape(3, -1)
+        return point.reshape(3), made
+
+
+def _possible(arm: Arm, context: Context) -> dict[Key, Effect | Bias]:
+    """One instance of every effect at every place, in the form that is tried first, at none."""
+    made: dict[Key, Effect | Bias] = {}
+    for kind in searched():
+        for term in (t for group in kind.candidates(arm) for t in group):
+            names = [p.name for p in term.parameters(arm)]
+            if not names or term.key in made:
+                continue
+            if not _told(term, context):
+                continue
+            made[term.key] = dataclasses.replace(term, **dict.fromkeys(names, 0.0))
+    return made
+
+
+def _told(term: Effect | Bias, context: Context) -> bool:
+    """Whether the circumstances hold what a term needs."""
+    try:
+        term.require(context)
+    except InputError:
+        return False
+    return True

@@ -1,0 +1,110 @@
+"""What was learned at work, on disk: a restart goes on from it.
+
+Rivals that were not yet told apart are merged: the model served, and how well it is known, stay.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from longarm_comp.core.at_work.learner import STEP_M, Learner, Named, Version
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import check_regular, write_text
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import StoredModel, restore, store
+from longarm_comp.core.yaml_file import Declared, parse_declared
+
+
+class StoredNamed(Declared):
+    """What changed (`Named`)."""
+
+    effect: str
+    where: str
+    since_s: float
+    by: tuple[tuple[str, str, float], ...]
+    probability: float
+    rivals: tuple[tuple[str, float], ...]
+    sightings: int
+
+
+class StoredVersion(Declared):
+    """A model that was served, and since when; the first is the model as it was given."""
+
+    at_s: float | None
+    model: StoredModel
+    named: StoredNamed | None
+
+
+class StoredLearner(Declared):
+    """The whole file."""
+
+    schema_: Literal["longarm/at_work/1"] = Field(alias="schema")
+    given: str = Field(description="SHA-256 of the model.yaml that it began with")
+    frozen: bool
+    sightings: int = Field(ge=0)
+    doubtful: int = Field(ge=0)
+    served: StoredModel
+    versions: tuple[StoredVersion, ...] = Field(min_length=1)
+
+
+def save(path: str | Path, learner: Learner, given: str) -> None:
+    """Write what was learned since a model.yaml of a hash was given."""
+    stored = StoredLearner(
+        schema="longarm/at_work/1",
+        given=given,
+        frozen=learner.frozen,
+        sightings=learner.sightings,
+        doubtful=learner.doubtful,
+        served=store(learner.model),
+        versions=tuple(_stored(version) for version in learner.versions),
+    )
+    write_text(path, stored.model_dump_json(by_alias=True, indent=1))
+
+
+def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> Learner:
+    """What a file holds for a model, or its beginning, where there is none or of another model.
+
+    Raises:
+        InputError: the file is not one that `save` wrote; the model does not say how well it is
+            known.
+    """
+    begun = Learner.of(model, step_m)
+    if not Path(path).exists():
+        return begun
+    check_regular(path)
+    try:
+        read = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise InputError(path, "file", str(error), "a file that kinematics wrote") from None
+    stored = parse_declared(StoredLearner, read, str(path))
+    if stored.given != given:
+        return begun
+    where, arm = str(path), model.arm
+    versions = (
+        begun.versions[0],
+        *(
+            Version(v.at_s or 0.0, restore(v.model, arm, where), v.named and _named(v.named))
+            for v in stored.versions[1:]
+        ),
+    )
+    return Learner(
+        restore(stored.served, arm, where), None, versions, stored.frozen, step_m,
+        stored.sightings, stored.doubtful,
+    )  # fmt: skip
+
+
+def _stored(version: Version) -> StoredVersion:
+    named = version.named
+    return StoredVersion(
+        at_s=None if named is None else version.at_s,
+        model=store(version.model),
+        named=None if named is None else StoredNamed(**vars(named)),
+    )
+
+
+def _named(stored: StoredNamed) -> Named:
+    return Named(**dict(stored))

@@ -1,0 +1,282 @@
+"""The model at work learns from sightings of ordinary moves.
+
+Each sighting is an equation of the model's parameters and of all that may have changed
+(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is said:
+which effect moved, since when, how much.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.at_work.bank import Bank, Branch
+from longarm_comp.core.at_work.changes import Parameters
+from longarm_comp.core.at_work.posterior import Posterior, Row
+from longarm_comp.core.compensation.unknown import unknown_history
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.posterior.found import CREDIBLE
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.uncertainty import ModelUncertainty
+
+DOUBT = 0.01
+"""Probability that a sighting is wrong: of another point, or of an arm that still moves."""
+STEP_M = 2e-3
+"""Largest step of the tip by one sighting's learning."""
+WORTH = 0.1
+"""Step, in standard deviations of a sighting, from which on another model is served."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """What changed: a place, and the effect there that is the most probable.
+
+    Attributes:
+        effect, where: what and where.
+        since_s: time of the first sighting that shows it.
+        by: (parameter, unit, how much), of those that moved.
+        probability: of the effect, given that something changed there.
+        rivals: other effects there that may have, with theirs.
+        sightings: that it took.
+    """
+
+    effect: str
+    where: str
+    since_s: float
+    by: tuple[tuple[str, str, float], ...]
+    probability: float
+    rivals: tuple[tuple[str, float], ...]
+    sightings: int
+
+    @property
+    def text(self) -> str:
+        """In one line: ``backlash (61 %) or friction_hysteresis (39 %), joint 2: width +3.1e-03 rad``."""
+        each = ((self.effect, self.probability), *self.rivals)
+        names = " or ".join(f"{name} ({100 * p:.0f} %)" for name, p in each)
+        by = ", ".join(f"{name} {value:+.2g} {unit}" for name, unit, value in self.by)
+        return f"{names}, {self.where}: {by}"
+
+
+@dataclass(frozen=True, eq=False)
+class Version:
+    """The model as it was served once a change was sure.
+
+    Attributes:
+        at_s: when.
+        model: with the record of how good it is.
+        named: what had changed.
+    """
+
+    at_s: float
+    model: Model
+    named: Named | None
+
+
+@dataclass(frozen=True, eq=False)
+class Learner:
+    """The model at work. Frozen: `seen` returns the next one.
+
+    Attributes:
+        model: that is served.
+        known: what is known; None before the first sighting.
+        versions: of the model, the first as it was given.
+        frozen: whether sightings change nothing.
+        step_m: largest step of the tip by one sighting.
+        sightings: taken in, and `doubtful`: left out.
+    """
+
+    model: Model
+    known: Bank | None = None
+    versions: tuple[Version, ...] = ()
+    frozen: bool = False
+    step_m: float = STEP_M
+    sightings: int = 0
+    doubtful: int = 0
+    pending: tuple[Bank, Row, float] | None = None
+
+    @classmethod
+    def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
+        """From a fitted model.
+
+        Raises:
+            InputError: it does not say how well it is known.
+        """
+        if model.uncertainty is None:
+            raise InputError("model", "uncertainty", "missing", "a model that a diagnosis wrote")
+        return cls(model, versions=(Version(-math.inf, model, None),), step_m=step_m)
+
+    @property
+    def record(self) -> ModelUncertainty:
+        """How good the model is."""
+        assert self.model.uncertainty is not None
+        return self.model.uncertainty
+
+    def seen(
+        self, q: np.ndarray, context: Context, tip: np.ndarray, variance: np.ndarray, t_s: float
+    ) -> Learner:
+        """Take a sighting of an arm at rest.
+
+        Args:
+            q: (n,) commanded joints.
+            context: circumstances, with the history of the joints.
+            tip: (3,) m, and its variance (3,) m^2.
+            t_s: when, on a clock of the caller's.
+        """
+        if self.frozen:
+            return self
+        known = self.known or _begun(self.model, context)
+        point, columns = known.space.columns(self.model, q, context)
+        at = _values(known.space, self.model)
+        spread, _ = unknown_history(self.model, q, context)
+        noise = np.maximum(self.record.noise, np.diag(variance)) + np.diag(spread**2)
+        noise = noise + self.record.structure
+        value = tip - point + columns @ at
+        row = Row(t_s, columns, value, noise, float(np.linalg.norm(point)))
+        known, pending, doubtful = _judged(known, row, self.pending)
+        after = dataclasses.replace(
+            self, known=known, pending=pending, sightings=self.sightings + 1,
+            doubtful=self.doubtful + doubtful,
+        )  # fmt: skip
+        return after if known is self.known else after._named(t_s)._served(columns, at)
+
+    def _named(self, t_s: float) -> Learner:
+        """With a version for every place at which something has surely changed."""
+        assert self.known is not None
+        made, said = self, {n.where for n in self.named}
+        for where, chance in self.known.places.items():
+            if where not in said and chance >= CREDIBLE:
+                version = Version(t_s, self._of(self.known.expected), self._name(where))
+                made = dataclasses.replace(made, versions=(*made.versions, version))
+        return made
+
+    def _name(self, where: str) -> Named:
+        assert self.known is not None
+        here = [(b, c) for b in self.known.branches for c in b.changes if c.where == where]
+        whole = sum(b.weight for b, _ in here)
+        chances: dict[str, float] = {}
+        for branch, change in here:
+            name = change.key[0]
+            chances[name] = chances.get(name, 0.0) + branch.weight / whole
+        order = sorted(chances, key=lambda name: -chances[name])
+        branch, change = next((b, c) for b, c in here if c.key[0] == order[0])
+        space = branch.known.space
+        places = space.own(space.keys.index(change.key))
+        moved = branch.known.expected[places] - np.array(change.before)
+        parameters = (space.slots[k].parameter for k in places)
+        by = ((p.name, p.unit, float(v)) for p, v in zip(parameters, moved, strict=True) if v)
+        rivals = tuple((name, chances[name]) for name in order[1:])
+        return Named(
+            order[0], where, change.since_s, tuple(by), chances[order[0]], rivals, change.sightings
+        )
+
+    def _served(self, columns: np.ndarray, at: np.ndarray) -> Learner:
+        """Serve the mean over all explanations, in a bounded step."""
+        assert self.known is not None
+        wanted = np.clip(self.known.expected, *self.known.space.bounds) - at
+        step = float(np.linalg.norm(columns @ wanted))
+        if step < WORTH * math.sqrt(float(np.trace(self.record.noise + self.record.structure))):
+            return self
+        share = min(1.0, self.step_m / step)
+        return dataclasses.replace(self, model=self._of(at + share * wanted))
+
+    def _of(self, values: np.ndarray) -> Model:
+        known = self.known
+        assert known is not None
+        model = known.space.at(values)
+        active, covariance = known.covariance()
+        slots = tuple(known.space.identities[k] for k in active)
+        factor = _factor(covariance)
+        record = dataclasses.replace(self.record, slots=slots, factor=factor, stretch=1.0)
+        made = dataclasses.replace(model, uncertainty=record)
+        made.__dict__["chain"] = model.chain
+        return made
+
+    # ------------------------------------------------------------------ what people ask for
+
+    @property
+    def named(self) -> tuple[Named, ...]:
+        """What changed, in the order in which it was sure."""
+        return tuple(v.named for v in self.versions if v.named is not None)
+
+    @property
+    def now(self) -> tuple[Named, ...]:
+        """The same, by what is known now."""
+        known = self.known.places if self.known is not None else {}
+        return tuple(self._name(n.where) if n.where in known else n for n in self.named)
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether something changed that no known effect explains: a matter of a diagnosis."""
+        return self.known is not None and self.known.unexplained >= CREDIBLE
+
+    def freeze(self) -> Learner:
+        """Serve what is served now, whatever is seen."""
+        return dataclasses.replace(self, frozen=True)
+
+    def thaw(self) -> Learner:
+        """Learn on, from what is served."""
+        return dataclasses.replace(self, frozen=False, known=None, pending=None)
+
+    def undo(self) -> Learner:
+        """Serve the version before the last, and learn no more until told."""
+        kept = self.versions[:-1] or self.versions
+        return dataclasses.replace(
+            self, model=kept[-1].model, versions=kept, known=None, pending=None, frozen=True
+        )
+
+
+def _begun(model: Model, context: Context) -> Bank:
+    """What a fitted model's record says."""
+    record = model.uncertainty
+    assert record is not None
+    space = Parameters.of(model, context)
+    at = {identity: k for k, identity in enumerate(record.slots)}
+    active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
+    factor = record.factor[[at[space.identities[k]] for k in active]]
+    covariance = record.stretch * factor @ factor.T
+    return Bank((Branch(1.0, Posterior.begun(space, space.values, active, covariance)),))
+
+
+def _values(space: Parameters, model: Model) -> np.ndarray:
+    """(q,) numbers of a model; 0 of what it does not hold."""
+    made = np.zeros(len(space))
+    for slot, value in zip(model.slots, model.values, strict=True):
+        made[space.position[slot.identity]] = value
+    return made
+
+
+def _judged(
+    known: Bank, row: Row, pending: tuple[Bank, Row, float] | None
+) -> tuple[Bank, tuple[Bank, Row, float] | None, bool]:
+    """Take a row in, unless it is doubtful; the one before, if that was doubtful, with it."""
+    after = known.seen(row)
+    doubt = _doubtful(known, row)
+    if pending is not None:
+        before, held, held_doubt = pending
+        both = before.seen(held)
+        together = both.seen(row)
+        if both.log_likelihood + together.log_likelihood > held_doubt + max(
+            after.log_likelihood, doubt
+        ):
+            return together, None, False
+    if doubt > after.log_likelihood:
+        return known, (known, row, doubt), pending is not None
+    return after, None, pending is not None
+
+
+def _doubtful(known: Bank, row: Row) -> float:
+    """Log likelihood of a sighting of anything around, with its prior odds."""
+    off = known.predicted(row)
+    square = float(off @ off) / row.reach**2
+    return math.log(DOUBT) - 0.5 * square - 1.5 * math.log(2.0 * math.pi * row.reach**2)
+
+
+def _factor(covariance: np.ndarray) -> np.ndarray:
+    """(p, p) triangle whose product with itself is a covariance, to a part in a billion."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    alike = covariance / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
+    return np.asarray(scale[:, None] * np.linalg.cholesky(alike))

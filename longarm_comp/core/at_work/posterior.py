@@ -1,0 +1,288 @@
+"""The recursive posterior: a Kalman filter, and beside it what follows if an effect has changed.
+
+"Nothing changed" is one Kalman filter over the model's parameters, without process noise.  "Effect
+c changed before sighting t" differs from it by a known linear response to the unknown jump, which
+a recursion carries along (Willsky and Jones 1976, IEEE Trans. Automatic Control 21), so that
+hundreds of such hypotheses cost one filter.  Each has its evidence.  A drift is a row of jumps.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.at_work.changes import Parameters
+from longarm_comp.core.identify.linear import log_mass
+
+HAZARD = 1e-3
+"""Probability that something changes between two moves: about once in ten days of a hundred."""
+AGAIN = 0.1
+"""The same of what has changed already: what wears, wears on."""
+SIZES = np.array([0.1, 0.3, 1.0, 3.0])
+"""Of a change, in ordinary sizes of the parameter, equally likely."""
+GROWN = 3.0
+"""Growth of the errors that stands for a change of no known effect."""
+UNNAMED = 0.05
+"""Probability of such a change among all, as in a diagnosis."""
+ONSETS = 16
+"""Times of a change that are carried along; the old ones lie further apart."""
+NEGLIGIBLE = 1e-3
+"""Probability below which a hypothesis moves no parameter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One sighting, as an equation of all numbers.
+
+    Attributes:
+        t_s: when.
+        columns: (3, q) m per unit.
+        value: (3,) m, the sighting less what the numbers at 0 would give, to first order.
+        noise: (3, 3) m^2.
+        reach: distance from the base, m.
+    """
+
+    t_s: float
+    columns: np.ndarray
+    value: np.ndarray
+    noise: np.ndarray
+    reach: float
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """What is known after some sightings.
+
+    Attributes:
+        space: the numbers.
+        mean: (q,) if nothing changed.
+        active: (p,) positions of what is not known exactly.
+        covariance: (p, p) of these.
+        again: (C,) whether an effect has changed before.
+        since: (T,) first sighting's time of each onset.
+        count: (T,) sightings since.
+        response: (T, p, q) of the mean's error to a unit jump.
+        gram: (T, C, k, k), along: (T, C, k), of a jump in ordinary sizes, against the noise.
+        growth: (T,) log Bayes factor of grown errors.
+        log_likelihood: of the last sighting.
+    """
+
+    space: Parameters
+    mean: np.ndarray
+    active: np.ndarray
+    covariance: np.ndarray
+    again: np.ndarray
+    since: np.ndarray
+    count: np.ndarray
+    response: np.ndarray
+    gram: np.ndarray
+    along: np.ndarray
+    growth: np.ndarray
+    log_likelihood: float = 0.0
+
+    @classmethod
+    def begun(
+        cls,
+        space: Parameters,
+        mean: np.ndarray,
+        active: np.ndarray,
+        covariance: np.ndarray,
+        again: np.ndarray | None = None,
+    ) -> Posterior:
+        """Nothing is seen yet."""
+        c, k = space.places.shape
+        again = np.zeros(c, bool) if again is None else again
+        return cls(
+            space, mean, active, covariance, again, np.zeros(0), np.zeros(0, int),
+            np.zeros((0, len(active), len(space))), np.zeros((0, c, k, k)), np.zeros((0, c, k)),
+            np.zeros(0),
+        )  # fmt: skip
+
+    def seen(self, row: Row) -> Posterior:
+        """The next sighting taken in."""
+        a = row.columns[:, self.active]
+        carried = self.covariance @ a.T
+        spread = a @ carried + row.noise
+        inverse = np.linalg.inv(spread)
+        gain = carried @ inverse
+        off = row.value - row.columns @ self.mean
+        response = _with_new(self.response)
+        seen = row.columns - a @ response
+        response = response + gain @ seen
+        jump = _of_changes(self.space, seen)  # (T, C, k, 3)
+        turned = jump @ inverse
+        mean = self.mean.copy()
+        mean[self.active] += gain @ off
+        square = float(off @ inverse @ off)
+        log_det = float(np.linalg.slogdet(2.0 * math.pi * spread)[1])
+        growth = 0.5 * square * (1.0 - GROWN**-2) - 3.0 * math.log(GROWN)
+        covariance = self.covariance - gain @ carried.T
+        after = dataclasses.replace(
+            self,
+            mean=mean,
+            covariance=(covariance + covariance.T) / 2.0,
+            since=np.append(self.since, row.t_s),
+            count=np.append(self.count, 0) + 1,
+            response=response,
+            gram=_with_new(self.gram) + turned @ np.swapaxes(jump, -1, -2),
+            along=_with_new(self.along) + turned @ off,
+            growth=np.append(self.growth, 0.0) + growth,
+        )
+        likelihood = -0.5 * (square + log_det) + after.total - self.total
+        return dataclasses.replace(after._thinned(), log_likelihood=likelihood)
+
+    # ------------------------------------------------------------------ hypotheses
+
+    @cached_property
+    def hypotheses(self) -> Hypotheses:
+        """Jumps of every effect at every onset."""
+        return Hypotheses.of(self)
+
+    @property
+    def total(self) -> float:
+        """Log of the sum of all weights; that of "nothing changed" is 1."""
+        h = self.hypotheses
+        top = max(0.0, float(h.log_weight.max(initial=0.0)), float(h.unnamed.max(initial=0.0)))
+        whole = math.exp(-top) + np.exp(h.log_weight - top).sum() + np.exp(h.unnamed - top).sum()
+        return top + math.log(whole)
+
+    @cached_property
+    def probability(self) -> np.ndarray:
+        """(T, C) of every change at every onset."""
+        return np.asarray(np.exp(self.hypotheses.log_weight - self.total))
+
+    @property
+    def nothing(self) -> float:
+        """Probability that nothing changed."""
+        return math.exp(-self.total)
+
+    @property
+    def unexplained(self) -> float:
+        """Probability that something changed that no known effect explains."""
+        return float(np.exp(self.hypotheses.unnamed - self.total).sum())
+
+    @cached_property
+    def _likely(self) -> list[tuple[int, int]]:
+        return [(int(t), int(c)) for t, c in np.argwhere(self.probability > NEGLIGIBLE)]
+
+    def _moved(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions of a change, its mean jump (k,), and how all numbers follow it, (q, k)."""
+        places = self.space.places[c]
+        held = places >= 0
+        places = places[held]
+        jump = self.hypotheses.mean[t, c][held] * self.space.widths[places]
+        follows = np.zeros((len(self.space), len(places)))
+        follows[self.active] = -self.response[t][:, places]
+        follows[places, np.arange(len(places))] += 1.0
+        return places, jump, follows
+
+    @cached_property
+    def expected(self) -> np.ndarray:
+        """(q,) mean over all hypotheses."""
+        made = self.mean.copy()
+        for t, c in self._likely:
+            _, jump, follows = self._moved(t, c)
+            made += self.probability[t, c] * (follows @ jump)
+        return made
+
+    def given(self, c: int) -> Posterior:
+        """What is known if an effect has changed: its onsets merged; other changes begin anew."""
+        weight = self.probability[:, c] / max(float(self.probability[:, c].sum()), 1e-300)
+        likely = [t for t in range(len(weight)) if weight[t] > NEGLIGIBLE]
+        moved = {t: self._moved(t, c) for t in likely}
+        places = moved[likely[0]][0]
+        active = np.union1d(self.active, places).astype(int)
+        ends = {t: self.mean + follows @ jump for t, (_, jump, follows) in moved.items()}
+        mean = np.sum([weight[t] * end for t, end in ends.items()], axis=0) / weight[likely].sum()
+        covariance = np.zeros((len(active), len(active)))
+        held = np.isin(active, self.active)
+        covariance[np.ix_(held, held)] = self.covariance
+        width = self.space.widths[places]
+        for t, (_, _, follows) in moved.items():
+            own = self.hypotheses.spread[t, c][: len(places), : len(places)]
+            off = (ends[t] - mean)[active]
+            carried = follows[active] * width
+            covariance += weight[t] * (carried @ own @ carried.T + np.outer(off, off))
+        again = self.again.copy()
+        again[c] = True
+        return Posterior.begun(self.space, mean, active, covariance, again)
+
+    def _thinned(self) -> Posterior:
+        """With one onset fewer where there are too many: the one least apart for its age."""
+        if len(self.since) <= ONSETS:
+            return self
+        apart = (self.count[:-2] - self.count[2:]) / self.count[1:-1]
+        kept = np.arange(len(self.since)) != 1 + int(apart.argmin())
+        names = ("since", "count", "response", "gram", "along", "growth")
+        return dataclasses.replace(self, **{n: getattr(self, n)[kept] for n in names})
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """The changes of every effect at every onset.
+
+    Attributes:
+        log_weight: (T, C) against "nothing changed".
+        mean: (T, C, k) jump in ordinary sizes.
+        spread: (T, C, k, k) its covariance.
+        unnamed: (T,) log weight of a change of no known effect.
+    """
+
+    log_weight: np.ndarray
+    mean: np.ndarray
+    spread: np.ndarray
+    unnamed: np.ndarray
+
+    @classmethod
+    def of(cls, known: Posterior) -> Hypotheses:
+        space = known.space
+        values, turn = np.linalg.eigh(known.gram)
+        z = np.einsum("tcik,tci->tck", turn, known.along)[:, :, None, :]
+        square = SIZES[:, None] ** 2
+        grown = 1.0 + square * np.maximum(values, 0.0)[:, :, None, :]
+        share = square / grown  # (T, C, S, k)
+        evidence = 0.5 * (share * z**2).sum(-1) - 0.5 * np.log(grown).sum(-1)
+        means = np.einsum("tcik,tcsk->tcsi", turn, share * z)
+        lower, upper = (bound[:, None, :] for bound in _bounds(space, known.mean))
+        sd = np.sqrt(np.einsum("tcik,tcsk->tcsi", turn**2, share))
+        inside = log_mass((lower - means) / sd, (upper - means) / sd)
+        scale = SIZES[:, None]
+        evidence = evidence + (inside - log_mass(lower / scale, upper / scale)).sum(-1)
+        top = evidence.max(-1, initial=-np.inf, keepdims=True)
+        chance = np.exp(evidence - top)
+        factor = top[..., 0] + np.log(chance.mean(-1))
+        chance /= chance.sum(-1, keepdims=True)
+        mean = np.clip(means, lower, upper)
+        middle = np.einsum("tcs,tcsi->tci", chance, mean)
+        spread = np.einsum(
+            "tcik,tck,tcjk->tcij", turn, np.einsum("tcs,tcsk->tck", chance, share), turn
+        )
+        log_prior = space.log_prior + math.log(HAZARD * (1.0 - UNNAMED))
+        if known.again.any():
+            more = math.log(AGAIN / known.again.sum())
+            log_prior = np.where(known.again, np.maximum(log_prior, more), log_prior)
+        return cls(factor + log_prior, middle, spread, known.growth + math.log(HAZARD * UNNAMED))
+
+
+def _with_new(held: np.ndarray) -> np.ndarray:
+    """With one more onset, of which nothing is known."""
+    return np.concatenate([held, np.zeros((1, *held.shape[1:]))])
+
+
+def _of_changes(space: Parameters, seen: np.ndarray) -> np.ndarray:
+    """(T, 3, q) per unit -> (T, C, k, 3) of every change, per ordinary size."""
+    scaled = seen * space.widths
+    held = (space.places >= 0)[None, :, :, None]
+    return np.where(held, np.moveaxis(scaled[:, :, space.places], 1, -1), 0.0)
+
+
+def _bounds(space: Parameters, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(C, k) least and largest jump in ordinary sizes, so that every number stays in its bounds."""
+    lower, upper = ((bound - mean) / space.widths for bound in space.bounds)
+    held = space.places >= 0
+    least = np.where(held, np.minimum(lower, 0.0)[space.places], -np.inf)
+    return least, np.where(held, np.maximum(upper, 0.0)[space.places], np.inf)

@@ -1,0 +1,121 @@
+"""Learns the model at work from rest poses, and keeps what it learned in a file."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.at_work import file
+from longarm_comp.core.at_work.learner import STEP_M, Learner
+from longarm_comp.core.data.rest import RestPose
+from longarm_comp.core.errors import JobError
+from longarm_comp.nodes.health import OK, WARN, Report
+from longarm_comp.nodes.model_files import ModelFiles
+from longarm_comp.nodes.params import Param
+
+PARAMS = (
+    Param(
+        "at_work", "", "file in which what ordinary moves teach is kept; empty: nothing is learned"
+    ),
+    Param("at_work_step_m", STEP_M, "largest step of the tip by one sighting", 1e-6, 0.1),
+)
+
+
+@dataclass
+class Learning:
+    """What the worker knows of the model at work. All but `report` is called on the worker.
+
+    Args:
+        files: the model at work; what is learned is put in its place.
+        path: file that is read, and written after every sighting; empty: nothing is learned.
+        step_m: largest step of the tip by one sighting.
+    """
+
+    files: ModelFiles
+    path: str
+    step_m: float
+    learner: Learner | None = None
+    update_ms: float = 0.0
+    _fault: str = ""
+
+    def __post_init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
+        """Go on from the file, if it is of the model that was loaded.
+
+        Raises:
+            InputError: the file is not one of these; the model does not say how well it is known.
+        """
+        if not self.path:
+            return
+        loaded = self.files.given
+        self.learner = file.load(self.path, loaded.model, loaded.file_hash, self.step_m)
+        self.files.put(self.learner.model)
+
+    def seen(
+        self, rest: RestPose, context: Context, learned: np.ndarray | None, at_s: float
+    ) -> None:
+        """Learn from a rest pose; what a predictor says of it (3,) m is not the model's to learn."""
+        if self.learner is None or self.learner.frozen:
+            return
+        tip = rest.tip if learned is None else rest.tip - learned
+        begun = time.perf_counter()
+        after = self.learner.seen(rest.q, context, tip, rest.variance, at_s)
+        self.update_ms = 1e3 * (time.perf_counter() - begun)
+        self._take(after)
+
+    def freeze(self, frozen: bool) -> tuple[bool, str]:
+        """Learn no more, or again."""
+        if self.learner is None:
+            return False, _OFF
+        self._take(self.learner.freeze() if frozen else self.learner.thaw())
+        return True, "frozen" if frozen else "learning"
+
+    def undo(self) -> tuple[bool, str]:
+        """Serve the version before the last change, and learn no more."""
+        if self.learner is None:
+            return False, _OFF
+        self._take(self.learner.undo())
+        return True, f"version {len(self.learner.versions)} is served, and nothing is learned"
+
+    def _take(self, after: Learner) -> None:
+        before, self.learner = self.learner, after
+        if before is None or after.model is not before.model:
+            self.files.put(after.model)
+        try:
+            file.save(self.path, after, self.files.given.file_hash)
+            self._fault = ""
+        except JobError as error:
+            self._fault = str(error)
+
+    def report(self) -> Report:
+        """What changed, for diagnostics."""
+        learner = self.learner
+        if learner is None:
+            return Report(OK, _OFF)
+        facts = {
+            "sightings": learner.sightings,
+            "doubtful": learner.doubtful,
+            "version": len(learner.versions),
+            "update, ms": round(self.update_ms, 1),
+        }
+        if self._fault:
+            return Report(WARN, f"not kept: {self._fault}", facts)
+        if learner.unexplained:
+            said = "something changed that no known effect explains: run longarm diagnose"
+            return Report(WARN, said, facts)
+        found = "; ".join(f"{n.text}, since {_clock(n.since_s)}" for n in learner.now)
+        state = "frozen" if learner.frozen else "learning"
+        return Report(OK, f"{state}: {found or 'nothing changed'}", facts)
+
+
+_OFF = "nothing is learned at work: kinematics has no parameter at_work"
+
+
+def _clock(at_s: float) -> str:
+    return datetime.fromtimestamp(at_s).strftime("%H:%M")

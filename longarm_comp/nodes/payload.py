@@ -1,0 +1,145 @@
+"""Weighs the payload by what the servos, or a wrist sensor, feel of it at rest."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.weighing import SD, Drives, Weighing, Wrist, felt
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.health import OK, WARN, Report
+from longarm_comp.nodes.messages import wrench_of
+from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.worker import Worker
+
+PARAMS = (
+    Param("servos", "", "the driver's file: what its servos tell of loads; empty: nothing"),
+    Param("payload.by_load", False, "a payload that nobody tells is what drives and wrist feel"),
+    Param("payload.wrench_sigma_n", 1.0, "zero and noise of the wrist's force", 1e-4, 1e4),
+)
+
+_NOTHING = "not weighed: no drive or wrist sensor tells a load"
+
+
+class Weigher:
+    """Weighs once a move, after the driver has said that it is done.
+
+    Args:
+        refused: called for every message that is refused, with its kind and the reason.
+        standing: model, readings (n,) and circumstances of now; None while they are not known.
+    """
+
+    def __init__(
+        self, node: Node, arm: Arm, p: dict[str, Any], state: ArmState, worker: Worker,
+        refused: Callable[[str, str], None],
+        standing: Callable[[], tuple[Model, np.ndarray, Context] | None],
+    ) -> None:  # fmt: skip
+        self._arm, self._state, self._worker, self._standing = arm, state, worker, standing
+        self._refused = refused
+        self._drives = drives(p["servos"], arm)
+        self._tells, self._settle_s = p["payload.by_load"], p["monitor.settle_s"]
+        self._max_age_s, self._sigma = p["context_max_age_s"], p["payload.wrench_sigma_n"]
+        self._weighing = Weighing(p["monitor.run_length"])
+        self._due = math.inf
+        self._wrist: Wrist | None = None
+        self._told: float | None = None
+        self._last_s = -math.inf
+        graph.WRENCH.subscription(node, self._on_wrench)
+
+    def moving(self) -> None:
+        """The arm was sent elsewhere."""
+        self._due = math.inf
+
+    def reached(self) -> None:
+        """The driver says that the arm rests where it was sent."""
+        self._due = time.monotonic() + self._settle_s
+
+    def read(self) -> None:
+        """Look at the joints' last reading: weigh where it is due, tell what was found."""
+        now = time.monotonic()
+        standing = self._standing() if now >= self._due else None
+        if standing is not None:
+            self._due = math.inf
+            self._worker.submit(partial(self._weigh, *standing, self._state.effort, self._wrist))
+        if self._tells and now - self._last_s >= 1.0:  # as often as a payload is told
+            self._last_s = now
+            self._tell(now)
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        try:
+            row, force = wrench_of(message, self._arm)
+        except InputError as error:
+            self._refused("bad wrench", str(error))
+            return
+        self._wrist = Wrist(row, force, self._sigma)
+
+    def _weigh(
+        self, model: Model, q: np.ndarray, context: Context, effort: np.ndarray,
+        wrist: Wrist | None,
+    ) -> None:  # fmt: skip
+        told = self._state.readings.fresh("payload", time.monotonic(), self._max_age_s)
+        kg = told.get("payload_kg")
+        if kg != self._told:
+            self._weighing, self._told = self._weighing.changed(), kg
+        self._weighing = self._weighing.felt(felt(model, q, context, effort, self._drives, wrist))
+
+    def _tell(self, now: float) -> None:
+        """The payload that was felt, where nobody else tells one."""
+        found, readings = self._weighing.payload, self._state.readings
+        if found is None or not found.tells(self._reference):
+            return
+        told = readings.fresh("payload", now, self._max_age_s)
+        columns = {} if told else {"payload_kg": found.kg, SD: found.sigma_kg}
+        self._state.readings = readings.told("load", columns, now)
+
+    @property
+    def _reference(self) -> float:
+        declared = self._arm.payload
+        return max(self._told or 0.0, 0.0 if declared is None else declared.mass_kg)
+
+    def report(self) -> Report:
+        """What is felt, against what is told, for diagnostics."""
+        found = self._weighing.payload
+        if self._arm.payload is None:
+            return Report(OK, "arm.yaml declares no payload")
+        if found is None or not math.isfinite(found.sigma_kg):
+            return Report(OK, _NOTHING)
+        facts = {"kg": round(found.kg, 4), "sigma [kg]": round(found.sigma_kg, 4)}
+        facts["rests"] = found.rests
+        said = self._told if self._told is not None else self._arm.payload.mass_kg
+        who = "told" if self._told is not None else "declared"
+        if self._weighing.contradicts(said):
+            wrong = f"{found} is felt, and {said:g} kg is {who}: weigh it, or say what is carried"
+            return Report(WARN, wrong, facts)
+        if not found.tells(self._reference):
+            return Report(OK, f"friction hides the payload: {found}", facts)
+        return Report(OK, f"{found} is felt, {said:g} kg is {who}", facts)
+
+
+def drives(servos: str, arm: Arm) -> Drives:
+    """What the servos of a driver's file tell of loads; NaN for joints of which it is not known.
+
+    Raises:
+        InputError: as `ServoConfig.load`.
+    """
+    config = ServoConfig.load(servos).joints if servos else {}
+    friction, step = np.full((2, arm.n), np.nan)
+    for k, name in enumerate(arm.joint_names):
+        joint = config.get(name)
+        if joint is not None and joint.full_effort is not None and joint.servo.friction is not None:
+            friction[k] = joint.full_effort * joint.servo.friction
+            step[k] = joint.full_effort / joint.servo.full_load
+    return Drives(friction, step)

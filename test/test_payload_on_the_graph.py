@@ -1,0 +1,103 @@
+"""A payload that is told wrong, on the graph: the servos' loads say it, and correct the command."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from std_msgs.msg import Float64
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import BringUp, running
+from longarm_interfaces.msg import Compensation
+from longarm_interfaces.srv import Compensate
+
+CARRIED_KG, TOLD_KG = 0.9, 0.25
+
+
+@pytest.fixture
+def arm_at_work(ros_domain: int, demo_arm_path: Path) -> Iterator[ArmClient]:
+    bringup = BringUp(
+        arm=demo_arm_path,
+        sim=True,
+        speed=10.0,
+        set={
+            "simulated_arm": {
+                "payload_kg": CARRIED_KG,
+                "context_rate_hz": 0.0,
+                "frame_rate_hz": 10.0,
+            },
+            "kinematics": {
+                "compiled": False,
+                "method": "deflection",
+                "move_time_s": 0.2,
+                "payload.by_load": True,
+                "context_max_age_s": 5.0,
+            },
+        },
+        without=("error_predictor", "stereo_bridge"),
+    )
+    with running(bringup), ArmClient(Arm.load(demo_arm_path), tips=graph.TIP_BY_READINGS) as client:
+        client.ready(120.0)
+        yield client
+
+
+def test_a_payload_that_is_told_wrong_is_felt_and_then_used(arm_at_work: ArmClient) -> None:
+    """Said while somebody tells it; once nobody does, commands are for what is felt."""
+    client = arm_at_work
+    said: list[DiagnosticArray] = []
+    done: list[Compensation] = []
+    told = graph.PAYLOAD.publisher(client.node)
+    timer = client.node.create_timer(0.5, lambda: told.publish(Float64(data=TOLD_KG)))
+    graph.DIAGNOSTICS.subscription(client.node, said.append)
+    graph.COMPENSATION.subscription(client.node, done.append)
+
+    def payload() -> DiagnosticStatus | None:
+        heard = [s for m in said for s in m.status if s.name.endswith("kinematics: payload")]
+        return heard[-1] if heard else None
+
+    def rests(status: DiagnosticStatus | None) -> int:
+        return 0 if status is None else int(_facts(status).get("rests", 0))
+
+    rng, arm = np.random.default_rng(3), client.arm
+    for k in range(15):
+        q = arm.lower + rng.uniform(0.2, 0.8, arm.n) * (arm.upper - arm.lower)
+        start = client.joints
+        client.send(q[None], 0.2)
+        client.arrive(q[None], np.full(arm.n, 2e-3), 0.2, 60.0, start=start)
+        client.until(lambda n=k + 1: rests(payload()) >= n, 60.0, "weighed")
+        found = payload()
+        if found.level == DiagnosticStatus.WARN:
+            break
+    assert found.level == DiagnosticStatus.WARN, found.message
+    assert f"{TOLD_KG:g} kg is told" in found.message
+    kg, sigma = (float(_facts(found)[name]) for name in ("kg", "sigma [kg]"))
+    assert abs(kg - CARRIED_KG) < 4.0 * sigma < 0.6
+    client.node.destroy_timer(timer)
+
+    def asked() -> bool:
+        compensate.call_async(request)
+        client.spin(1.0)
+        return bool(done) and abs(done[-1].payload_kg - CARRIED_KG) < 4.0 * sigma
+
+    compensate = graph.COMPENSATE.client(client.node)
+    request = Compensate.Request(position_only=True)
+    request.target.header.frame_id = "base"
+    p = request.target.pose.position
+    p.x, p.y, p.z = declared_model(arm).tip(arm.mid).tolist()
+    client.until(compensate.service_is_ready, 30.0, "compensate")
+    client.until(asked, 60.0, "what is felt")
+    assert "the payload is known to" in done[-1].message
+
+
+def _facts(status: DiagnosticStatus) -> dict[str, str]:
+    return {value.key: value.value for value in status.values}
