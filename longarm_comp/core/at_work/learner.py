@@ -21,7 +21,7 @@ from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.uncertainty import ModelUncertainty
+from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch
 
 DOUBT = 0.01
 """Probability that a sighting is wrong: of another point, or of an arm that still moves."""
@@ -190,7 +190,7 @@ class Learner:
         active, covariance = known.covariance()
         slots = tuple(known.space.identities[k] for k in active)
         factor = _factor(covariance)
-        record = dataclasses.replace(self.record, slots=slots, factor=factor, stretch=1.0)
+        record = dataclasses.replace(self.record, slots=slots, factor=factor, stretch=Stretch())
         made = dataclasses.replace(model, uncertainty=record)
         made.__dict__["chain"] = model.chain
         return made
@@ -242,7 +242,7 @@ def _begun(model: Model, context: Context) -> Bank:
     active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
     factor = record.factor[[at[space.identities[k]] for k in active]]
     covariance = factor @ factor.T
-    each = sorted({1.0, record.stretch})
+    each = sorted({1.0, max(1.0, record.stretch.factor)})
     begun = (Posterior.begun(space, space.values, active, by * covariance) for by in each)
     return Bank(tuple(Branch(1.0 / len(each), known) for known in begun))
 
