@@ -114,11 +114,13 @@ def test_play_that_grows_is_named_and_learned() -> None:
         assert seen <= 15
     (named,) = grown.named
     assert named.where == f"joint {JOINT}" and named.since_s == pytest.approx(360.0, abs=61.0)
-    assert named.effect == "friction_hysteresis"
-    assert dict((name, v) for name, _, v in named.by)["width"] == pytest.approx(4e-3, rel=0.3)
     assert work.missed(calm.model, 2e-3) > 4e-4
-    assert work.missed(work.learned(grown, 5, 2e-3).model, 2e-3) < 1e-4
-    again = work.learned(grown, 8, 4e-3)  # what wears, wears on
+    later = work.learned(grown, 12, 2e-3)
+    assert work.missed(later.model, 2e-3) < 1e-4
+    (known,) = later.now  # from both sides the cause is clear
+    assert known.effect == "friction_hysteresis" and known.probability > 0.9
+    assert {name: v for name, _, v in known.by}["width"] == pytest.approx(4e-3, rel=0.2)
+    again = work.learned(later, 8, 4e-3)  # what wears, wears on
     assert len(again.named) == 1
     assert work.missed(again.model, 4e-3) < 1e-4
 

@@ -242,7 +242,7 @@ def _begun(model: Model, context: Context) -> Bank:
     active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
     factor = record.factor[[at[space.identities[k]] for k in active]]
     covariance = factor @ factor.T
-    each = sorted({1.0, record.stretch.factor})
+    each = sorted({1.0, max(1.0, record.stretch.factor)})
     begun = (Posterior.begun(space, space.values, active, by * covariance) for by in each)
     return Bank(tuple(Branch(1.0 / len(each), known) for known in begun))
 
