@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ Line = Mapping[str, Any]
 Row = dict[str, Any]
 
 Z95 = 1.959963984540054
+_STATED = (0.001, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
 WORSE = 1.1
 """Largest allowed error of a found model, relative to the fit of the true model."""
 
@@ -137,6 +139,27 @@ def by_effect(lines: Sequence[Line]) -> list[Row]:
                 "off-grid ratio": float(np.median(ratios)),
             }
         )
+    return rows
+
+
+def reliability(lines: Sequence[Line]) -> list[Row]:
+    """Names as probable as they were called, against how many of them were hidden.
+
+    Of sessions whose causes are all in the library. Every name of every finding counts, at its
+    probability there; between 0.95 and 1 it is a single name.
+    """
+    stated: list[tuple[float, bool]] = []
+    for line in _ran(lines):
+        if line["case"]["group"] in ("none", "single", "pair"):
+            true = line["case"]["effects"]
+            for _, _, names in line["result"]["probabilities"]:
+                stated += [(p, name in true) for name, p in names.items()]
+    rows = []
+    for low, high in pairwise(_STATED):
+        mine = [(p, right) for p, right in stated if low < p <= high]
+        row = share(f"{low:g} to {high:g}", "of these names were hidden", [r for _, r in mine])
+        if row is not None:
+            rows.append(row | {"stated": float(np.mean([p for p, _ in mine]))})
     return rows
 
 

@@ -15,7 +15,7 @@ from small_arm import ARM
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.sessions.csv import read_csv
-from longarm_comp.sessions.foreign.clock import seconds
+from longarm_comp.sessions.foreign.units import seconds
 from longarm_comp.sessions.poses import read_poses
 
 JOINTS = "Point;A1 [deg];A2 [deg];A3 [mm];A4 [deg]\n"
@@ -54,6 +54,21 @@ def test_joints_and_points_are_joined_by_number(shell: Shell) -> None:
     assert "line 3, Point: 'P9'; allowed: each of them once" in shell.refused(*call, "Point")
     Path("named.txt").write_text("Point  X_mm  Y_mm  Z_mm\nX9  9  2  3\nY9  7  2  3\n")
     assert "no row in common" in shell.refused(*call, "Point")
+
+
+def test_what_a_controller_measured_is_a_reading(shell: Shell) -> None:
+    """Beside the command of each joint, in the unit of its column; blank is not read."""
+    Path("log.csv").write_text(
+        "A1 [deg];A2 [deg];A3 [mm];A4 [deg];A1_actual [deg];A3_actual [mm];x [mm];y [mm];z [mm]\n"
+        "10;20;50;3;9.5;49;7;2;3\n"
+        "11;25;60;-4;;60;8;2;3\n"
+    )
+    joints = "A1=q1,A2=q2,A3=q3,A4=q4,A1_actual=read_q1,A3_actual=read_q3"
+    assert shell("import-data", "log.csv", "--map", joints) == 0, shell.err
+    rows = read_csv("samples.csv", ARM)
+    assert rows.read_joints == (0, 2)
+    np.testing.assert_allclose(np.degrees(rows.readings["read_q1"][:, 0]), [9.5, np.nan])
+    np.testing.assert_allclose(rows.readings["read_q3"][:, 0], [0.049, 0.060])
 
 
 def test_files_are_joined_by_the_nearest_time(shell: Shell) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bag_robot import command, robot, row_said, sighting, state
 from hidden_arm import at
-from read_arm import ARM, ENCODERS, heavy, readings, sensed, session
+from read_arm import ARM, ENCODERS, SIGMA, heavy, readings, sensed, session
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
@@ -17,6 +18,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.rest import RestWatch
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
@@ -28,11 +30,17 @@ from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.noise import from_repeats
+from longarm_comp.core.identify.optimal_poses import Uncertainty
 from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model
+from longarm_comp.report.assemble import assemble
+from longarm_comp.report.candidate_states import sizes
+from longarm_comp.report.drawing import detail
+from longarm_comp.report.write import write_report
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.hidden import drives
@@ -155,10 +163,51 @@ def test_two_cameras_do_not_make_two_encoders() -> None:
     assert rows.measured[:, -1].all()
 
 
+@cache
+def drooping() -> Diagnosis:
+    """Of a servo that gives way, read."""
+    return diagnose(ARM, session((DROOP,)))
+
+
+def test_a_servo_that_gives_way_is_named_by_its_reading() -> None:
+    (found,) = drooping().findings
+    assert (found.names, found.where) == (("servo_droop",), ("joint 3",))
+
+
+def test_a_report_says_what_the_encoders_say(tmp_path: Path) -> None:
+    """What the servo gives way, and how little of it the model leaves."""
+    write_report(*assemble(drooping(), "0" * 64), tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "What the encoders say" in page
+    lines = detail(drooping(), sizes(drooping()), {}).encoders
+    assert [line.joint for line in lines] == list(ARM.joint_names)
+    rows = drooping().fit.session.take(drooping().fit.weights > 0)
+    for k, line in enumerate(lines):
+        off = 1e3 * (rows.readings[f"read_q{k + 1}"][:, 0] - rows.q[:, k])
+        assert (line.unit, line.mean) == ("mrad", pytest.approx(off.mean()))
+        assert line.left == pytest.approx(line.noise, rel=0.3)
+    assert max(lines, key=lambda line: line.rms).joint == ARM.joint_names[2]
+
+
+def test_poses_to_measure_ask_for_nothing_that_readings_tell() -> None:
+    """Joints that were read will be read again: then any pose splits droop from softness."""
+    left = []
+    for encoders in (True, False):
+        rows = session((DROOP, soft(3)), n=30, encoders=encoders)
+        model = Model(ARM, (ServoDroop(3), JointCompliance(3)))
+        known = Uncertainty.of(model, rows, "position", known=True, sigma=(1.0, 1.0))
+        assert known.sigma[0] == pytest.approx(SIGMA, rel=0.4)
+        sag = next(k for k, s in enumerate(known.slots) if s.parameter.name == "sag")
+        x = known.measures(sobol(ARM, 10, 0), "position")
+        assert x.shape[1] == (7 if encoders else 3)
+        flat = x.reshape(-1, x.shape[2])
+        left.append(np.linalg.inv(known.information + flat.T @ flat)[sag, sag])
+    assert left[0] < 1e-3 * left[1]
+
+
 @pytest.mark.parametrize(
     ("hidden", "name", "places"),
     [
-        ((DROOP,), "servo_droop", ["joint 3"]),
         ((soft(3),), "joint_compliance", ["joint 3"]),
         ((drives.Backlash(at(3, 3e-3), np.inf),), None, ["joint 3"]),
     ],
@@ -174,8 +223,14 @@ def test_a_reading_names_what_no_pose_can(hidden, name, places) -> None:
 
 
 def test_without_a_reading_droop_and_softness_stay_a_set() -> None:
-    (found,) = diagnose(ARM, session((soft(3),), encoders=False)).findings
+    """And the report says what would split it."""
+    diagnosis = diagnose(ARM, session((soft(3),), encoders=False))
+    (found,) = diagnosis.findings
     assert {"joint_compliance", "servo_droop"} <= set(found.names)
+    page = detail(diagnosis, sizes(diagnosis), {})
+    assert not page.encoders
+    said = [s.reason for s in page.splits if "servo_droop" in s.reason]
+    assert said and all("(read_q3)" in reason for reason in said)
 
 
 def test_both_at_one_joint_are_both_found() -> None:
@@ -228,10 +283,7 @@ def test_the_tip_by_readings_needs_no_model_of_the_servos() -> None:
     arm = by_readings(model)
     off = np.linalg.norm(arm.tip(fresh.read) - fresh.tip, axis=1)
     assert off.mean() < 0.1 * by_command
-    said = [
-        expected_miss(arm, q, Context.empty(), arm.tip(q)).expected_m
-        for q in fresh.read[:40]
-    ]
+    said = [expected_miss(arm, q, Context.empty(), arm.tip(q)).expected_m for q in fresh.read[:40]]
     assert off[:40].mean() == pytest.approx(np.mean(said), rel=0.5)
 
 

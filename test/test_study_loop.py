@@ -17,7 +17,7 @@ from studies import loop
 from studies.loop_cases import GROUPS, NAMES, SPOILED, Case, Design
 from studies.loop_score import true_fit
 from studies.loop_setting import set_up
-from studies.loop_table import by_effect, failures, share, summary, wilson
+from studies.loop_table import by_effect, failures, reliability, share, summary, wilson
 from studies.loop_truth import at_one_place, places, values
 
 
@@ -217,3 +217,24 @@ def test_the_command_reads_the_file_and_prints(study, tmp_path, capsys):
     printed = json.loads(capsys.readouterr().out)
     assert printed["summary"][0]["n"] == len(SPOILED)
     assert command_line(["study", "loop", "-o", str(copy), "--groups", "no"]) == 2
+
+
+def test_reliability_counts_every_name_at_its_probability():
+    def line(group: str, true: list[str], *found: dict[str, float]) -> dict:
+        stated = [[next(iter(names)), 1.0, names] for names in found]
+        return {"case": {"group": group, "effects": true}, "result": {"probabilities": stated}}
+
+    rows = reliability(
+        [
+            line("single", ["backlash"], {"backlash": 0.99, "joint_gain": 0.01}),
+            line("single", ["backlash"], {"joint_gain": 0.97}),
+            line("pair", ["backlash", "joint_gain"], {"joint_gain": 0.5, "backlash": 0.5}),
+            line("none", [], {"joint_gain": 0.97}),
+            line("removed", ["backlash"], {"joint_gain": 1.0}),
+        ]
+    )
+    counted = {row["of"]: (row["hits"], row["n"], row["stated"]) for row in rows}
+    assert counted["0.95 to 1"] == (1, 3, pytest.approx((0.99 + 0.97 + 0.97) / 3))
+    assert counted["0.4 to 0.6"] == (2, 2, 0.5)
+    assert counted["0.001 to 0.05"] == (0, 1, 0.01)
+    assert len(counted) == 3

@@ -131,6 +131,27 @@ class Check:
     result: str
 
 
+@dataclass(frozen=True)
+class Encoder:
+    """What the readings of a joint said, over the rows that were fitted; mrad or mm.
+
+    Attributes:
+        joint: its name.
+        unit: ``mrad`` or ``mm``.
+        mean, rms, most: of reading - command: mean, spread about it, largest distance from it.
+        left: rms that the model leaves of it.
+        noise: of the encoder.
+    """
+
+    joint: str
+    unit: str
+    mean: float
+    rms: float
+    most: float
+    left: float
+    noise: float
+
+
 @dataclass(frozen=True, eq=False)
 class Marked:
     """The arm in one posture, with the places of a finding.
@@ -159,6 +180,7 @@ class Detail:
         detectable: smallest visible size per effect.
         splits: sets with the poses that split them.
         checks: tests of the robustness of the findings.
+        encoders: of the joints that were read.
         marked: where each finding is on the arm, in the order of the cards.
         provenance: further facts, name -> value, shown after those of report.json.
     """
@@ -174,5 +196,6 @@ class Detail:
     detectable: tuple[Detectable, ...] = ()
     splits: tuple[SetSplit, ...] = ()
     checks: tuple[Check, ...] = ()
+    encoders: tuple[Encoder, ...] = ()
     marked: tuple[Marked, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)

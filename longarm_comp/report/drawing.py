@@ -6,29 +6,74 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.identify.visible_size import Smallest
-from longarm_comp.core.model.outline import outline
+from longarm_comp.core.model.encoders import tell_apart
+from longarm_comp.core.model.link_frames import outline
+from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.report.candidate_states import best_forms
 from longarm_comp.report.detail import (
     Check,
     Correlation,
     Detail,
     Detectable,
+    Encoder,
     Input,
+    Marked,
     SeenRows,
     SetSplit,
     SplitPose,
 )
-from longarm_comp.report.marks import marked
+
+
+def marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
+    """The arm at the held-out row that stretches it most, with the places of each finding.
+
+    Causes without a name that are in the model come last.
+    """
+    found = [f.terms for f in diagnosis.findings]
+    found += [cause.terms for cause in diagnosis.causes]
+    if not found:
+        return ()
+    rows, model = diagnosis.held_out, diagnosis.model
+    tips = model.tip(rows.q, rows.context())
+    row = int(np.linalg.norm(tips - tips.mean(axis=0), axis=1).argmax())
+    context, q = rows.context().take(row), rows.q[row]
+    line, posture = outline(model, q, context), model.posture(unstack(q), context)
+    return tuple(Marked(line, _places(terms, model, posture, context)) for terms in found)
+
+
+def _places(
+    terms: tuple[Effect | Bias, ...], model: Model, posture: Posture, context: Context
+) -> dict[str, np.ndarray]:
+    points: dict[str, list[np.ndarray]] = {}
+    for term in terms:
+        points.setdefault(term.where, []).extend(_points(term, model, posture, context))
+    return {where: np.mean(held, axis=0) for where, held in points.items()}
+
+
+def _points(
+    term: Effect | Bias, model: Model, posture: Posture, context: Context
+) -> list[np.ndarray]:
+    """The stations that it turns or moves; of a camera, the camera; else the tip."""
+    camera = model.arm.camera
+    if isinstance(term, Bias):
+        known = None if camera is None else [np.array(camera.position_m, dtype=float)]
+        return known or [stack(model.tip_frame(posture).p)]
+    stations = [posture.bearing(joint) for joint in term.joints]
+    stations = stations or [k for k in term.twists(posture) if k >= 0]
+    return [stack(posture.frames[k].p) for k in stations] or [stack(model.tip_frame(posture).p)]
+
 
 ARMS = 6
 """Number of arms drawn in the scene."""
-GUILTY = 4
-"""Most inputs that the residual is plotted against."""
 SPLITS = 3.0
 """Smallest expected log odds for which poses are worth measuring."""
 UNITS = {"temperature_c": "°C", "payload_kg": "kg", "t_s": "s"}
@@ -51,6 +96,7 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
         detectable=_detectable(diagnosis, tried),
         splits=tuple(split(diagnosis, s) for s in diagnosis.split_by),
         checks=_checks(diagnosis),
+        encoders=_encoders(diagnosis, units),
         marked=marked(diagnosis),
         provenance=facts,
     )
@@ -93,7 +139,8 @@ def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
         names += found.terms[0].inputs
     names += diagnosis.structure.inputs
     known = {entry.name for entry in rows.inputs}
-    return tuple(name for name in dict.fromkeys(names) if name in known)[:GUILTY]
+    # Most inputs that the residual is plotted against
+    return tuple(name for name in dict.fromkeys(names) if name in known)[:4]
 
 
 def _size(diagnosis: Diagnosis, term: Term) -> float:
@@ -148,6 +195,14 @@ def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
     if by.log_bayes_factor < SPLITS:
         reason = f"No pose tells {pair} apart: expected log odds {by.log_bayes_factor:.1f}."
         others = [a.candidate.terms[0] for a in found.alternatives[:1]]
+        first, read = found.terms[0], diagnosis.fit.session.read_joints
+        deciding = [
+            f"read_q{k + 1}"
+            for k, row in enumerate(diagnosis.arm.commanded)
+            if k not in read and any(tell_apart(diagnosis.arm, [row], first, o) for o in others)
+        ]
+        if deciding:
+            reason += f" What the encoders say does ({', '.join(deciding)})."
         if any({"temperature_c", "t_s"} & set(t.needs) for t in (*found.terms, *others)):
             reason += " Measure again after a pause, at another temperature."
         return SetSplit(found.names, reason, (), by.log_bayes_factor)
@@ -157,6 +212,23 @@ def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
     )
     reason = f"These poses do not tell {pair} apart."
     return SetSplit(found.names, reason, poses, by.log_bayes_factor)
+
+
+def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> tuple[Encoder, ...]:
+    """Reading less command of every joint that was read."""
+    fit, made = diagnosis.fit, []
+    rows, names = fit.session, diagnosis.arm.joint_names
+    for k in rows.read_joints:
+        name = f"read_q{k + 1}"
+        channel = rows.channels.index(name)
+        held = rows.measured[:, channel] & (fit.weights > 0)
+        off = 1e3 * (rows.readings[name][held, 0] - rows.q[held, k])
+        about = off - off.mean()
+        figures = (off.mean(), about.std(), np.abs(about).max())
+        left = 1e3 * np.sqrt(np.mean(fit.residual[held, channel] ** 2))
+        noise = 1e3 * fit.sigma[channel]
+        made.append(Encoder(names[k], f"m{units[k]}", *map(float, (*figures, left, noise))))
+    return tuple(made)
 
 
 def _checks(diagnosis: Diagnosis) -> tuple[Check, ...]:

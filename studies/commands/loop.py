@@ -60,7 +60,7 @@ def command(
     from longarm_comp.share import folder
     from studies.loop import run
     from studies.loop_cases import NAMES, Design
-    from studies.loop_table import by_effect, failures, summary
+    from studies.loop_table import by_effect, failures, reliability, summary
 
     design = Design(
         groups=groups.split(","),
@@ -76,14 +76,18 @@ def command(
     cases = design.cases()
     with progress("study loop") as show:
         lines = run(cases, declared, output, jobs=jobs, dask=dask, progress=show)
-    table, effects_table, broken = summary(lines), by_effect(lines), failures(lines)
+    broken = failures(lines)
+    tables = {
+        "summary": (f"{len(lines)} cases", summary(lines)),
+        "by_effect": ("Visible single effects", by_effect(lines)),
+        "reliability": ("Names by their stated probability", reliability(lines)),
+    }
     if as_json:
-        print_json({"summary": table, "by_effect": effects_table, "failures": broken})
+        print_json({name: rows for name, (_, rows) in tables.items()} | {"failures": broken})
         return
-    if table:
-        print_rows(f"{len(lines)} cases", table)
-    if effects_table:
-        print_rows("Visible single effects", effects_table)
+    for title, rows_ in tables.values():
+        if rows_:
+            print_rows(title, rows_)
     for line in broken:
         note(line)
 

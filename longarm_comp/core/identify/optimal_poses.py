@@ -9,9 +9,8 @@ Verdinelli 1995).  Poses are chosen one by one from a pool and then exchanged wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -73,6 +72,7 @@ class Uncertainty:
         information: (p, p) inverse covariance in these units.
         sigma: noise of a length (m) and of an angle (rad).
         framed: whether what is measured shows where the base stands.
+        read: noise of the joint readings that each pose has too, rad or m, by name.
     """
 
     model: Model
@@ -80,6 +80,7 @@ class Uncertainty:
     information: np.ndarray
     sigma: tuple[float, float]
     framed: bool = True
+    read: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -96,7 +97,8 @@ class Uncertainty:
 
         Args:
             model: the arm as declared or calibrated.
-            measured: rows that were measured so far; they give the noise too.
+            measured: rows that were measured so far; they give the noise too, and joints that were
+                read will be read again.
             measure: what the next poses measure.
             known: whether the model holds every effect that the arm has; else all of the library
                 may be there.
@@ -111,14 +113,17 @@ class Uncertainty:
         whole = model
         for rows in asked if measured is None else (*asked, measured):
             whole = whole.with_missing(geometry(model.arm, rows))
-        fitted = None
+        fitted, read = None, dict[str, float]()
         if measured is not None:
             fitted = fit(
                 started(model.with_missing(geometry(model.arm, measured)), measured), measured
             )
             whole = fitted.model.with_missing(whole.terms)
-            lengths = [s for s, u in zip(fitted.sigma, measured.units, strict=True) if u == "m"]
-            held = [s for s in lengths if np.isfinite(s)]
+            noise = dict(zip(measured.channels, fitted.sigma.tolist(), strict=True))
+            names = [f"read_q{k + 1}" for k in measured.read_joints]
+            read = {name: noise.pop(name) for name in names}
+            length = {c for c, u in zip(measured.channels, measured.units, strict=True) if u == "m"}
+            held = [s for c, s in noise.items() if c in length and np.isfinite(s)]
             sigma = (float(np.median(held)) if held else sigma[0], sigma[1])
         if not known:
             sides = np.array([1.0, -1.0])
@@ -132,7 +137,7 @@ class Uncertainty:
             white = whiten(columns, fitted.weights, fitted.sigma, fitted.rho, seen.mask)
             information = information + white.T @ white
         framed = any(k.framed(model.arm) for r in (*asked, measured) if r for k in r.kinds)
-        return cls(whole, scale, information, sigma, framed)
+        return cls(whole, scale, information, sigma, framed, read)
 
     @property
     def slots(self) -> tuple[Slot, ...]:
@@ -142,9 +147,10 @@ class Uncertainty:
     def measures(self, plan: Plan, measure: Measure) -> np.ndarray:
         """(M, d, p) what the poses measure, in units of the noise, by every parameter."""
         made = []
-        for rows in _rows(self.model.arm, plan, measure):
+        for rows in _rows(self.model.arm, plan, measure, self.read):
             found = equations(self.model, rows, posture(self.model, rows)).columns
-            noise = np.array([self.sigma[unit == "rad"] for unit in rows.units])
+            known = zip(rows.channels, rows.units, strict=True)
+            noise = np.array([self.read.get(c, self.sigma[unit == "rad"]) for c, unit in known])
             made.append(found * self.scale / noise[:, None])
         return np.concatenate(made, axis=1)
 
@@ -276,22 +282,28 @@ class _Choice:
         return made
 
 
-def _rows(arm: Arm, plan: Plan, measure: Measure) -> list[Session]:
+def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> list[Session]:
     """What the poses measure, as sessions of one kind; the readings themselves do not matter."""
-    n, record = len(plan), partial(Session.record, plan.q, approach=plan.approach)
+    n = len(plan)
+    joints = {f"read_q{k + 1}": plan.q[:, k : k + 1] for k in range(plan.q.shape[1])}
+    told = {name: joints[name] for name in read}
+
+    def record(xyz: float, **labels: np.ndarray) -> Session:
+        where = np.full((n, 3), xyz)
+        return Session.record(plan.q, where, approach=plan.approach, readings=told, labels=labels)
+
     if measure == "position":
-        return [record(np.zeros((n, 3)))]
+        return [record(0.0)]
     if measure == "pose":
-        turned = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
-        return [record(np.zeros((n, 3)), readings={"orientation": turned})]
+        told["orientation"] = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+        return [record(0.0)]
     if measure == "touch":
-        names = np.full(n, "") if plan.touch is None else plan.touch
-        return [record(np.full((n, 3), np.nan), labels={"touch": names})]
+        return [record(np.nan, touch=np.full(n, "") if plan.touch is None else plan.touch)]
     places = [name for name, anchor in arm.anchors.items() if anchor.xyz_m is not None]
     if not places:
         raise InputError("plan", "measure", measure, "anchors with their places in arm.yaml")
-    blank, far = np.full((n, 3), np.nan), {"distance": np.ones((n, 1))}
-    return [record(blank, readings=far, labels={"anchor": np.full(n, name)}) for name in places]
+    told["distance"] = np.ones((n, 1))
+    return [record(np.nan, anchor=np.full(n, name)) for name in places]
 
 
 def _library(arm: Arm, rows: Session, model: Model) -> list[Effect | Bias]:

@@ -21,7 +21,7 @@ from longarm_comp.core.identify.evidence import FitColumns, columns_at, refined
 from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
-from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.found import CREDIBLE, Explained, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import TOLERANCES, offered
 from longarm_comp.core.identify.posterior.propositions import propositions
@@ -155,9 +155,8 @@ class _Search:
         for _ in range(ROUNDS):
             self._scan(state)
             self.propositions = functions(state.fit, state.found) if functions else ()
-            banks = self._offered(state)
-            explained = max((b.explained() for b in banks), key=lambda e: e.evidence)
-            if explained.evidence < max(b.standing for b in banks) + BETTER:
+            explained = self._explained(state)
+            if explained is None:
                 break
             for f in explained.found:
                 say(Candidate(f.name, f.terms).label)
@@ -169,6 +168,15 @@ class _Search:
                 break
             state = taken
         return state
+
+    def _explained(self, state: _State) -> Explained | None:
+        """A better explanation than what stands, by the likeliest tolerance that has one."""
+        banks = sorted(self._offered(state), key=lambda bank: -bank.standing)
+        for bank in banks:
+            explained = bank.explained()
+            if explained.evidence >= banks[0].standing + BETTER:
+                return explained
+        return None
 
     def _rose(self, before: _State, now: _State) -> bool:
         """Whether the explanation in the model is better, once fitted, than the one before.
