@@ -31,13 +31,21 @@ class QuickArm:
     Args:
         arm: whose joints.
         sees: whether the cameras see the marker at joints (n,).
+        tip: (3,) m at joints (n,) that arrived from sides (n,); as declared where not given.
     """
 
-    def __init__(self, arm: Arm, sees: Callable[[np.ndarray], bool]) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        sees: Callable[[np.ndarray], bool],
+        tip: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    ) -> None:
         self.arm, self.sees = arm, sees
         self.visited: list[np.ndarray] = []
         self.heard: list[Any] = []
-        self._model = declared_model(arm)
+        model = declared_model(arm)
+        self.tip = tip or (lambda q, side: model.tip(q))
+        self._q, self._side = arm.mid, np.ones(arm.n)
         self.stand(arm.mid)
         self._way: list[np.ndarray] = []
         self._id = ""
@@ -58,14 +66,18 @@ class QuickArm:
 
     def stand(self, q: np.ndarray) -> None:
         """Stand at joints (n,)."""
+        self._side = np.where(q == self._q, self._side, np.sign(q - self._q))
         self._q = q.copy()
-        self._tip = self._model.tip(q) if self.sees(q) else np.full(3, np.nan)
+        self._tip = self.tip(q, self._side) if self.sees(q) else np.full(3, np.nan)
 
     def hold(self, on: bool, state: int = DriverState.HOLDING) -> None:
         """Hold the arm where it is, or let it go on; or another state in which it is stopped."""
         self._state = state if on else DriverState.READY
         if on:
             self._way.clear()
+        self._tell()
+
+    def _tell(self) -> None:
         self._states.publish(DriverState(state=self._state, message="by the test"))
 
     def pause(self, on: bool) -> None:
@@ -80,6 +92,8 @@ class QuickArm:
         else:
             self._id = told.id
             self._way = [np.array(point.positions) for point in message.points]
+            told.start = JointState(name=list(self.arm.joint_names), position=self._q.tolist())
+            told.points = message.points
             self.visited.append(self._way[-1])
         self._motions.publish(told)
 
@@ -88,6 +102,7 @@ class QuickArm:
             self.stand(self._way.pop(0))
             if not self._way:
                 self._motions.publish(Motion(id=self._id, event=Motion.REACHED))
+        self._tell()
         now = self.node.get_clock().now().to_msg()
         joints = JointState(name=list(self.arm.joint_names), position=self._q.tolist())
         joints.header.stamp = now
@@ -104,9 +119,13 @@ class QuickArm:
 
 
 @contextlib.contextmanager
-def quick_arm(arm: Arm, sees: Callable[[np.ndarray], bool]) -> Iterator[QuickArm]:
+def quick_arm(
+    arm: Arm,
+    sees: Callable[[np.ndarray], bool],
+    tip: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> Iterator[QuickArm]:
     """The arm on the graph, in a thread of its own."""
-    made = QuickArm(arm, sees)
+    made = QuickArm(arm, sees, tip)
     executor = SingleThreadedExecutor(context=made.context)
     executor.add_node(made.node)
     thread = threading.Thread(target=executor.spin)

@@ -26,7 +26,7 @@ from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
-from longarm_comp.workflows.kind_of_arm import kind_from
+from longarm_comp.workflows.calibrate import kind_from
 
 NAMES = ("1", "2", "3", "4", "6", "7")
 ROWS, DRAWS = 6, 4

@@ -56,7 +56,7 @@ def command(
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.diagnose import diagnose_files
-    from longarm_comp.workflows.effect_file import write_effects
+    from longarm_comp.workflows.diagnosis_files import write_effects
 
     declared = Arm.load(arm)
     with progress("diagnose") as show:

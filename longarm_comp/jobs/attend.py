@@ -13,7 +13,7 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.client import GraphClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
-from longarm_comp.nodes.health import TIP_SAID
+from longarm_comp.nodes.health import LEARNED_SAID, TIP_SAID
 from longarm_comp.nodes.interfaces import Service
 from longarm_interfaces.msg import DriverState
 
@@ -36,7 +36,7 @@ _NEXT = {
 
 
 @dataclass(frozen=True)
-class Trouble:
+class _Trouble:
     """A part of a node that is not well, in its own words; level: warning, error or stale."""
 
     node: str
@@ -46,7 +46,7 @@ class Trouble:
 
 
 @dataclass(frozen=True)
-class Standing:
+class _Standing:
     """How an arm stands.
 
     Attributes:
@@ -55,14 +55,16 @@ class Standing:
         troubles: of their parts.
         next: command that leads on; empty where none is needed.
         tip: where the tip stands by the readings of the joints, in one sentence; empty: unknown.
+        learned: what was learned at work, likewise.
     """
 
     driver: str
     why: str
     nodes: tuple[str, ...]
-    troubles: tuple[Trouble, ...]
+    troubles: tuple[_Trouble, ...]
     next: str
     tip: str = ""
+    learned: str = ""
 
 
 class Attendant:
@@ -86,7 +88,7 @@ class Attendant:
                 told = ord(status.level), status.message
                 self._reports.setdefault(name, {})[part] = told
 
-    def standing(self) -> Standing:
+    def standing(self) -> _Standing:
         """How the arm stands, as soon as every node of it that is on the graph has reported."""
         client, where = self._client, self._namespace or "/"
         own = client.node.get_name()
@@ -114,10 +116,10 @@ class Attendant:
                 self._reports[name] = {"process": (3, f"does not report: {late}")}
         return self._standing()
 
-    def _standing(self) -> Standing:
+    def _standing(self) -> _Standing:
         driver = self._driver
         troubles = tuple(
-            Trouble(node, part, _LEVELS[min(level, 3)], message)
+            _Trouble(node, part, _LEVELS[min(level, 3)], message)
             for node, parts in sorted(self._reports.items())
             for part, (level, message) in parts.items()
             if level
@@ -127,8 +129,9 @@ class Attendant:
         step = _NEXT.get(driver.state, "") if driver else "longarm up ARM"
         if step == "longarm reset" and self._namespace:
             step += f" --namespace {self._namespace[1:]}"
-        _, tip = self._reports.get("kinematics", {}).get(TIP_SAID, (0, ""))
-        return Standing(words, why, tuple(sorted(self._reports)), troubles, step, tip)
+        said = self._reports.get("kinematics", {})
+        tip, learned = (said.get(part, (0, ""))[1] for part in (TIP_SAID, LEARNED_SAID))
+        return _Standing(words, why, tuple(sorted(self._reports)), troubles, step, tip, learned)
 
     # ------------------------------------------------------------------ asking
 

@@ -28,7 +28,7 @@ from longarm_comp.nodes.images import image_message, info_message
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.stamps import stamp_of
-from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.nodes.worker import Worker
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.plant import Plant, PlantConfig, hidden_effects, mounting
@@ -74,8 +74,6 @@ PARAMS = (
     PERIOD,
 )
 
-_RINGS_S = 0.01
-"""Between two steps of the arm's vibration, s: a small part of the first modes' periods."""
 _FELT_S = 0.1
 """Between two looks for contact of the ball, s."""
 _SIDES = ("left", "right")
@@ -100,7 +98,7 @@ def _numbers(field: str, text: str, allowed: str) -> dict[str, float]:
 
 def places(text: str) -> dict[str, tuple[float, ...]]:
     """Sockets and their places, m, of ``name=x,y,z name=x,y,z``."""
-    made = {}
+    made: dict[str, tuple[float, ...]] = {}
     for part in text.split():
         name, _, place = part.partition("=")
         try:
@@ -120,7 +118,7 @@ def _named(field: str, text: str, known: Iterable[str]) -> list[str]:
     return text.split()
 
 
-class SimulatedArm(Node):
+class _SimulatedArm(Node):
     """Renders images on a thread. A frame is skipped while the last one is being rendered."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
@@ -177,7 +175,8 @@ class SimulatedArm(Node):
             self._chance = np.random.default_rng([p["seed"], 1])
             steady_timer(self, 1.0 / p["wire_faults_hz"], self._spoil)
         if p["damping"]:
-            steady_timer(self, _RINGS_S, self._ring)
+            # Between two steps of the arm's vibration, s: a small part of the first modes' periods
+            steady_timer(self, 0.01, self._ring)
         self._health = Health(self, {"plant": self._report}, p[PERIOD.name])
         self._plant.start()
 
@@ -266,7 +265,7 @@ class SimulatedArm(Node):
 
 def main() -> None:
     """Run the node."""
-    sys.exit(run(SimulatedArm))
+    sys.exit(run(_SimulatedArm))
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.assemble import assemble, refused
 from longarm_comp.report.write import write_report
+from longarm_comp.workflows.calibrate import kind_from
 from longarm_comp.workflows.diagnosis_files import (
     write_model,
     write_next,
@@ -40,9 +41,8 @@ from longarm_comp.workflows.inputs import (
     log_note,
     physics,
 )
-from longarm_comp.workflows.kind_of_arm import kind_from
-from longarm_comp.workflows.residual import training_rows
 from longarm_comp.workflows.telling import Telling, teller
+from longarm_comp.workflows.train import training_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

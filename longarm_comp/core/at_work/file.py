@@ -87,7 +87,9 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
     versions = (
         begun.versions[0],
         *(
-            Version(v.at_s or 0.0, restore(v.model, arm, where), v.named and _named(v.named))
+            Version(
+                v.at_s or 0.0, restore(v.model, arm, where), _named(v.named) if v.named else None
+            )
             for v in stored.versions[1:]
         ),
     )

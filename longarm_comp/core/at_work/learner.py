@@ -1,8 +1,8 @@
 """The model at work learns from sightings of ordinary moves.
 
 Each sighting is an equation of the model's parameters and of all that may have changed
-(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is said:
-which effect moved, since when, how much.
+(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is
+said: which effect moved, since when, how much.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.uncertainty import ModelUncertainty
+from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch
 
 DOUBT = 0.01
 """Probability that a sighting is wrong: of another point, or of an arm that still moves."""
@@ -54,7 +54,7 @@ class Named:
 
     @property
     def text(self) -> str:
-        """In one line: ``backlash (61 %) or friction_hysteresis (39 %), joint 2: width +3.1e-03 rad``."""
+        """``backlash (61 %) or friction_hysteresis (39 %), joint 2: width +3.1e-03 rad``."""
         each = ((self.effect, self.probability), *self.rivals)
         names = " or ".join(f"{name} ({100 * p:.0f} %)" for name, p in each)
         by = ", ".join(f"{name} {value:+.2g} {unit}" for name, unit, value in self.by)
@@ -190,7 +190,7 @@ class Learner:
         active, covariance = known.covariance()
         slots = tuple(known.space.identities[k] for k in active)
         factor = _factor(covariance)
-        record = dataclasses.replace(self.record, slots=slots, factor=factor, stretch=1.0)
+        record = dataclasses.replace(self.record, slots=slots, factor=factor, stretch=Stretch())
         made = dataclasses.replace(model, uncertainty=record)
         made.__dict__["chain"] = model.chain
         return made
@@ -230,15 +230,21 @@ class Learner:
 
 
 def _begun(model: Model, context: Context) -> Bank:
-    """What a fitted model's record says."""
+    """What a fitted model's record says.
+
+    Its parameters are known as well as its form is right, or only as well as rows that were left
+    out of the fit say: both go on side by side, and the sightings decide.
+    """
     record = model.uncertainty
     assert record is not None
     space = Parameters.of(model, context)
     at = {identity: k for k, identity in enumerate(record.slots)}
     active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
     factor = record.factor[[at[space.identities[k]] for k in active]]
-    covariance = record.stretch * factor @ factor.T
-    return Bank((Branch(1.0, Posterior.begun(space, space.values, active, covariance)),))
+    covariance = factor @ factor.T
+    each = sorted({1.0, max(1.0, record.stretch.factor)})
+    begun = (Posterior.begun(space, space.values, active, by * covariance) for by in each)
+    return Bank(tuple(Branch(1.0 / len(each), known) for known in begun))
 
 
 def _values(space: Parameters, model: Model) -> np.ndarray:

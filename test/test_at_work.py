@@ -1,0 +1,183 @@
+"""The recursive posterior of the model at work, on the small arm with play in one joint."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from at_work_arm import JOINT, NOISE, fitted, true_tip
+from small_arm import ARM
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import LEGS
+from longarm_comp.core.at_work import file
+from longarm_comp.core.at_work.changes import Parameters
+from longarm_comp.core.at_work.learner import Learner
+from longarm_comp.core.at_work.posterior import Posterior, Row
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
+
+VARIANCE = np.full(3, NOISE**2)
+
+
+class Work:
+    """Sightings of an arm at random joints from random sides."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.number = 0
+
+    def pose(self) -> tuple[np.ndarray, Context, np.ndarray]:
+        """Joints, circumstances and sides of the next pose."""
+        q = ARM.lower + self.rng.random(ARM.n) * (ARM.upper - ARM.lower)
+        side = self.rng.choice([-1.0, 1.0], ARM.n)
+        long = np.zeros((ARM.n, LEGS))
+        long[:, 0] = side
+        return q, Context(approach=tuple(side), legs=tuple(long.ravel())), side
+
+    def learned(
+        self, learner: Learner, count: int, more: float = 0.0, off: float = 0.0, noise: float = 1.0
+    ) -> Learner:
+        """After sightings with more half play, a wrong marker, other noise."""
+        for _ in range(count):
+            q, context, side = self.pose()
+            self.number += 1
+            tip = true_tip(q[None], side[None], more)[0] + off
+            tip = tip + noise * NOISE * self.rng.standard_normal(3)
+            learner = learner.seen(q, context, tip, VARIANCE, 60.0 * self.number)
+        return learner
+
+    def missed(self, model: Model, more: float, count: int = 20) -> float:
+        """Mean distance of the true tip from what a model promises, m."""
+        poses = [self.pose() for _ in range(count)]
+        off = [model.tip(q, c) - true_tip(q[None], s[None], more)[0] for q, c, s in poses]
+        return float(np.linalg.norm(off, axis=1).mean())
+
+
+def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
+    """Gram and right side of a jump, and how the other numbers follow it, without recursion."""
+    rng = np.random.default_rng(3)
+    space = Parameters.of(fitted(), Work().pose()[1])
+    active = np.arange(6)
+    root = rng.standard_normal((6, 6))
+    prior = root @ root.T
+    known = Posterior.begun(space, space.values, active, prior)
+    rows = [
+        Row(float(k), rng.standard_normal((3, len(space))), rng.standard_normal(3), np.eye(3), 1.0)
+        for k in range(9)
+    ]
+    for row in rows:
+        known = known.seen(row)
+    columns = np.concatenate([row.columns for row in rows])
+    data = np.concatenate([row.value for row in rows]) - columns @ space.values
+    a = columns[:, active]
+    whitened = np.linalg.inv(a @ prior @ a.T + np.eye(len(a)))
+    for onset, change in ((2, 0), (5, len(space.keys) - 1)):
+        places = space.own(change)
+        jump = columns[:, places] * space.widths[places]
+        jump[: 3 * onset] = 0.0
+        k = len(places)
+        np.testing.assert_allclose(
+            known.gram[onset, change, :k, :k], jump.T @ whitened @ jump, rtol=1e-6
+        )
+        np.testing.assert_allclose(
+            known.along[onset, change, :k], jump.T @ whitened @ data, rtol=1e-6
+        )
+        unit = np.eye(len(space))[places[0]]
+        shifted = data - jump[:, 0] / space.widths[places[0]]
+        expected = prior @ a.T @ whitened @ shifted
+        got = (known.mean - space.values)[active] - known.response[onset] @ unit
+        np.testing.assert_allclose(got, expected, atol=1e-8)
+
+
+def test_in_quiet_hours_nothing_is_named_and_nothing_is_lost() -> None:
+    work, begun = Work(), Learner.of(fitted())
+    learner = work.learned(begun, 60)
+    assert learner.known is not None and learner.named == () and not learner.unexplained
+    assert learner.doubtful == 0
+    assert min(b.known.nothing for b in learner.known.branches) > 0.9
+    assert work.missed(learner.model, 0.0) < work.missed(begun.model, 0.0) + 2e-5
+    first, last = learner.versions[0].model.uncertainty, learner.model.uncertainty
+    assert first is not None and last is not None
+    before, after = (np.trace(u.factor @ u.factor.T) for u in (first, last))
+    assert after <= before * (1 + 1e-6)  # no drift: what is known is never forgotten
+
+
+def test_play_that_grows_is_named_and_learned() -> None:
+    work = Work()
+    calm = work.learned(Learner.of(fitted()), 5)
+    grown, seen = work.learned(calm, 1, 2e-3), 1
+    while not grown.named:
+        grown, seen = work.learned(grown, 1, 2e-3), seen + 1
+        assert seen <= 15
+    (named,) = grown.named
+    assert named.where == f"joint {JOINT}" and named.since_s == pytest.approx(360.0, abs=61.0)
+    assert work.missed(calm.model, 2e-3) > 4e-4
+    later = work.learned(grown, 12, 2e-3)
+    assert work.missed(later.model, 2e-3) < 1e-4
+    (known,) = later.now  # from both sides the cause is clear
+    assert known.effect == "friction_hysteresis" and known.probability > 0.9
+    assert {name: v for name, _, v in known.by}["width"] == pytest.approx(4e-3, rel=0.2)
+    again = work.learned(later, 8, 4e-3)  # what wears, wears on
+    assert len(again.named) == 1
+    assert work.missed(again.model, 4e-3) < 1e-4
+
+
+def test_a_step_is_bounded() -> None:
+    work = Work()
+    calm = dataclasses.replace(work.learned(Learner.of(fitted()), 3), step_m=1e-4)
+    for _ in range(6):
+        q, context, side = work.pose()
+        tip = true_tip(q[None], side[None], 3e-3)[0]
+        after = calm.seen(q, context, tip, VARIANCE, 0.0)
+        assert np.linalg.norm(after.model.tip(q, context) - calm.model.tip(q, context)) < 1.1e-4
+        calm = after
+
+
+def test_a_doubtful_sighting_teaches_nothing() -> None:
+    work = Work()
+    calm = work.learned(Learner.of(fitted()), 5)
+    fooled = work.learned(calm, 1, off=0.05)
+    assert fooled.model is calm.model
+    after = work.learned(fooled, 3)
+    assert after.doubtful == 1 and after.named == ()
+    assert work.missed(after.model, 0.0) < 1e-4
+
+
+def test_what_no_effect_explains_is_handed_over() -> None:
+    work = Work()
+    learner = work.learned(work.learned(Learner.of(fitted()), 5), 12, noise=12.0)
+    assert learner.unexplained and learner.named == ()
+
+
+def test_frozen_undone_and_learning_again() -> None:
+    work = Work()
+    grown = work.learned(work.learned(Learner.of(fitted()), 4), 15, 2e-3)
+    assert work.learned(grown.freeze(), 2, 2e-3).model is grown.model
+    back = grown.undo()
+    assert back.frozen and back.model is grown.versions[0].model and back.named == ()
+    assert work.missed(back.model, 2e-3) > 4e-4
+    assert work.learned(back, 3, 2e-3).model is back.model
+    assert work.missed(work.learned(back.thaw(), 15, 2e-3).model, 2e-3) < 1e-4
+
+
+def test_a_restart_goes_on_from_the_file(tmp_path: Path) -> None:
+    work, path = Work(), tmp_path / "at_work.json"
+    assert file.load(path, fitted(), "hash").sightings == 0  # there is none yet
+    grown = work.learned(work.learned(Learner.of(fitted()), 4), 15, 2e-3)
+    file.save(path, grown, "hash")
+    back = file.load(path, fitted(), "hash")
+    assert back.named == grown.named and back.sightings == grown.sightings
+    assert work.missed(back.model, 2e-3) == pytest.approx(work.missed(grown.model, 2e-3), abs=2e-5)
+    assert work.missed(work.learned(back, 5, 2e-3).model, 2e-3) < 1e-4
+    assert file.load(path, fitted(), "another model").sightings == 0
+    path.write_text("{")
+    with pytest.raises(InputError, match=r"at_work\.json"):
+        file.load(path, fitted(), "hash")
+
+
+def test_a_model_that_does_not_say_how_good_it_is_cannot_learn() -> None:
+    with pytest.raises(InputError, match="uncertainty"):
+        Learner.of(Model(ARM))

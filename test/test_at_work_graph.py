@@ -1,0 +1,148 @@
+"""`kinematics` learns at work on a real graph: play grows while targets are served."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from at_work_arm import JOINT, NOISE, fitted, true_tip
+from geometry_msgs.msg import PoseStamped
+from nodes_bench import Bench, bench
+from quick_arm import quick_arm
+from small_arm import ARM
+from std_srvs.srv import SetBool, Trigger
+
+from longarm_comp.core.model.model_file import save_model, store
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import LEARNED_SAID
+from longarm_interfaces.srv import Compensate
+
+GROWTH = 2e-3
+
+
+@pytest.fixture
+def stage(ros_domain: int) -> Iterator[Bench]:
+    with bench() as made:
+        yield made
+
+
+class WornArm:
+    """Where the true tip is, and what is seen of it.
+
+    Attributes:
+        more: half play that has grown, rad.
+        stands: joints (n,) where it stands, and the true tip there (3,) m.
+    """
+
+    def __init__(self) -> None:
+        self.more, self.noise = 0.0, np.random.default_rng(2)
+        self.stands, self.true = ARM.mid, np.zeros(3)
+
+    def seen(self, q: np.ndarray, side: np.ndarray) -> np.ndarray:
+        self.true = true_tip(q[None], side[None], self.more)[0]
+        self.stands = q
+        return np.asarray(self.true + NOISE * self.noise.standard_normal(3))
+
+
+class Work:
+    """Targets, one after another, and what `kinematics` says of them."""
+
+    def __init__(self, stage: Bench, arm: WornArm) -> None:
+        self.stage, self.arm = stage, arm
+        self.rng = np.random.default_rng(5)
+        self.ask = graph.COMPENSATE.client(stage.node)
+        self.diagnostics = stage.collect(graph.DIAGNOSTICS)
+
+    def said(self) -> tuple[str, dict[str, str]]:
+        """The last report on what was learned: message and facts."""
+        for array in reversed(self.diagnostics):
+            for status in array.status:
+                if status.name == f"/kinematics: {LEARNED_SAID}":
+                    return status.message, {v.key: v.value for v in status.values}
+        return "", {}
+
+    def serve(self) -> float:
+        """Serve a target and wait until its sighting is learned; the true tip's miss."""
+        before = int(self.said()[1].get("sightings", 0))
+        miss = self.reach()
+        self.stage.spin(lambda: int(self.said()[1].get("sightings", 0)) > before, within=60.0)
+        return miss
+
+    def reach(self) -> float:
+        """Serve a target; by how much the true tip misses it, m."""
+        q = ARM.lower + (0.1 + 0.8 * self.rng.random(ARM.n)) * (ARM.upper - ARM.lower)
+        target = fitted().tip(q)
+        pose = PoseStamped()
+        pose.header.frame_id = "base"
+        p = pose.pose.position
+        p.x, p.y, p.z = target.tolist()
+        request = Compensate.Request(target=pose, position_only=True, execute=True)
+
+        def sent() -> bool:
+            answer = self.stage.call(self.ask, request, within=120.0)
+            assert answer.success or answer.status in (
+                Compensate.Response.NOT_READY, Compensate.Response.NO_DRIVER,
+            ), answer.message  # fmt: skip
+            self.answer = answer
+            return bool(answer.success)
+
+        self.stage.spin(sent, within=120.0)
+        end = np.array(self.answer.command.position)
+        self.stage.spin(lambda: np.array_equal(self.arm.stands, end), within=60.0)
+        return float(np.linalg.norm(self.arm.true - target))
+
+
+def started(stage: Bench, folder: Path) -> None:
+    arm = folder / "arm.yaml"
+    if not arm.exists():
+        arm.write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_none=True)))
+        save_model(folder / "model.yaml", store(fitted()))
+    stage.start(
+        "kinematics",
+        {
+            "arm": arm, "model": folder / "model.yaml", "at_work": folder / "at_work.json",
+            "acknowledged": True, "diagnostics_period_s": 0.2, "method": "deflection",
+            "monitor.settle_s": 0.1, "monitor.sightings": 1, "joints_max_rate": 1e6,
+        },
+    )  # fmt: skip
+
+
+def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
+    stage: Bench, tmp_path: Path
+) -> None:
+    arm = WornArm()
+    with quick_arm(ARM, lambda q: True, arm.seen):
+        started(stage, tmp_path)
+        work = Work(stage, arm)
+        for _ in range(4):
+            calm = work.serve()
+        assert calm < 1e-4
+        assert "nothing changed" in work.said()[0]
+
+        arm.more = GROWTH
+        missed: list[float] = []
+        while f"joint {JOINT}" not in work.said()[0]:
+            missed.append(work.serve())
+            assert len(missed) <= 15, work.said()
+        assert max(missed) > 5e-4  # it was there
+        assert np.mean([work.serve() for _ in range(5)]) < 1e-4
+
+        stage.end_processes()
+        started(stage, tmp_path)
+        work.diagnostics.clear()
+        assert np.mean([work.serve() for _ in range(3)]) < 1e-4
+        assert f"joint {JOINT}" in work.said()[0]
+
+        done = stage.call(graph.UNDO.client(stage.node, of="kinematics"), Trigger.Request())
+        assert done.success, done.message
+        stage.spin(lambda: work.said()[0].startswith("frozen: nothing changed"))
+        assert max(work.reach() for _ in range(3)) > 5e-4
+        thaw = graph.FREEZE.client(stage.node, of="kinematics")
+        assert stage.call(thaw, SetBool.Request(data=False)).success
+        stage.spin(lambda: work.said()[0].startswith("learning"))
