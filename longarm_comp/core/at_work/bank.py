@@ -24,7 +24,7 @@ MOST = 4
 KEPT = 0.99
 """Probability that these must have among all, so that the others may be forgotten."""
 FEWEST, LATEST = 2, 15
-"""Sightings of a change after which posteriors part: at least; and at last, whatever is left out."""
+"""Sightings of a change after which posteriors part: at least, and whatever is left out."""
 
 
 @dataclass(frozen=True)

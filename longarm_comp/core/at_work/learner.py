@@ -1,8 +1,8 @@
 """The model at work learns from sightings of ordinary moves.
 
 Each sighting is an equation of the model's parameters and of all that may have changed
-(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is said:
-which effect moved, since when, how much.
+(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is
+said: which effect moved, since when, how much.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Named:
 
     @property
     def text(self) -> str:
-        """In one line: ``backlash (61 %) or friction_hysteresis (39 %), joint 2: width +3.1e-03 rad``."""
+        """In one line: ``backlash (61 %) or servo_droop (39 %), joint 2: width +0.0031 rad``."""
         each = ((self.effect, self.probability), *self.rivals)
         names = " or ".join(f"{name} ({100 * p:.0f} %)" for name, p in each)
         by = ", ".join(f"{name} {value:+.2g} {unit}" for name, unit, value in self.by)
