@@ -50,9 +50,11 @@ def _measured() -> tuple[list[float], float]:
             for _ in range(REPEATS):
                 before, begun = supervisor.pid("kinematics"), time.monotonic()
                 os.kill(before, signal.SIGKILL)
-                client.until(
-                    lambda b=before: supervisor.pid("kinematics") != b, _PATIENCE_S, "kinematics"
-                )
+
+                def anew(before: int = before) -> bool:
+                    return supervisor.pid("kinematics") != before
+
+                client.until(anew, _PATIENCE_S, "kinematics")
                 client.call(service, asked, _PATIENCE_S, again=True)
                 taken.append(time.monotonic() - begun)
         ended.set()

@@ -24,7 +24,7 @@ MOST = 4
 KEPT = 0.99
 """Probability that these must have among all, so that the others may be forgotten."""
 FEWEST, LATEST = 2, 15
-"""Sightings of a change after which posteriors part: at least; and at last, whatever is left out."""
+"""Sightings of a change after which posteriors part: at least, and whatever is left out."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Bank:
             if w > NEGLIGIBLE
             for part in Branch(w, known, b.changes).parted()
         ]
-        kept = sorted(made, key=lambda b: -b.weight)[:MOST]
+        kept = sorted(_alike_as_one(made), key=lambda b: -b.weight)[:MOST]
         whole = sum(b.weight for b in kept)
         return Bank(
             tuple(dataclasses.replace(b, weight=b.weight / whole) for b in kept), likelihood
@@ -152,3 +152,15 @@ class Bank:
             for place in {c.where for c in b.changes}:
                 made[place] = made.get(place, 0.0) + b.weight
         return made
+
+
+def _alike_as_one(branches: list[Branch]) -> list[Branch]:
+    """Where there are too many, of each explanation the most probable one, with all weight."""
+    if len(branches) <= MOST:
+        return branches
+    made: dict[frozenset[Key], Branch] = {}
+    for b in sorted(branches, key=lambda b: b.weight):
+        name = frozenset(c.key for c in b.changes)
+        whole = b.weight + (made[name].weight if name in made else 0.0)
+        made[name] = dataclasses.replace(b, weight=whole)
+    return list(made.values())

@@ -1,8 +1,8 @@
 """The model at work learns from sightings of ordinary moves.
 
 Each sighting is an equation of the model's parameters and of all that may have changed
-(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is said:
-which effect moved, since when, how much.
+(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is
+said: which effect moved, since when, how much.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Named:
 
     @property
     def text(self) -> str:
-        """In one line: ``backlash (61 %) or friction_hysteresis (39 %), joint 2: width +3.1e-03 rad``."""
+        """In one line: ``backlash (61 %) or servo_droop (39 %), joint 2: width +0.0031 rad``."""
         each = ((self.effect, self.probability), *self.rivals)
         names = " or ".join(f"{name} ({100 * p:.0f} %)" for name, p in each)
         by = ", ".join(f"{name} {value:+.2g} {unit}" for name, unit, value in self.by)
@@ -242,7 +242,7 @@ def _begun(model: Model, context: Context) -> Bank:
     active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
     factor = record.factor[[at[space.identities[k]] for k in active]]
     covariance = factor @ factor.T
-    each = sorted({1.0, record.stretch.factor})
+    each = sorted({1.0, max(1.0, record.stretch.factor)})
     begun = (Posterior.begun(space, space.values, active, by * covariance) for by in each)
     return Bank(tuple(Branch(1.0 / len(each), known) for known in begun))
 
