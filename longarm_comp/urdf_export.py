@@ -27,7 +27,7 @@ _EFFORT, _VELOCITY = "0", "0"
 
 
 @dataclass(frozen=True)
-class ZeroOffset:
+class _ZeroOffset:
     """What a joint stands at when it is commanded zero: rad or m. It is in the origins already."""
 
     joint: str
@@ -76,7 +76,7 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def zero_offsets(model: Model) -> list[ZeroOffset]:
+def zero_offsets(model: Model) -> list[_ZeroOffset]:
     """What the model says of the joints' zeros, for a driver that corrects them itself."""
     made = []
     for term in model.effects:
@@ -84,7 +84,7 @@ def zero_offsets(model: Model) -> list[ZeroOffset]:
             (parameter,) = term.parameters(model.arm)
             row = model.arm.joints[term.joints[0] - 1]
             value = float(getattr(term, parameter.name))
-            made.append(ZeroOffset(joint_name(row), value, parameter.unit))
+            made.append(_ZeroOffset(joint_name(row), value, parameter.unit))
     return made
 
 

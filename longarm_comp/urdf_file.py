@@ -24,7 +24,7 @@ _JOINT = {"joint": {"origin", "axis", "parent", "child", "limit", "mimic"}}
 
 
 @dataclass(frozen=True)
-class UrdfLink:
+class _UrdfLink:
     """A link's mass (kg) and centre of mass (3,) in its frame (m)."""
 
     mass: float
@@ -200,14 +200,14 @@ class UrdfRobot:
         rpy = self._numbers(origin.rpy or (0, 0, 0), 3, f"{field} rpy")
         return rpy_frame(tuple(xyz.tolist()), tuple(rpy.tolist())).matrix()
 
-    def _link(self, link: Any) -> UrdfLink:
+    def _link(self, link: Any) -> _UrdfLink:
         inertial, field = link.inertial, f"link {link.name}"
         if inertial is None:
-            return UrdfLink(0.0, np.zeros(3))
+            return _UrdfLink(0.0, np.zeros(3))
         mass = float(self._numbers([inertial.mass], 1, f"{field} mass")[0])
         if mass < 0:
             raise self.error(f"{field} mass", mass, "0 kg or more")
-        return UrdfLink(mass, self._frame(inertial.origin, f"{field} inertial")[:3, 3])
+        return _UrdfLink(mass, self._frame(inertial.origin, f"{field} inertial")[:3, 3])
 
     def _joint(self, joint: Any) -> UrdfJoint:
         field, kind = f"joint {joint.name}", joint.type

@@ -23,7 +23,7 @@ from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.measure import SimulatedSession, TrueCamera, measure_session
 from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose
-from longarm_comp.workflows.residual import training_rows
+from longarm_comp.workflows.train import training_rows
 from studies.loop_setting import session_of
 from studies.outside import outside
 from studies.peers import train_gaussian_process

@@ -1,4 +1,4 @@
-"""How many rows a calibration needs, by what a row measures: pose, position, distance."""
+"""How many rows a calibration needs, by what a row measures: pose, position, distance, touch."""
 
 from __future__ import annotations
 
@@ -10,22 +10,26 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.measuring import Anchor
+from longarm_comp.core.arm.measuring import PRINTED, Anchor
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.math.points import kabsch
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.geometry import DhError, JointZero
 
 ROWS = (15, 20, 30, 45, 70, 110, 170, 260)
 """Rows that are fitted."""
-SIGMA_M, SIGMA_RAD = 3e-4, 1e-3
-"""Noise of a coordinate or a distance, and of an orientation about each axis."""
+SIGMA_M, SIGMA_RAD, SIGMA_TOUCH_M = 3e-4, 1e-3, 1e-4
+"""Noise of a coordinate or a distance, an orientation about each axis, a ball in a cone."""
 ZERO_RAD, ROW_M, ROW_RAD = 4e-3, 1e-3, 4e-3
 """Standard deviations of the hidden joint zeros and row errors."""
 FRESH = 200
 ANCHORS = {"left": (0.3, -1.5, 0.1), "right": (1.8, -0.9, 0.3), "top": (0.9, 0.4, 1.8)}
 """Draw-wires: where they are anchored, m; row by row one of them is read."""
+PLACES, GAP_M = 3, 0.05
+"""Places of a plate, and the distance of its two sockets."""
 
 Reading = Callable[["_Rows"], Mapping[str, Any]]
 
@@ -34,6 +38,7 @@ Reading = Callable[["_Rows"], Mapping[str, Any]]
 class _Rows:
     q: np.ndarray
     pose: np.ndarray
+    names: np.ndarray
     rng: np.random.Generator
 
     def position(self) -> np.ndarray:
@@ -64,14 +69,27 @@ def _distance(rows: _Rows) -> Mapping[str, Any]:
     }
 
 
-KINDS: Mapping[str, Reading] = {"pose": _pose, "position": _position, "distance": _distance}
+def _touch(rows: _Rows) -> Mapping[str, Any]:
+    places = dict.fromkeys(name.partition("_")[0] for name in rows.names)
+    known = [(f"{place}_0", f"{place}_1", GAP_M, PRINTED) for place in places]
+    return {
+        "xyz": np.full((len(rows.q), 3), np.nan),
+        "labels": {"touch": rows.names},
+        "touch_distances": known,
+    }
+
+
+KINDS: Mapping[str, Reading] = {
+    "pose": _pose, "position": _position, "distance": _distance, "touch": _touch,
+}  # fmt: skip
 
 
 def errors_by_rows(arm: Arm, seed: int, counts: Sequence[int] = ROWS) -> dict[str, np.ndarray]:
     """Mean error (m) of the true tip at fresh poses, by kind, one number per count of rows.
 
     The arm's joint zeros and rows are off by hidden amounts; placement and tip are unknown. All
-    kinds measure the same poses.
+    kinds measure the same poses, but touches: these are at two sockets of a plate at three places,
+    and as they do not tell where the base stands, errors are those of the best placement.
     """
     rng = np.random.default_rng(seed)
     rows = len(arm.joints)
@@ -85,17 +103,66 @@ def errors_by_rows(arm: Arm, seed: int, counts: Sequence[int] = ROWS) -> dict[st
     q = arm.lower + (arm.upper - arm.lower) * rng.random((largest + FRESH, arm.n))
     pose = true.pose(q)
     fresh_q, fresh = q[largest:], pose[largest:, :3, 3]
+    anywhere = q[:largest], pose[:largest], np.full(largest, "")
+    touched = _touching(arm, true, largest, rng)
     sited = arm.model_copy(update={"anchors": {k: Anchor(xyz_m=v) for k, v in ANCHORS.items()}})
     made: dict[str, np.ndarray] = {}
     for kind, read in KINDS.items():
         left = []
         for count in counts:
-            taken = _Rows(q[:count], pose[:count], np.random.default_rng([seed, count]))
+            rows_of = touched if kind == "touch" else anywhere
+            q_, pose_, names = (part[:count] for part in rows_of)
+            taken = _Rows(q_, pose_, names, np.random.default_rng([seed, count]))
             session = Session.record(taken.q, source=kind, **read(taken))
             *_, (_, fitted) = stages(declared_model(sited), session)
-            left.append(np.linalg.norm(fitted.model.tip(fresh_q) - fresh, axis=1).mean())
+            said = fitted.model.tip(fresh_q)
+            if kind == "touch":
+                turn, shift = kabsch(said, fresh, np.ones(len(said)))
+                said = said @ turn.T + shift
+            left.append(np.linalg.norm(said - fresh, axis=1).mean())
         made[kind] = np.array(left)
     return made
+
+
+def _touching(
+    arm: Arm, true: TrueArm, count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Joints, true poses and names of rows that touch every socket in turn."""
+    middle = arm.lower + (arm.upper - arm.lower) * (0.25 + 0.5 * rng.random((PLACES, arm.n)))
+    first = true.pose(middle)[:, :3, 3]
+    way = rng.standard_normal((PLACES, 3))
+    other = first + GAP_M * way / np.linalg.norm(way, axis=1, keepdims=True)
+    sockets = np.stack([first, other], axis=1).reshape(-1, 3)
+    number = np.arange(count) % len(sockets)
+    names = np.array([f"{k // 2}_{k % 2}" for k in number])
+    q = joints_at(arm, true, sockets[number] + SIGMA_TOUCH_M * rng.standard_normal((count, 3)), rng)
+    return q, true.pose(q), names
+
+
+def joints_at(arm: Arm, true: TrueArm, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(N, n) joints within the limits at which the true tip is at points (N, 3), m."""
+    drawn, room = Model(arm), arm.upper - arm.lower
+
+    def towards(q: np.ndarray, away: np.ndarray) -> np.ndarray:
+        steps = 1e-5 * np.eye(arm.n)
+        columns = np.stack([(drawn.tip(q + e) - drawn.tip(q - e)) / 2e-5 for e in steps], axis=2)
+        return q + np.clip(
+            (np.linalg.pinv(columns, rcond=1e-2) @ away[..., None])[..., 0], -0.3, 0.3
+        )
+
+    found = np.full((len(points), arm.n), np.nan)
+    while np.isnan(found).any():
+        left = np.flatnonzero(np.isnan(found[:, 0]))
+        q = arm.lower + room * (0.1 + 0.8 * rng.random((len(left), arm.n)))
+        for _ in range(30):
+            q = towards(q, points[left] - drawn.tip(q))
+        for _ in range(5):
+            away = points[left] - true.pose(q)[:, :3, 3]
+            q = towards(q, away)
+        there = np.linalg.norm(away, axis=1) < 1e-6
+        inside = ((q > arm.lower) & (q < arm.upper)).all(axis=1)
+        found[left[there & inside]] = q[there & inside]
+    return found
 
 
 def _turning(arm: Arm) -> np.ndarray:

@@ -41,7 +41,11 @@ JOINTS = (2, 4, 5)
 
 
 def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator[dict[str, Any]]:
-    """A row a case: planted at one joint, at a share of the size; what the diagnosis says."""
+    """A row a case: planted at one joint, at a share of the size; what the diagnosis says.
+
+    Besides whether all names are right and alone: whether the servos' are, and whether every true
+    name is in what was said.
+    """
     for k in range(cases):
         planted, joint = PLANTED[k % 3], JOINTS[k // 3 % 3]
         rng = np.random.default_rng([26, k])
@@ -49,12 +53,15 @@ def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator
         found = diagnose(arm, measured(arm, effects, rng, rows)).findings
         said = [(f.names, list(f.where)) for f in found]
         want = [((name,), [f"joint {joint}"]) for name in planted]
+        servos = [one for one in said if "servo_droop" in one[0]]
         yield {
             "case": k,
             "planted": " + ".join(planted),
             "joint": joint,
             "said": "; ".join(f"{'/'.join(n)} {', '.join(w)}" for n, w in said) or "nothing",
             "right": sorted(said) == sorted(want),
+            "servo": servos == [one for one in want if one[0] == ("servo_droop",)],
+            "held": {n for names, _ in said for n in names} >= set(planted),
         }
 
 

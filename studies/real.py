@@ -31,6 +31,7 @@ from longarm_comp.core.identify.fit import fit_together
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.model.model import Slot
+from studies.interval import mean_ci95
 from studies.real_sessions import Measured, justin, laser_tracked
 from studies.selection import select
 
@@ -48,11 +49,13 @@ class Line:
     Attributes:
         model: name of the rung.
         errors: on the test rows.
+        ci95: of their mean, m: the rows drawn anew.
         effects: effects of the model besides geometry.
     """
 
     model: str
     errors: Errors
+    ci95: tuple[float, float]
     effects: tuple[str, ...] = ()
 
 
@@ -134,6 +137,7 @@ def _own(slot: Slot) -> bool:
 
 
 def _line(name: str, parts: Sequence[Measured], fits: Sequence[ModelFit]) -> Line:
-    left = [errors(f.model, p.test) for f, p in zip(fits, parts, strict=True)]
+    left = np.concatenate([errors(f.model, p.test) for f, p in zip(fits, parts, strict=True)])
     effects = dict.fromkeys(t.name for f in fits for t in f.model.terms if not t.geometry)
-    return Line(name, Errors.of(np.concatenate(left)), tuple(effects))
+    _, *ci95 = mean_ci95(np.linalg.norm(left, axis=1))
+    return Line(name, Errors.of(left), (ci95[0], ci95[1]), tuple(effects))

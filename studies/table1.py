@@ -42,7 +42,7 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.drives import ServoQuantisation
 from longarm_comp.sim.measure import TrueCamera, measure_session
-from longarm_comp.workflows.residual import training_rows
+from longarm_comp.workflows.train import training_rows
 from studies.extra import extra
 from studies.many import compensate_many
 from studies.peers import train_gaussian_process

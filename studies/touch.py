@@ -23,13 +23,12 @@ from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.workflows.diagnose import diagnose
+from studies.interval import mean_ci95
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "panda_touch"
 GAP = 0.05
 """Distance of the two sockets of a tool, m, as published."""
 MODELS = ("nominal", "rigid", "diagnosed")
-DRAWN = 4000
-"""Resamples of an interval."""
 
 Progress = Callable[[str], None]
 
@@ -129,10 +128,7 @@ def gains_mm(arms: list[Touched], model: str, than: str) -> tuple[float, float, 
     by_place = [
         1e3 * float(p.spread[than].mean() - p.spread[model].mean()) for a in arms for p in a.places
     ]
-    gain = np.array(by_place)
-    drawn = np.random.default_rng(0).integers(len(gain), size=(DRAWN, len(gain)))
-    low, high = np.percentile(gain[drawn].mean(axis=1), [2.5, 97.5])
-    return float(gain.mean()), float(low), float(high)
+    return mean_ci95(np.array(by_place))
 
 
 def lines(arms: list[Touched]) -> list[dict[str, object]]:
@@ -147,6 +143,9 @@ def lines(arms: list[Touched]) -> list[dict[str, object]]:
             "places": len(together.places),
         }
         row |= {f"{model}_mm": round(together.mean_mm(model), 4) for model in MODELS}
+        for model in MODELS:
+            means = np.array([1e3 * p.spread[model].mean() for p in together.places])
+            row[f"{model}_ci95_mm"] = [round(v, 4) for v in mean_ci95(means)[1:]]
         gain = gains_mm(held, "diagnosed", "rigid")
         row["gain_mm"], row["gain_ci95_mm"] = round(gain[0], 4), [round(g, 4) for g in gain[1:]]
         row["names"] = together.names

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
@@ -11,6 +13,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from cli_shell import Shell
 from driver_rig import Rig
 
+import longarm_comp as la
+from longarm_comp.cli import touch
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs.client import ArmClient, DriverStopped
 from longarm_interfaces.msg import DriverState
@@ -82,3 +86,35 @@ def test_a_job_names_the_state_of_a_stopped_driver_at_once(rig: Rig, shell: Shel
         with pytest.raises(DriverStopped, match="longarm reset"):
             client.ready(600.0, tip=False)
     assert shell("reset") == 0
+
+
+def test_a_hand_guides_the_arm_while_touches_are_taken(
+    rig: Rig, shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`longarm touch --by-hand`: torque off meanwhile; driven again where the hand left it."""
+    (tmp_path / "arm.yaml").write_text(
+        json.dumps(TWO_JOINTS.model_dump(mode="json", exclude_defaults=True)), encoding="utf-8"
+    )
+    rig.goes(shoulder=0.3)
+    ways = iter([{"shoulder": 0.1, "boom": 0.04}, {"shoulder": -0.2, "boom": 0.06}])
+    guided: list[dict[str, float]] = []
+
+    def asked(prompt: str) -> str:
+        assert rig.free()
+        to = next(ways, None)
+        if to is None:
+            return "end"
+        for joint in rig.arm.joints:
+            rig.emulator.push(joint.servo_id, joint.ticks(to[joint.name]))
+        guided.append(to)
+        return ""
+
+    monkeypatch.setattr(touch, "_asked", asked)
+    out = tmp_path / "touches.csv"
+    assert shell("touch", tmp_path / "arm.yaml", "-o", out, "--by-hand", "--json") == 0, shell.err
+    found = la.read_session(out, TWO_JOINTS)
+    np.testing.assert_allclose(found.q, [list(to.values()) for to in guided], atol=2e-3)
+    rig.stage.spin(rig.driving)
+    rig.is_in(DriverState.READY)
+    rig.is_idle()
+    assert rig.joints() == pytest.approx(guided[-1], abs=2e-3)

@@ -28,13 +28,11 @@ from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.jobs.collect.resume import visited
+from longarm_comp.jobs.collect.run import visited
 from longarm_comp.jobs.measurement_schedule import Visit, visits
-from longarm_comp.sessions.bag import open_bag
-from longarm_comp.sessions.bag_info import bag_info
+from longarm_comp.sessions.bag import bag_info, open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
-from longarm_comp.sessions.message_types import message_types
-from longarm_comp.sessions.offered import offered
+from longarm_comp.sessions.message_types import message_types, offered
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sessions.read import read_session
 

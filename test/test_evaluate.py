@@ -14,7 +14,7 @@ import longarm_comp as la
 from longarm_comp.core.data.allowed_poses import above, outside_boxes
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.outline import outline
+from longarm_comp.core.model.link_frames import outline
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.hidden.drives import JointGain
 from longarm_comp.sim.hidden.geometry import JointZero

@@ -17,7 +17,7 @@ from longarm_comp.arm_folder.check import check_folder
 from longarm_comp.arm_folder.head_file import head_at, head_pose
 from longarm_comp.arm_folder.measured import note_measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
-from longarm_comp.arm_folder.servo_file import SERVOS, servo_values
+from longarm_comp.arm_folder.servos import SERVOS, servo_values
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session

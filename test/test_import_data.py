@@ -15,8 +15,7 @@ from small_arm import ARM
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv
-from longarm_comp.sessions.foreign.rotation import Rotation
-from longarm_comp.sessions.foreign.units import UNITS, split_name
+from longarm_comp.sessions.foreign.units import UNITS, Rotation, split_name
 
 GERMAN = """Tracker export 3.1
 Date: 2024-01-02

@@ -15,7 +15,7 @@ from small_arm import ARM
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.sessions.csv import read_csv
-from longarm_comp.sessions.foreign.clock import seconds
+from longarm_comp.sessions.foreign.units import seconds
 from longarm_comp.sessions.poses import read_poses
 
 JOINTS = "Point;A1 [deg];A2 [deg];A3 [mm];A4 [deg]\n"

@@ -12,6 +12,7 @@ from touching import ARM, EXAMPLE
 
 import longarm_comp as la
 from longarm_comp.cli.calibrate import command
+from longarm_comp.cli.diagnose import command as diagnose
 from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.dh_error import DhError
@@ -25,7 +26,7 @@ from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
-from longarm_comp.workflows.kind_of_arm import kind_from
+from longarm_comp.workflows.calibrate import kind_from
 
 NAMES = ("1", "2", "3", "4", "6", "7")
 ROWS, DRAWS = 6, 4
@@ -179,6 +180,35 @@ def test_the_command_reads_models_and_says_which(tmp_path: Path, models: dict[st
     refused = CliRunner().invoke(command, [*words, "further.yaml"])
     assert refused.exit_code == 2
     assert "unexpected: further.yaml" in refused.output
+
+
+def test_a_diagnosis_expects_what_the_kind_has(tmp_path: Path, models: dict[str, Model]) -> None:
+    """Few rows at one place; what is written holds errors of the drawing, and no direction."""
+    whole = touches("4")
+    location = whole.labels["location"]
+    one, rest = np.unique(location)[0], location != np.unique(location)[0]
+    few = whole.take(np.flatnonzero(location == one)[:8])
+    others = [models[name] for name in NAMES if name != "4"]
+    left = {}
+    for kind_of in ((), others):
+        found = la.diagnose(ARM, few, test=whole.take(rest), kind_of=kind_of, network=False)
+        left[bool(kind_of)] = spreads(found.model, whole.take(rest)).mean()
+    assert left[True] < 0.9 * left[False], left
+    assert found.model.tolerances == 1.0
+    assert not any(isinstance(e, KindDirection) for e in found.model.effects)
+    assert found.facts["kind of"] == ", ".join(f"model {k}" for k in range(1, 6))
+    la.load_model(found.save(tmp_path) / "model.yaml", ARM)
+
+
+def test_the_command_diagnoses_by_kind(tmp_path: Path) -> None:
+    words = ["arm.yaml", "rows.csv", "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(diagnose, [*words, "further.yaml"])
+    assert done.exit_code == 2
+    assert "unexpected: further.yaml" in done.output
+    words[:2] = [str(EXAMPLE / "arm.yaml"), str(EXAMPLE / "panda_4.csv")]
+    done = CliRunner().invoke(diagnose, [*words, "--kind-of", "a.yaml", "b.yaml", "c.yaml"])
+    assert isinstance(done.exception, InputError)
+    assert "a.yaml" in str(done.exception)
 
 
 def test_arms_of_another_kind_are_refused(models: dict[str, Model]) -> None:

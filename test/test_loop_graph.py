@@ -25,7 +25,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.jobs.apply import apply_on_graph, files_at_work, reload
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.demo.witness import TrueTip
+from longarm_comp.jobs.demo.loop import TrueTip
 from longarm_comp.jobs.pace import Pace
 from longarm_comp.jobs.parameters import read_parameters, set_parameter
 from longarm_comp.jobs.sweep import way_times

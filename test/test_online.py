@@ -20,8 +20,8 @@ from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.link_frames import exaggerated, outline
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.outline import exaggerated, outline
 
 WARM = Model(ARM, (ThermalGrowth(8e-5),))
 

@@ -9,8 +9,7 @@ import pytest
 from report_samples import named
 
 from longarm_comp.report import SeenRows
-from longarm_comp.report.arrows import MOST, arrows, exaggeration
-from longarm_comp.report.scene import scene_json
+from longarm_comp.report.scene import MOST, arrows, exaggeration, scene_json
 
 # Arrows and scene
 

@@ -24,8 +24,8 @@ from cli_shell import Shell
 from serial.tools.list_ports_common import ListPortInfo
 from servo_bench import POSE_FLAGS, TRUE, bus, folder, hand, off_by, through_the_stops
 
+from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.measured import read_measured
-from longarm_comp.arm_folder.measured_check import of_record
 from longarm_comp.arm_folder.yaml_edit import edited
 from longarm_comp.cli import sweep_table
 from longarm_comp.core.errors import InputError

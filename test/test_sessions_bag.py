@@ -15,8 +15,7 @@ from small_arm import ARM, measured
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
-from longarm_comp.sessions.bag import read_bag
-from longarm_comp.sessions.bag_info import bag_info
+from longarm_comp.sessions.bag import bag_info, read_bag
 from longarm_comp.sessions.bag_write import write_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.message_types import message_types

@@ -16,9 +16,9 @@ from cli_shell import Shell
 from stereo_head import HEAD, marker_pose
 
 from longarm_comp.arm_folder.camera_files import camera_path
+from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.marker_sheet import sheet
 from longarm_comp.arm_folder.measured import read_measured
-from longarm_comp.arm_folder.measured_check import of_record
 from longarm_comp.devices.stereo import CharucoTarget, StereoEye, StereoRig, TagBoard, fit_rigid
 from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.views import BoardView, gaps, view_of

@@ -17,6 +17,7 @@ def test_every_kind_calibrates_and_a_distance_says_least() -> None:
         assert many < few
         assert many < 0.4
     assert rows[0]["distance_mm"] > rows[0]["position_mm"]
+    assert rows[0]["touch_mm"] > rows[0]["pose_mm"]
 
 
 def test_rows_needed_are_counted_between_the_counts() -> None:

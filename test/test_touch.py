@@ -15,7 +15,6 @@ from touching import (
     SIGMA,
     SOCKETS,
     errors_of_the_drawing,
-    joints_at,
     miss,
     touching,
 )
@@ -44,6 +43,7 @@ from longarm_comp.sessions.bag_write import write_bag
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.poses import read_poses, write_poses
 from longarm_comp.sim.arm_truth import TrueArm
+from studies.measurements import joints_at
 
 HIDDEN = errors_of_the_drawing()
 
@@ -65,7 +65,7 @@ def tabled(rows: int, normal: tuple[float, float, float], height: float) -> Sess
     flat = rng.uniform((0.2, -0.15, 0.05), (0.7, 0.35, 0.55), (rows, 3))
     points = flat - np.outer(flat @ n - height, n)
     points += np.outer(SIGMA * rng.standard_normal(rows), n)
-    q = joints_at(HIDDEN, points, rng)
+    q = joints_at(ARM, TrueArm(ARM, HIDDEN), points, rng)
     return Session.record(q, np.full((rows, 3), np.nan), labels={"plane": np.full(rows, "table")})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 from quick_arm import QuickArm, quick_arm
+from std_msgs.msg import String
 from touching import ARM, DISTANCES, EXAMPLE, errors_of_the_drawing, touching
 
 import longarm_comp as la
@@ -17,7 +19,12 @@ from longarm_comp.cli import touch as touch_command
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.touch import READINGS, TouchLog, resting
-from longarm_comp.nodes.interfaces import JOINT_STATES
+from longarm_comp.nodes.interfaces import CONTACT, JOINT_STATES
+from longarm_comp.nodes.simulated_arm import places
+from longarm_comp.share import folder
+from longarm_comp.sim.cameras import CameraPair, tag_plate
+from longarm_comp.sim.plant import Plant, PlantConfig
+from longarm_comp.sim.servo_emulator import read_arm
 
 
 def pressed(arm: QuickArm, monkeypatch: pytest.MonkeyPatch, keys: list[str | np.ndarray]) -> None:
@@ -120,3 +127,53 @@ def test_rows_of_something_else_are_not_touches() -> None:
     seen = la.Session.record(ARM.mid[None], np.zeros((1, 3)))
     with pytest.raises(InputError, match="row 1: 'no touch'"):
         TouchLog(ARM).begin_with(seen)
+
+
+def test_a_touch_outside_the_socket_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the graph feels for the ball: what was asked for outside is told and not written."""
+    out = tmp_path / "touches.csv"
+    with quick_arm(ARM, lambda q: False) as arm:
+        felt = CONTACT.publisher(arm.node)
+        seat = {"": ""}
+        arm.node.create_timer(0.05, lambda: felt.publish(String(data=seat[""])))
+        keys = iter([("", ARM.mid), ("a", ARM.mid + 0.1), ("", ARM.mid + 0.2)])
+
+        def asked(prompt: str) -> str:
+            key = next(keys, None)
+            if key is None:
+                return "end"
+            seat[""], q = key
+            arm.stand(q)
+            return ""
+
+        monkeypatch.setattr(touch_command, "_asked", asked)
+        said = run("-o", str(out), "--name", "a")
+    assert "touch a: the ball sits in no socket; nothing was taken" in said
+    np.testing.assert_allclose(la.read_session(out, ARM).q, [ARM.mid + 0.1], atol=1e-9)
+
+
+def test_the_simulated_ball_slides_into_a_socket_where_servos_let_go(tmp_path: Path) -> None:
+    arm = la.Arm.load(folder("config") / "arm_demo.yaml")
+    servos = read_arm(folder("config") / "servo_driver.yaml")
+    cameras = CameraPair(
+        position_m=(0.75, -1.7, 0.3), optical_axis=(0, 1, 0), baseline_m=0.3, focal_px=640.0,
+        size=(640, 480),
+    )  # fmt: skip
+    config = PlantConfig(arm, servos, cameras, tag_plate(0.06, 0.012, 2, 2), np.eye(4))
+    tip = Plant(config, tmp_path / "bus", np.random.default_rng(0)).tip_pose(0.0)[:3, 3]
+    near = tip + np.array([0.003, -0.004, 0.005])
+    sockets = {"far": tip + np.array([0.0, 0.0, 0.02]), "near": near}
+    config = dataclasses.replace(config, sockets=sockets)
+    plant = Plant(config, tmp_path / "bus", np.random.default_rng(0))
+    monkey = {j.servo_id: True for j in servos.joints}
+    plant.emulator.torques_on = lambda: monkey  # type: ignore[method-assign]
+    assert plant.contact(0.0) == ""
+    np.testing.assert_allclose(plant.tip_pose(0.0)[:3, 3], tip, atol=1e-9)
+    monkey.clear()
+    assert plant.contact(0.0) == "near"
+    np.testing.assert_allclose(plant.tip_pose(0.0)[:3, 3], near, atol=5e-5)
+    with pytest.raises(InputError, match=r"sockets: 'a=1,2'; allowed: name=x,y,z"):
+        places("a=1,2")
+    assert places("a=1,2,3 b=0,0,-0.5") == {"a": (1, 2, 3), "b": (0, 0, -0.5)}

@@ -13,8 +13,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.loop.journal import Journal
-from longarm_comp.jobs.loop.rule import NEAR_NOISE, another_round
-from longarm_comp.jobs.loop.settings import LoopSettings
+from longarm_comp.jobs.loop.settings import NEAR_NOISE, LoopSettings, another_round
 from longarm_comp.jobs.targets import Trial
 from longarm_comp.jobs.verify import one_by_one
 from longarm_comp.workflows.verification import verification

@@ -29,8 +29,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import checked
 from longarm_comp.workflows.diagnose import DiagnosisResult
-from longarm_comp.workflows.diagnosis_files import write_model
-from longarm_comp.workflows.effect_file import write_effects
+from longarm_comp.workflows.diagnosis_files import write_effects, write_model
 from studies.outside import PumpShake, RubberStop
 
 FAR = ARM.lower + 0.9 * (ARM.upper - ARM.lower)

@@ -19,8 +19,8 @@ from PIL import Image
 import longarm_comp as la
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import unstack
-from longarm_comp.core.model.outline import outline
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.jobs.demo.table import DECLARED, FOUND, ORIGINAL
 

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.link_frames import exaggerated, outline
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.outline import exaggerated, outline
 from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm
 

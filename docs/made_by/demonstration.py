@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import longarm_comp as la
-from longarm_comp.core.model.outline import exaggerated, outline
+from longarm_comp.core.model.link_frames import exaggerated, outline
 from longarm_comp.jobs.demo.table import DECLARED, FOUND, LEARNED, ORIGINAL
 from longarm_comp.share import folder
 

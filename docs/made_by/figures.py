@@ -139,8 +139,8 @@ TABLES: dict[str, tuple[str, tuple[str, ...], Callable[[Any], Cells]]] = {
         of("set", "rows", "inside_90", "mean_mm", "expected_mm"),
     ),
     "day": (
-        "studies.md", ("commanded", "poses", "minutes", "not served", "day", "p95", "0-2 h", "2-4 h", "4-6 h",
-                       "6-8 h"),
+        "studies.md", ("commanded", "poses", "minutes", "not served", "day", "p95",
+                       "0-2 h", "2-4 h", "4-6 h", "6-8 h"),
         lambda found: [list(row.values()) for row in found["rows"]],
     ),
     "poses": (

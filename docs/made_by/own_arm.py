@@ -12,8 +12,8 @@ from matplotlib.patches import Arc, Polygon, Rectangle
 from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import Model, unstack
-from longarm_comp.core.model.outline import outline
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm

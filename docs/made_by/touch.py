@@ -15,7 +15,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.standing import frames, with_frames
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.outline import outline
+from longarm_comp.core.model.link_frames import outline
 from longarm_comp.sessions.read import read_session
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "panda_touch"

@@ -2,32 +2,167 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from longarm_comp.arm_folder.beams import of_beams
+from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES, camera_path, camera_values
 from longarm_comp.arm_folder.findings import (
     LEVELS,
     FolderFinding,
+    declared,
     implausible,
+    measured,
     missing,
     unmeasured,
 )
 from longarm_comp.arm_folder.make import ARM, NODES
-from longarm_comp.arm_folder.measured_check import of_record, recorded
+from longarm_comp.arm_folder.measured import FILE, Measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, strangers
-from longarm_comp.arm_folder.servos import ZERO_TICKS
+from longarm_comp.arm_folder.servos import SERVOS, ZERO_TICKS, servo_values
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.beam import Beam, Rect, Tube
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.vibration.modes import modes
 from longarm_comp.devices.servo_config import ServoConfig
 
+
+def recorded(folder: Path, file: str) -> bool:
+    """Whether a file holds what was measured last."""
+    try:
+        entry = read_measured(folder).get(file)
+        return entry is not None and not entry.changed(_now(folder, file))
+    except InputError:
+        return False
+
+
+def of_record(folder: Path) -> Iterator[FolderFinding]:
+    """Findings on every measurement, and on cameras without a calibration."""
+    try:
+        entries = read_measured(folder)
+    except InputError as error:
+        yield implausible(f"{FILE}: {error.field}", f"{error.value}; allowed: {error.allowed}")
+        return
+    for file, entry in entries.items():
+        yield from _of_entry(folder, file, entry)
+    if CAMERAS not in entries:
+        files = [camera_path(folder, side).is_file() for side in SIDES]
+        if not all(files):
+            said = "no calibration (longarm stereo calibrate), unless the camera driver has one"
+            yield unmeasured(CAMERAS, said)
+
+
+def _of_entry(folder: Path, file: str, entry: Measured) -> Iterator[FolderFinding]:
+    try:
+        changed = entry.changed(_now(folder, file))
+    except InputError as error:
+        if file == CAMERAS:  # the other files are checked for themselves
+            text = f"{error.value}; allowed: {error.allowed}"
+            yield implausible(f"{CAMERAS}: {error.field}", text)
+        return
+    if changed:
+        names = ", ".join(changed[:3]) + (" and others" if len(changed) > 3 else "")
+        said = f"{names} changed by hand since {entry.at} ({entry.by}): measure again"
+        yield unmeasured(f"{file}: changed", said)
+    else:
+        told = {k: v for k, v in entry.facts.items() if k not in ("session", "before")}
+        facts = ", ".join(f"{name} {value}" for name, value in told.items())
+        yield measured(file, f"{entry.at}, longarm {entry.by}: {facts}")
+
+
+def _now(folder: Path, file: str) -> dict[str, Any]:
+    """Values of a file as the record names them. Raises InputError."""
+    if file == CAMERAS:
+        return camera_values(folder)
+    if file == SERVOS:
+        return servo_values(ServoConfig.load(folder / file).joints)
+    return read_parameters(folder / file)
+
+
+def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[FolderFinding]:
+    """A finding a beam, and one on the sag, at the pose of q (N, n) that reaches out farthest."""
+    model, rigid = declared_model(arm), declared_model(arm, deflection=False)
+    tips = rigid.tip(q)
+    level = np.array(arm.gravity_mps2) / (np.linalg.norm(arm.gravity_mps2) or 1.0)
+    out = tips - arm.base.xyz_m
+    out = np.linalg.norm(out - (out @ level)[:, None] * level, axis=1)
+    at = q[int(out.argmax())]
+    posture = rigid.posture(unstack(at))
+    for beam in arm.links:
+        row = posture.chain.rows[beam.row - 1]
+        element = (row.elements_a if beam.role == "a" else row.elements_d)[0]
+        fell = np.array([float(v) for v in posture.gravity_in(element.station)])
+        across = [(element.axis + 1) % 3, (element.axis + 2) % 3]
+        text = f"{_section(beam)}; {_stiffness(beam)}; {1e3 * beam.mass_kg:.4g} g"
+        if isinstance(beam.section, Rect):
+            text += _standing(beam.section, fell[across], float(np.linalg.norm(fell)))
+        yield declared(f"arm.yaml: links.{beam.name}", text)
+    sag = 1e3 * float(np.linalg.norm(model.tip(at) - rigid.tip(at)))
+    joints = ", ".join(
+        f"{name} {_shown(arm, k, v)}"
+        for k, (name, v) in enumerate(zip(arm.joint_names, at, strict=True))
+    )
+    said = f"held out to {out.max():.2f} m ({joints}) the tip sags by {sag:.3g} mm. Measure it: "
+    yield declared("arm.yaml: links", said + "twice as much or half is a wrong section or side")
+    yield from _ringing(model, at)
+
+
+def _ringing(model: Model, at: np.ndarray) -> Iterator[FolderFinding]:
+    """How it rings there."""
+    hz = modes(model, at).hz
+    if len(hz):
+        known = model.arm.damping
+        more = f"damping {known:g}" if known else "how long: longarm modes, and `damping`"
+        yield declared("arm.yaml: damping", f"there it rings at {hz[0]:.3g} Hz; {more}")
+
+
+def _shown(arm: Arm, k: int, value: float) -> str:
+    turns = arm.joints[arm.commanded[k] - 1].type == "revolute"
+    return f"{math.degrees(value):.0f} deg" if turns else f"{1e3 * value:.0f} mm"
+
+
+def _section(beam: Beam) -> str:
+    section = beam.section
+    if section is None:
+        return "EI and GJ as declared"
+    if isinstance(section, Tube):
+        inner = f"/{1e3 * section.id_m:.4g}" if section.id_m else ", solid"
+        return f"tube {1e3 * section.od_m:.4g}{inner} mm"
+    wall = f"wall {1e3 * section.wall_m:.4g}" if section.wall_m else "solid"
+    return f"{1e3 * section.width_m:.4g} wide x {1e3 * section.height_m:.4g} high mm, {wall}"
+
+
+def _stiffness(beam: Beam) -> str:
+    first, second, torsion = beam.stiffness
+    bending = f"{first:.3g}" if first == second else f"{first:.3g} and {second:.3g}"
+    return f"EI {bending}, GJ {torsion:.3g} N m^2"
+
+
+def _standing(section: Rect, fell: np.ndarray, gravity: float) -> str:
+    """Which side is up, and the section drawn so; `fell`: gravity along width and height."""
+    if np.linalg.norm(fell) < 0.1 * (gravity or 1.0):
+        return "; the beam hangs or stands: neither side is up"
+    lean = math.degrees(math.atan2(abs(fell[0]), abs(fell[1])))
+    upright = lean <= 45.0
+    wide, high = section.width_m, section.height_m
+    if not upright:
+        wide, high, lean = high, wide, 90.0 - lean
+    # Height of a drawing of a section's longer side; a character is twice as high as wide
+    per_line = max(wide, high) / 4
+    lines, columns = max(1, round(high / per_line)), max(2, round(2 * wide / per_line))
+    edge = f"    +{'-' * columns}+"
+    drawn = [edge, *[f"    |{' ' * columns}|"] * lines, edge]
+    side = "height_m" if upright else "width_m"
+    return "\n".join([f"; {side} is upright there, to {lean:.0f} deg:", *drawn])
+
+
 _REACH_M = (0.05, 20.0)
-_OFF_MM = 10.0
 _SESSIONS = ("samples.csv", "session", "session_1")
 
 
@@ -88,7 +223,7 @@ def _of_arm(arm: Arm) -> Iterator[FolderFinding]:
         if float(sag.max()) > 0.15 * reach:
             said = f"the tip sags by up to {1e3 * sag.max():.0f} mm of {1e3 * reach:.0f} mm"
             yield implausible(f"{ARM}: links", f"{said}: check E_pa, sections, masses")
-        yield from of_beams(arm, q)
+        yield from _of_beams(arm, q)
     weight = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
     if not weight:
         said = "no part has a mass: weigh them. Without weight no compliance can be found"
@@ -160,7 +295,7 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[FolderFinding]:
         said = f"the marker is seen at {sight}: move the cameras, turn the marker "
         said += "(marker.mounting) or narrow the limits in arm.yaml"
         found.append(implausible("simulated_arm.yaml: camera, marker", said))
-    elif sight.off_mm > _OFF_MM and not placed:
+    elif sight.off_mm > 10.0 and not placed:
         said = f"the tip is measured {sight.off_mm:.0f} mm from where it is: cameras and "
         said += "marker of simulated_arm.yaml stand elsewhere"
         found.append(implausible("stereo_bridge.yaml: hand_eye", said))

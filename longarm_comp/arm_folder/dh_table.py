@@ -33,7 +33,7 @@ _TUBE = re.compile(r"([\d.]+)(?:/([\d.]+))?")
 
 
 @dataclass(frozen=True)
-class Question:
+class _Question:
     """One answer of a row: its key, what is asked, what stands there if nothing is said."""
 
     key: str
@@ -43,18 +43,18 @@ class Question:
 
 
 _QUESTIONS = (
-    Question("type", "type (revolute, prismatic, fixed)", "revolute"),
-    Question("alpha", "alpha: angle from the last z to this z about the last x, deg", "0"),
-    Question("a", "a: distance from the last z to this z along the last x, m", "0"),
-    Question("d", "d: distance from the last x to this x along this z, m", "0"),
-    Question("theta", "theta: angle from the last x to this x about this z, deg", "0"),
-    Question("limits", "limits, deg or m, LOWER..UPPER", "-45..45"),
-    Question("tube_a", "tube along a: outer/inner diameter, mm; 0: rigid", "0"),
-    Question("tube_d", "tube along d: outer/inner diameter, mm; 0: rigid", "0"),
-    Question("material", f"material of the tubes ({', '.join(MATERIALS)})", "aluminium"),
-    Question("servo_kg", "mass of the servo that sits at this joint's frame, kg", "0"),
-    Question("name", "name", "", asked=False),
-    Question("mimic", "moves with another joint: NAME or NAME*FACTOR", "", asked=False),
+    _Question("type", "type (revolute, prismatic, fixed)", "revolute"),
+    _Question("alpha", "alpha: angle from the last z to this z about the last x, deg", "0"),
+    _Question("a", "a: distance from the last z to this z along the last x, m", "0"),
+    _Question("d", "d: distance from the last x to this x along this z, m", "0"),
+    _Question("theta", "theta: angle from the last x to this x about this z, deg", "0"),
+    _Question("limits", "limits, deg or m, LOWER..UPPER", "-45..45"),
+    _Question("tube_a", "tube along a: outer/inner diameter, mm; 0: rigid", "0"),
+    _Question("tube_d", "tube along d: outer/inner diameter, mm; 0: rigid", "0"),
+    _Question("material", f"material of the tubes ({', '.join(MATERIALS)})", "aluminium"),
+    _Question("servo_kg", "mass of the servo that sits at this joint's frame, kg", "0"),
+    _Question("name", "name", "", asked=False),
+    _Question("mimic", "moves with another joint: NAME or NAME*FACTOR", "", asked=False),
 )
 _KEYS = {question.key: question for question in _QUESTIONS}
 

@@ -19,9 +19,6 @@ from longarm_comp.sim.cameras import CameraPair
 FOCAL_PX, SIZE = 640.0, (640, 480)
 _POSES = 256
 _DIRECTIONS = 16
-_STEEPEST = math.cos(math.radians(60.0))
-"""A tag that is turned further from the camera is found unreliably."""
-_TAG_PX = 22.0
 _BASELINE = 0.18
 """Distance of the two cameras as a share of their distance to the marker."""
 
@@ -86,7 +83,8 @@ def head_for(arm: Arm) -> Head:
     distance, tag = 0.3, 0.02
     for _ in range(20):  # the marker and the second camera need room of their own
         rim = 1.6 * tag
-        tag = math.ceil(1e3 * _TAG_PX / FOCAL_PX * (distance + deep.max())) / 1e3
+        # A tag of 22 pixels is found reliably
+        tag = math.ceil(1e3 * 22.0 / FOCAL_PX * (distance + deep.max())) / 1e3
         ends = [
             (0.9 * 0.5 * SIZE[0] / FOCAL_PX, across + rim + 0.5 * _BASELINE * distance),
             (0.9 * 0.5 * SIZE[1] / FOCAL_PX, down + rim),
@@ -108,7 +106,8 @@ def _facing(turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             continue
         normal /= np.linalg.norm(normal)
         facing = -(turns @ normal) @ axis
-        score = float((facing > _STEEPEST).mean() + 0.01 * facing.mean())
+        # A tag that is turned further from the camera is found unreliably
+        score = float((facing > math.cos(math.radians(60.0))).mean() + 0.01 * facing.mean())
         if best is None or score > best[0] + 1e-9:
             best = score, axis, normal
     if best is None:

@@ -10,15 +10,61 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from longarm_comp.arm_folder.arm_text import arm_text
 from longarm_comp.arm_folder.head import head_for
-from longarm_comp.arm_folder.parameter_file import own_text, ros_parameters, with_values
+from longarm_comp.arm_folder.parameter_file import one_line, own_text, ros_parameters, with_values
 from longarm_comp.arm_folder.servos import DEFAULT_MODEL, servo_section
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import parse_yaml
 from longarm_comp.devices.servo_bus import models
 from longarm_comp.share import folder
+
+_COMMENTS = {
+    "convention": "Modified DH (Craig): Rx(alpha) Tx(a) Rz(theta_offset + q) Tz(d), or Tz(d + q).",
+    "tip": "The point that is commanded and measured, in the frame of a row.",
+    "gravity_mps2": "In the base frame: z is up.",
+    "payload": "What the arm carries; a session's column payload_kg overrides the mass.",
+    "joints": "Rows of the chain, base to tip. limits: what plans and commands may use.",
+    "links": "Elastic beams along d (z of the row) or a (x of the row before).\n"
+    "E_pa and masses are usual values of the material: weigh the parts.",
+    "point_masses": "Servos, grippers, links without a beam: kg, and the place in a row's frame.",
+    "camera": "Left camera of the stereo head, in the base frame: as in stereo_bridge.yaml.",
+}  # fmt: skip
+_NO_LINKS = """No beam is declared: the arm is taken as rigid. For each piece that bends:
+links:
+  - {name: boom, row: 2, role: a, length_m: 0.4, section: {type: tube, od_m: 0.03, id_m: 0.026},
+     E_pa: 6.9e+10, poisson: 0.33, mass_kg: 0.19, body_length_m: 0.4}"""
+_NO_PAYLOAD = """Nothing is carried. Otherwise:
+payload: {mass_kg: 0.25, frame: 6, position_m: [0, 0, 0.05]}"""
+
+
+def _arm_text(data: Mapping[str, Any], head: str, of_rows: Mapping[int, str]) -> str:
+    """The file.
+
+    Args:
+        of_rows: a comment beside a row of `joints`, by id.
+    """
+    lines = _commented(head)
+    for key, value in data.items():
+        if value in ([], {}, None):
+            continue
+        lines += _commented(_COMMENTS.get(key, ""))
+        if isinstance(value, list) and value and isinstance(value[0], Mapping):
+            lines.append(f"{key}:")
+            for row in value:
+                beside = of_rows.get(row.get("id", 0), "") if key == "joints" else ""
+                lines.append(f"  - {one_line(dict(row))}" + (f"  # {beside}" if beside else ""))
+        else:
+            lines.append(f"{key}: {one_line(value)}")
+    for key, text in (("links", _NO_LINKS), ("payload", _NO_PAYLOAD)):
+        if not data.get(key):
+            lines += _commented(text)
+    return "\n".join(lines) + "\n"
+
+
+def _commented(text: str) -> list[str]:
+    return [f"# {line}" for line in text.splitlines()]
+
 
 ARM = "arm.yaml"
 NODES = ("servo_driver", "stereo_bridge", "simulated_arm")
@@ -48,7 +94,7 @@ class Source:
         seen = head_for(arm)
         camera = {"position_m": list(seen.position_m), "optical_axis": list(seen.axis)}
         whole = {**data, "camera": camera}
-        return cls(arm_text(whole, head, of_rows), Arm.parse(whole, ARM))
+        return cls(_arm_text(whole, head, of_rows), Arm.parse(whole, ARM))
 
     @classmethod
     def of_file(cls, path: Path) -> Source:

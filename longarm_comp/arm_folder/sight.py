@@ -19,11 +19,9 @@ from longarm_comp.devices.stereo.marker import tags_of
 from longarm_comp.sim.cameras import CameraPair, render, tag_plate
 from longarm_comp.sim.plant import mounting
 
-_POSES = 12
-
 
 @dataclass(frozen=True)
-class Sight:
+class _Sight:
     """What came of poses spread over the joints' limits.
 
     Attributes:
@@ -48,8 +46,8 @@ class Sight:
 
 
 def seen_from(
-    arm: Arm, bridge: Mapping[str, Any], simulated: Mapping[str, Any], poses: int = _POSES
-) -> Sight:
+    arm: Arm, bridge: Mapping[str, Any], simulated: Mapping[str, Any], poses: int = 12
+) -> _Sight:
     """Look at an arm without errors at poses spread over its limits."""
     head = CameraPair(
         tuple(simulated["camera.position"]), tuple(simulated["camera.axis"]),
@@ -72,7 +70,7 @@ def seen_from(
         except StereoRefusal:
             lost.append(tip)
     why = View.of(bridge, simulated).unseen(np.array(lost)) if lost else []
-    return Sight(poses, len(off), 1e3 * float(np.median(off)) if off else np.nan, _mostly(why))
+    return _Sight(poses, len(off), 1e3 * float(np.median(off)) if off else np.nan, _mostly(why))
 
 
 def _mostly(why: list[str]) -> str:

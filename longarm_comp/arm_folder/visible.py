@@ -15,15 +15,8 @@ from longarm_comp.core.arm import quaternion
 if TYPE_CHECKING:
     from longarm_comp.devices.stereo import CameraInfoLike
 
-_STEEPEST = np.cos(np.radians(75.0))
-"""A tag that is turned further from a camera is not found."""
 _TAG_PX = 12.5
 """Nor is one that looks smaller: geometric mean of its seen sides, px."""
-_MARGIN = 0.1
-"""White around a tag that must be in the picture, as a share of the tag.
-
-These three are from rendered images: `pytest test/test_collect_preview.py` compares.
-"""
 
 
 @dataclass(frozen=True)
@@ -76,7 +69,9 @@ class View:
         board = tags_of(bridge)
         corners = board.points(np.arange(board.n_corners)).reshape(-1, 4, 3)
         middle = corners.mean(axis=1, keepdims=True)
-        wide = middle + (1.0 + 2.0 * _MARGIN) * (corners - middle)
+        # White around a tag that must be in the picture, as a share of the tag. These three are
+        # from rendered images: `pytest test/test_collect_preview.py` compares
+        wide = middle + (1.0 + 2.0 * 0.1) * (corners - middle)
         on_tip = mounting(simulated["marker.mounting"])[:3, :3]
         pair = CameraPair(
             focal_px=simulated["camera.focal_px"],
@@ -118,7 +113,8 @@ class View:
                     if seen[k].mean() < self.share
                 ]
                 why.append(f"out of view of {_cameras(sides)} ({self._where(middle[k])})")
-            elif facing[k] < _STEEPEST:
+            # A tag that is turned further from a camera is not found
+            elif facing[k] < np.cos(np.radians(75.0)):
                 turned = np.degrees(np.arccos(np.clip(facing[k], -1.0, 1.0)))
                 why.append(f"turned away: {turned:.0f} deg")
             elif pixels[k] < _TAG_PX:

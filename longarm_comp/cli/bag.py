@@ -24,7 +24,7 @@ def info(bag: Path, as_json: bool) -> None:
     Example:
       longarm bag info session_bag
     """
-    from longarm_comp.sessions.bag_info import bag_info
+    from longarm_comp.sessions.bag import bag_info
 
     found = bag_info(bag)
     if as_json:

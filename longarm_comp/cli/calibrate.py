@@ -32,22 +32,14 @@ if TYPE_CHECKING:
 @click.option(
     "--fraction", type=float, default=0.2, show_default=True, help="Share of rows held out."
 )
-@click.option(
-    "--kind-of",
-    type=click.Path(path_type=Path),
-    metavar="MODEL...",
-    help="Calibrated models of other arms of the kind (model.yaml files): how they differ from the "
-    "drawing is expected of ARM too. After ARM and SESSION.",
-)
-@click.argument("more", type=click.Path(path_type=Path), nargs=-1, metavar="")
+@options.kind_of
 @options.seed
 @options.effects
 @options.as_json
 def command(
     arm: Path,
     session: Path,
-    more: tuple[Path, ...],
-    kind_of: Path | None,
+    kind_of: tuple[Path, ...],
     output: Path,
     effects: tuple[str, ...],
     no_deflection: bool,
@@ -66,8 +58,6 @@ def command(
       longarm calibrate arm.yaml samples.csv --effect joint_compliance --effect bearing_tilt
       longarm calibrate arm.yaml samples.csv --kind-of others/*.yaml
     """
-    if more and kind_of is None:
-        raise click.UsageError(f"unexpected: {' '.join(map(str, more))}")
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.calibrate import calibrate, instances
 
@@ -81,7 +71,7 @@ def command(
             deflection=not no_deflection,
             fraction=fraction,
             seed=seed,
-            kind_of=() if kind_of is None else (kind_of, *more),
+            kind_of=kind_of,
             note=note,
             progress=show,
         )

@@ -19,6 +19,7 @@ STEPS = 6.0
 @options.session
 @options.path_option("--test", "Hold-out (CSV or bag); default: blocks of SESSION.")
 @options.path_option("--model", "Known model; its effects are never added twice.")
+@options.kind_of
 @options.seed
 @click.option("--no-network", is_flag=True, help="Train no network on the remaining error.")
 @options.output("diagnosis", "Folder to write.", outputs.DIAGNOSIS, outputs.diagnosed)
@@ -34,6 +35,7 @@ def command(
     session: Path,
     test: Path | None,
     model: Path | None,
+    kind_of: tuple[Path, ...],
     seed: int,
     no_network: bool,
     output: Path,
@@ -50,10 +52,11 @@ def command(
     Examples:
       longarm diagnose arm.yaml samples.csv --test test.csv -o diagnosis
       longarm diagnose arm.yaml bag --model model.yaml -o diagnosis
+      longarm diagnose arm.yaml samples.csv -o diagnosis --kind-of others/*.yaml
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.diagnose import diagnose_files
-    from longarm_comp.workflows.effect_file import write_effects
+    from longarm_comp.workflows.diagnosis_files import write_effects
 
     declared = Arm.load(arm)
     with progress("diagnose") as show:
@@ -69,6 +72,7 @@ def command(
             output,
             test=test,
             model=model,
+            kind_of=kind_of,
             network=not no_network,
             seed=seed,
             progress=say,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.agreed import agreed
+from longarm_comp.cli.dialogue import agreed
 from longarm_comp.cli.output import note, print_json, print_rows, progress
 from longarm_comp.core.errors import JobError
 
@@ -71,9 +71,9 @@ def command(
     from longarm_comp.core.model.declared_model import declared_model
     from longarm_comp.core.vibration.dwell import rest_s
     from longarm_comp.jobs.client import ArmClient
-    from longarm_comp.jobs.loop.files import write_loop
     from longarm_comp.jobs.loop.run import Loop
     from longarm_comp.jobs.loop.settings import LoopSettings
+    from longarm_comp.jobs.loop.summary import write_loop
     from longarm_comp.jobs.pace import Pace
 
     declared = Arm.load(arm)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,25 @@ seed = click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed."
 )
 as_json = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
+
+
+def kind_of(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Option ``--kind-of MODEL...``, last on the line; the command gets `kind_of`, all of them."""
+
+    @functools.wraps(function)
+    def command(kind_of: Path | None, more: tuple[Path, ...], **rest: Any) -> Any:
+        if more and kind_of is None:
+            raise click.UsageError(f"unexpected: {' '.join(map(str, more))}")
+        return function(kind_of=() if kind_of is None else (kind_of, *more), **rest)
+
+    option = click.option(
+        "--kind-of",
+        type=_PATH,
+        metavar="MODEL...",
+        help="Calibrated models of other arms of the kind (model.yaml files): how they differ from "
+        "the drawing is expected of ARM too. After ARM and SESSION.",
+    )
+    return option(click.argument("more", type=_PATH, nargs=-1, metavar="")(command))
 
 
 floor = click.option(

@@ -63,11 +63,6 @@ The matrices are small, and a second thread makes training three times slower.  
 variables when it is first imported, so they are set before any command is."""
 
 
-_YOUNG = 100_000
-"""New objects after which cycles are looked for: libraries and figures make many objects and few
-cycles, and Python's own 700 cost a short diagnosis 6 % of its time."""
-
-
 def root() -> click.Group:
     """The command ``longarm``."""
     group = LazyGroup(
@@ -112,7 +107,9 @@ def run_command(
     """
     for pool in _POOLS:
         os.environ.setdefault(pool, "1")
-    gc.set_threshold(_YOUNG, *gc.get_threshold()[1:])
+    # New objects after which cycles are looked for: libraries and figures make many objects and few
+    # cycles, and Python's own 700 cost a short diagnosis 6 % of its time
+    gc.set_threshold(100_000, *gc.get_threshold()[1:])
     try:
         code = command.main(
             args=None if arguments is None else list(arguments),

@@ -76,7 +76,7 @@ def command(folder: Path, as_json: bool, **answers: object) -> None:
 
 
 def _run(folder: Path, given: SetupAnswers, as_json: bool) -> None:
-    from longarm_comp.arm_folder.servo_file import SERVOS, with_joints, write_servos
+    from longarm_comp.arm_folder.servos import SERVOS, with_joints, write_servos
     from longarm_comp.devices.servo_bus import open_bus
     from longarm_comp.devices.servo_config import ServoConfig
     from longarm_comp.devices.servo_setup import ServoSetup

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from longarm_comp.arm_folder.servo_file import SERVOS
+from longarm_comp.arm_folder.servos import SERVOS
 from longarm_comp.cli.dialogue import Dialogue, attended, by_name
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.servo_bus import Scan

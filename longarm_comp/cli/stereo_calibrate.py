@@ -80,7 +80,7 @@ def command(
 
 def _from_files(target: Target, folder: Path) -> tuple[list[BoardView], Size]:
     from longarm_comp.devices.stereo import StereoRefusal
-    from longarm_comp.devices.stereo.image_files import pair_files, read_grey
+    from longarm_comp.devices.stereo.camera_file import pair_files, read_grey
     from longarm_comp.devices.stereo.views import view_of
 
     views: list[BoardView] = []

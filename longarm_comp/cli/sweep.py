@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.agreed import agreed
+from longarm_comp.cli.dialogue import agreed
 from longarm_comp.cli.output import note, progress
 from longarm_comp.core.errors import JobError
 

@@ -10,7 +10,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
     from longarm_comp.jobs.touch import TouchLog
@@ -64,7 +64,8 @@ def command(
 
     Guide the arm by hand, or jog it, until the ball sits in the socket, and press Enter. Nothing is
     sent to the arm but, with --by-hand, torque off, and at the end on again. After some touches
-    every row is told how far it is from its point.
+    every row is told how far it is from its point. Where the graph tells of `contact` (a wire to
+    ball and socket, or the simulated arm's `sockets`), a touch outside the socket is refused.
 
     \b
     Examples:
@@ -92,7 +93,12 @@ def command(
         column, line = "touch", _asked(f"touch {name}")
         while line != "end":
             if not line:
-                touches.take(client, name, column)
+                try:
+                    touches.take(client, name, column)
+                except JobError as error:
+                    if stop.is_set():
+                        raise
+                    note(str(error))
             elif line == "undo":
                 del touches.rows[-1:]
             elif line.startswith("plane "):

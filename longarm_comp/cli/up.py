@@ -10,11 +10,6 @@ import click
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note
 
-_DISCOVERED_S = 1.5
-"""A graph that runs is seen within it."""
-_FORGOTTEN_S = 22.0
-"""The middleware counts a killed driver for 20 s."""
-
 
 @click.command()
 @options.arm
@@ -100,6 +95,8 @@ def _alone(namespace: str, stop: threading.Event) -> None:
     from longarm_comp.jobs.client import GraphClient, drivers
 
     with GraphClient(namespace, stop, "up") as client:
-        client.spin(_DISCOVERED_S)
+        # A graph that runs is seen within it
+        client.spin(1.5)
         several = "a graph runs already in this namespace and ROS_DOMAIN_ID; end it, or --namespace"
-        client.until(lambda: not drivers(client.node), _FORGOTTEN_S, several)
+        # The middleware counts a killed driver for 20 s
+        client.until(lambda: not drivers(client.node), 22.0, several)

@@ -31,19 +31,17 @@ from longarm_comp.devices.joint_path import (
     JointPath,
     JointTrajectory,
     TakenOver,
+    checked,
     plan_path,
 )
 from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble, ServoWatch
-from longarm_comp.devices.trajectory_check import checked
 from longarm_comp.devices.trim import Trim
 from longarm_comp.math.shaper import Shaper
 
 __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
 
-_OF_A_MOVE = 2
-"""Points of a move: its run-up and its end. More are a path, which is not trimmed."""
 
 KeepsOut = Callable[[Array], str]
 """Says why an arm must not go through joints (N, n); empty where it may."""
@@ -134,7 +132,8 @@ class TrajectoryFollower:
                 start, wanted.times, wanted.positions, wanted.velocities, self._max_velocity
             )
             self._check_inside(path)
-        several = len(trajectory.points) > _OF_A_MOVE
+        # Points of a move: its run-up and its end. More are a path, which is not trimmed
+        several = len(trajectory.points) > 2
         taken = self._taken_over(path, start)
         way: TakenOver | InParts = taken
         if wanted is not None and self._shapes is not None and not accepted.replaces:

@@ -24,8 +24,6 @@ _UNMOVED_TICKS = 8
 """A servo that was swept over no more than that was not moved."""
 _NEAR_TICKS, _SETTLED_S = 6, 0.3
 """A move is over where the servo rests so near its goal for so long."""
-_SPEED = 5.0
-"""Speed of a nudge, deg/s or mm/s: to be seen, and to be stepped away from."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class Travel:
 
 
 @dataclass(frozen=True)
-class Nudge:
+class _Nudge:
     """A small move that was made: servo, where from, and how far, ticks."""
 
     servo_id: int
@@ -218,7 +216,7 @@ class ServoSetup:
             at[joint.servo_id] = float(median(ticks))
         return at
 
-    def nudge(self, name: str, by: float) -> Nudge:
+    def nudge(self, name: str, by: float) -> _Nudge:
         """Move one joint by ``by`` (rad, m) one way or the other.
 
         It goes up unless that leads out of the servo's range or of the travel of the sweep.
@@ -240,16 +238,17 @@ class ServoSetup:
         moved = self._at(joint.servo_id) - start
         if abs(moved) < ticks / 2:
             raise JobError(f"{name} does not move: servo {joint.servo_id}", ticks=moved)
-        return Nudge(joint.servo_id, start, moved)
+        return _Nudge(joint.servo_id, start, moved)
 
-    def back(self, nudge: Nudge) -> None:
+    def back(self, nudge: _Nudge) -> None:
         """Take a nudge back."""
         self._go(nudge.servo_id, nudge.start)
 
     def _go(self, servo_id: int, goal: int) -> None:
         """Drive one servo to a goal; ends when it rests there, or without it after a while."""
         joint = next(j for j in self.joints.values() if j.servo_id == servo_id)
-        speed = min(_SPEED * hand_unit(joint)[0], joint.max_velocity) / joint.si_per_tick
+        # Speed of a nudge, deg/s or mm/s: to be seen, and to be stepped away from
+        speed = min(5.0 * hand_unit(joint)[0], joint.max_velocity) / joint.si_per_tick
         rested, last = time.monotonic(), self._at(servo_id)
         # With a move: times one second and the time that it takes
         limit = time.monotonic() + 3.0 * (1.0 + abs(goal - last) / speed)

@@ -16,8 +16,6 @@ from longarm_comp.workflows.apply import Applied, apply
 from longarm_comp.workflows.at_work import undo
 from longarm_comp.workflows.inputs import Note, Progress, log_note, silent
 
-_PATIENCE_S = 60.0
-
 
 @dataclass(frozen=True)
 class FilesAtWork:
@@ -89,7 +87,7 @@ def reload(client: GraphClient, node: str) -> None:
     """Have a node read its files again."""
     service = graph.RELOAD.client(client.node, of=node)
     try:
-        answer = client.call(service, Trigger.Request(), _PATIENCE_S, again=True)
+        answer = client.call(service, Trigger.Request(), 60.0, again=True)
     finally:
         client.node.destroy_client(service)
     if not answer.success:

@@ -36,7 +36,7 @@ _NEXT = {
 
 
 @dataclass(frozen=True)
-class Trouble:
+class _Trouble:
     """A part of a node that is not well, in its own words; level: warning, error or stale."""
 
     node: str
@@ -46,7 +46,7 @@ class Trouble:
 
 
 @dataclass(frozen=True)
-class Standing:
+class _Standing:
     """How an arm stands.
 
     Attributes:
@@ -61,7 +61,7 @@ class Standing:
     driver: str
     why: str
     nodes: tuple[str, ...]
-    troubles: tuple[Trouble, ...]
+    troubles: tuple[_Trouble, ...]
     next: str
     tip: str = ""
     learned: str = ""
@@ -88,7 +88,7 @@ class Attendant:
                 told = ord(status.level), status.message
                 self._reports.setdefault(name, {})[part] = told
 
-    def standing(self) -> Standing:
+    def standing(self) -> _Standing:
         """How the arm stands, as soon as every node of it that is on the graph has reported."""
         client, where = self._client, self._namespace or "/"
         own = client.node.get_name()
@@ -116,10 +116,10 @@ class Attendant:
                 self._reports[name] = {"process": (3, f"does not report: {late}")}
         return self._standing()
 
-    def _standing(self) -> Standing:
+    def _standing(self) -> _Standing:
         driver = self._driver
         troubles = tuple(
-            Trouble(node, part, _LEVELS[min(level, 3)], message)
+            _Trouble(node, part, _LEVELS[min(level, 3)], message)
             for node, parts in sorted(self._reports.items())
             for part, (level, message) in parts.items()
             if level
@@ -131,7 +131,7 @@ class Attendant:
             step += f" --namespace {self._namespace[1:]}"
         said = self._reports.get("kinematics", {})
         tip, learned = (said.get(part, (0, ""))[1] for part in (TIP_SAID, LEARNED_SAID))
-        return Standing(words, why, tuple(sorted(self._reports)), troubles, step, tip, learned)
+        return _Standing(words, why, tuple(sorted(self._reports)), troubles, step, tip, learned)
 
     # ------------------------------------------------------------------ asking
 

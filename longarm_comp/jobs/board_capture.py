@@ -20,8 +20,6 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import pixels_of
 from longarm_comp.nodes.stamps import stamp_ns
 
-_FIRST_S = 30.0
-
 
 class _Images:
     """The newest pair of images on the topics."""
@@ -92,7 +90,7 @@ def capture(
             tell(f"{len(views)} of {FEWEST_VIEWS} views; " + (lacking[-1] if lacking else "done"))
             return not lacking
 
-        client.until(lambda: images.take() is not None, _FIRST_S, "no pair of images")
+        client.until(lambda: images.take() is not None, 30.0, "no pair of images")
         try:
             client.until(complete, within_s, "board")
         except Interrupted:

@@ -17,8 +17,8 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Topic
 from longarm_comp.sessions.bag import Message
 from longarm_comp.sessions.bag_segments import SegmentedBag
+from longarm_comp.sessions.message_types import offered
 from longarm_comp.sessions.moment import moment, stamp_of_raw
-from longarm_comp.sessions.offered import offered
 
 SESSION_TOPICS = (
     graph.TARGET_POSE, graph.JOINT_TRAJECTORY, graph.COMPENSATION, graph.JOINT_STATES,
@@ -32,7 +32,6 @@ HELD_TOPICS = (graph.TEMPERATURE, graph.PAYLOAD, graph.INCLINATION)
 
 IMAGE_TOPICS = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE, graph.LEFT_INFO, graph.RIGHT_INFO)
 
-_DEPTH = 2000
 _DRAIN_S, _AT_ONCE = 5.0, 20
 _SEGMENT_S = 20.0
 
@@ -72,7 +71,7 @@ class Recorder:
         if "header" in message.get_fields_and_field_types():
             self._stamped.add(name)
         self._bag.offers[name] = offered(topic.depth, latched=topic.latched)
-        qos = QoSProfile(depth=_DEPTH, reliability=topic.listens)
+        qos = QoSProfile(depth=2000, reliability=topic.listens)
         self._node.create_subscription(
             topic.type, topic.name, lambda raw: self.put(name, kind, bytes(raw)), qos, raw=True
         )

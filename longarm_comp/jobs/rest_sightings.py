@@ -14,8 +14,6 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.client import ArmClient, Interrupted
 
-_FIRST_S = 30.0
-
 
 def sightings_at_rest(
     arm: Arm,
@@ -32,7 +30,7 @@ def sightings_at_rest(
     xyz: list[np.ndarray] = []
     sd: list[np.ndarray] = []
     with ArmClient(arm, namespace, stop, "hand_eye") as client:
-        client.until(lambda: client.joints is not None, _FIRST_S, "no joint_states")
+        client.until(lambda: client.joints is not None, 30.0, "no joint_states")
         anchor, since = client.joints, time.monotonic()
         client.sightings.clear()
 

@@ -23,8 +23,6 @@ Witness = Callable[[int], np.ndarray]
 """Gives the tip (3,), m, as another instrument sees it after a time (ns) at which it rests."""
 Say = Callable[[str, float], None]
 
-_FRESH_NS = 50_000_000
-
 
 @dataclass(frozen=True, eq=False)
 class Trial:
@@ -168,7 +166,7 @@ class TargetRunner:
         path = np.array([joints_of(stop, client.arm, "compensate") for stop in stops])
         client.spin(0.05)
         tolerance = np.full(client.arm.n, pace.tolerance)
-        rest = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s, start) + _FRESH_NS
+        rest = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s, start) + 50_000_000
         looks = client.look(rest, pace.sightings, pace.look_s)
         seen = np.mean(looks, axis=0) if looks else np.full(3, np.nan)
         true = np.full(3, np.nan) if self._witness is None else self._witness(rest)

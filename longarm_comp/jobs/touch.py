@@ -19,7 +19,7 @@ from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.attend import Attendant
 from longarm_comp.jobs.client import ArmClient, GraphClient
-from longarm_comp.nodes.interfaces import JOINT_STATES
+from longarm_comp.nodes.interfaces import CONTACT, JOINT_STATES
 
 READINGS = 10
 """Joint readings that a row is the mean of."""
@@ -53,8 +53,15 @@ class TouchLog:
         self.distances = self.distances or before.touch_distances
 
     def take(self, client: ArmClient, name: str, column: str = "touch") -> np.ndarray:
-        """Add a row of the joints as they rest now."""
+        """Add a row of the joints as they rest now.
+
+        Raises:
+            JobError: the arm does not rest, or something on the graph feels for the ball
+                (`contact`), and it sits in no socket.
+        """
         q = resting(client)
+        if column == "touch" and not _seated(client):
+            raise JobError(f"touch {name}: the ball sits in no socket; nothing was taken")
         self.rows.append((q, column, name))
         return q
 
@@ -88,6 +95,18 @@ class TouchLog:
         except LongarmError:
             return None
         return spreads(fitted.model, whole)
+
+
+def _seated(client: ArmClient) -> bool:
+    """Whether the ball sits in a socket, by what the graph tells next; true where it tells none."""
+    heard: list[str] = []
+    felt = CONTACT.subscription(client.node, lambda message: heard.append(message.data))
+    try:
+        if client.node.count_publishers(felt.topic_name):
+            client.until(lambda: heard, PATIENCE_S, "contact")
+    finally:
+        client.node.destroy_subscription(felt)
+    return not heard or bool(heard[-1])
 
 
 @contextmanager

@@ -24,7 +24,7 @@ WITHOUT, COMPENSATED = "without compensation", "with compensation"
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
+class _Chosen:
     """Targets that the graph accepts, and those that it refused.
 
     Attributes:
@@ -37,10 +37,10 @@ class Chosen:
 
 
 @dataclass(frozen=True, eq=False)
-class Verified:
+class _Verified:
     """What came of it: the targets, both runs, and the comparison."""
 
-    chosen: Chosen
+    chosen: _Chosen
     method: Method
     trials: tuple[Trial, Trial]
     result: Verification
@@ -73,7 +73,7 @@ class Verified:
         }
 
 
-def choose(runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]) -> Chosen:
+def choose(runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]) -> _Chosen:
     """Up to n targets that the graph accepts with every method; nothing moves."""
     kept: list[np.ndarray] = []
     refused: list[tuple[np.ndarray, str]] = []
@@ -90,7 +90,7 @@ def choose(runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]
     if len(kept) < 2:
         why = f": {refused[0][1]}" if refused else ""
         raise JobError(f"fewer than two targets are reachable{why}", refused=len(refused))
-    return Chosen(np.array(kept), tuple(refused))
+    return _Chosen(np.array(kept), tuple(refused))
 
 
 def one_by_one(targets: np.ndarray) -> Draw:
@@ -107,14 +107,14 @@ def method_at_work(client: GraphClient) -> Method:
 
 def verify(
     runner: TargetRunner,
-    chosen: Chosen,
+    chosen: _Chosen,
     method: Method,
     *,
     seed: int = 0,
     progress: Say = lambda text, share: None,
-) -> Verified:
+) -> _Verified:
     """Drive the targets without compensation, then with a method, and compare."""
     without = runner.run(WITHOUT, chosen.xyz, Method.NONE, progress)
     compensated = runner.run(COMPENSATED, chosen.xyz, method, progress)
     result = verification((WITHOUT, COMPENSATED), without.off, compensated.off, seed)
-    return Verified(chosen, method, (without, compensated), result)
+    return _Verified(chosen, method, (without, compensated), result)

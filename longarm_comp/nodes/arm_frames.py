@@ -16,7 +16,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.urdf_export import export_urdf
 
 PARAMS = (

@@ -15,7 +15,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import OK, Report
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.nodes.worker import Worker
 
 PARAMS = (Param("readings.period_s", 1.0, "between two tip_by_readings; 0: none", 0.0, 60.0),)

@@ -24,6 +24,7 @@ from longarm_comp.core.model.keep_out import entered
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.frames import FrameListener
+from longarm_comp.nodes.health import Twins
 from longarm_comp.nodes.messages import (
     Answer,
     FileHashes,
@@ -37,7 +38,6 @@ from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
 from longarm_comp.nodes.stamps import stamp_ns
-from longarm_comp.nodes.twins import Twins
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (

@@ -22,11 +22,10 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
-from longarm_comp.nodes.model_files import ModelFiles, file_hash
+from longarm_comp.nodes.model_files import FileWatch, ModelFiles, file_hash
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
-from longarm_comp.nodes.steady import steady_timer
-from longarm_comp.nodes.watch import FileWatch
+from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.nodes.worker import Worker
 from longarm_interfaces.srv import PredictError
 
@@ -41,7 +40,7 @@ PARAMS = (
 
 
 @dataclass(frozen=True)
-class Loaded:
+class _Loaded:
     """A predictor and its file's SHA-256."""
 
     predictor: Predictor
@@ -59,7 +58,7 @@ class ErrorPredictor(Node):
         self._model = ModelFiles(p["arm"], p["model"])
         self._arm = self._model.arm
         self._path, self._base_frame = p["predictor"], prefix_of(self) + p["base_frame"]
-        self._loaded: Loaded | None = None
+        self._loaded: _Loaded | None = None
         self._fault = ""
         self._answered = self._refused = self._outside = 0
         self._last = ""
@@ -121,7 +120,7 @@ class ErrorPredictor(Node):
         return response
 
     def _predict(
-        self, loaded: Loaded, request: PredictError.Request, response: PredictError.Response
+        self, loaded: _Loaded, request: PredictError.Request, response: PredictError.Response
     ) -> None:
         q = joints_of(request.joints, self._arm, "predict_error")
         side = sides_of(request.approach, request.joints.name, self._arm, "predict_error")
@@ -150,7 +149,7 @@ class ErrorPredictor(Node):
             predictor = load(self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names)
             belongs(predictor, self._path, model, f"the model in use: {model[:12] or 'none'}")
             digest = file_hash(self._path)
-            self._loaded = Loaded(predictor, Expander(predictor), digest, model)
+            self._loaded = _Loaded(predictor, Expander(predictor), digest, model)
         except LongarmError as error:
             self._fault = str(error)
             if self._loaded is not None and self._loaded.model_hash != model:

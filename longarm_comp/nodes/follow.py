@@ -25,7 +25,7 @@ from longarm_comp.nodes.ticks import Ticks
 from longarm_interfaces.msg import Motion
 
 
-class FollowSite(Protocol):
+class _FollowSite(Protocol):
     """What the action needs of the driver."""
 
     @property
@@ -47,7 +47,7 @@ class FollowSite(Protocol):
 class FollowServer:
     """Serves goals. A new one replaces the one before, as a new message does."""
 
-    def __init__(self, node: Node, site: FollowSite) -> None:
+    def __init__(self, node: Node, site: _FollowSite) -> None:
         self._node, self._site = node, site
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
         self._told: dict[str, tuple[int, str] | None] = {}

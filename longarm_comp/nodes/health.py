@@ -7,13 +7,54 @@ import time
 import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import DIAGNOSTICS
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.ticks import steady_timer
+
+_ALONE = 3
+"""So many reports of its own, and none of another in between: the other is gone."""
+
+
+class Twins:
+    """Whether another `kinematics` publishes; ``node`` is the one that asks."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._topic = node.resolve_topic_name(graph.COMPENSATION.name)
+        self._part = f"{node.get_fully_qualified_name()}: process"
+        self._listening: Any = None
+        self._alone = _ALONE
+        steady_timer(node, 0.25, self._look)
+
+    @property
+    def refusal(self) -> str:
+        """Why the arm must not be moved; empty where no other is on the graph."""
+        if self._alone >= _ALONE:
+            return ""
+        return "a second kinematics is on the graph, both command this arm: end one of them"
+
+    def _look(self) -> None:
+        several = self._node.count_publishers(self._topic) > 1
+        if several and self._listening is None:
+            self._alone = 0
+            self._listening = graph.DIAGNOSTICS.subscription(self._node, self._on_diagnostics)
+        elif not several and self._listening is not None:
+            self._node.destroy_subscription(self._listening)
+            self._listening, self._alone = None, _ALONE
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == self._part:
+                told = {pair.key: pair.value for pair in status.values}
+                own = told.get(INSTANCE) == THIS_INSTANCE
+                self._alone = self._alone + 1 if own else 0
+
 
 TIP_SAID = "tip by readings"
 """Part of `kinematics` on /diagnostics that says where the tip stands."""
@@ -29,8 +70,6 @@ OK, WARN, ERROR, STALE = (
     DiagnosticStatus.STALE,
 )
 
-_FRESH_S = 60.0
-"""For so long a fault is an error on /diagnostics, unless it is known to be mended."""
 
 INSTANCE = "instance"
 """Value of the part `process`: which process reports, as a restarted one has the same name."""
@@ -119,6 +158,7 @@ class Health:
             "faults": self.faults,
             "last fault": self.last_fault,
         }
-        if self._fault_s is not None and time.monotonic() - self._fault_s < _FRESH_S:
+        # For so long a fault is an error on /diagnostics, unless it is known to be mended
+        if self._fault_s is not None and time.monotonic() - self._fault_s < 60.0:
             return Report(ERROR, f"survived {self.faults} faults, last {self.last_fault}", facts)
         return Report(OK, "running", facts)

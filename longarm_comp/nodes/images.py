@@ -19,7 +19,7 @@ Samples = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
-class PixelFormat:
+class _PixelFormat:
     """How an image's bytes are pixels.
 
     Attributes:
@@ -49,17 +49,19 @@ _BAYER = {
 }
 
 # Names of sensor_msgs/image_encodings.hpp. Of YUV the brightness Y is every second byte.
-ENCODINGS: dict[str, PixelFormat] = {
-    **dict.fromkeys(("mono8", "8UC1"), PixelFormat(1, _sample(0))),
-    **dict.fromkeys(("mono16", "16UC1"), PixelFormat(1, _sample(0), wide=True)),
-    **dict.fromkeys(("bgr8", "8UC3"), PixelFormat(3, lambda numbers: numbers)),
-    "rgb8": PixelFormat(3, _converted(cv2.COLOR_RGB2BGR)),
-    **dict.fromkeys(("bgra8", "8UC4"), PixelFormat(4, _converted(cv2.COLOR_BGRA2BGR))),
-    "rgba8": PixelFormat(4, _converted(cv2.COLOR_RGBA2BGR)),
-    **dict.fromkeys(("yuv422", "uyvy"), PixelFormat(2, _sample(1))),
-    **dict.fromkeys(("yuv422_yuy2", "yuyv"), PixelFormat(2, _sample(0))),
-    **{f"bayer_{order}8": PixelFormat(1, convert) for order, convert in _BAYER.items()},
-    **{f"bayer_{order}16": PixelFormat(1, convert, wide=True) for order, convert in _BAYER.items()},
+ENCODINGS: dict[str, _PixelFormat] = {
+    **dict.fromkeys(("mono8", "8UC1"), _PixelFormat(1, _sample(0))),
+    **dict.fromkeys(("mono16", "16UC1"), _PixelFormat(1, _sample(0), wide=True)),
+    **dict.fromkeys(("bgr8", "8UC3"), _PixelFormat(3, lambda numbers: numbers)),
+    "rgb8": _PixelFormat(3, _converted(cv2.COLOR_RGB2BGR)),
+    **dict.fromkeys(("bgra8", "8UC4"), _PixelFormat(4, _converted(cv2.COLOR_BGRA2BGR))),
+    "rgba8": _PixelFormat(4, _converted(cv2.COLOR_RGBA2BGR)),
+    **dict.fromkeys(("yuv422", "uyvy"), _PixelFormat(2, _sample(1))),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), _PixelFormat(2, _sample(0))),
+    **{f"bayer_{order}8": _PixelFormat(1, convert) for order, convert in _BAYER.items()},
+    **{
+        f"bayer_{order}16": _PixelFormat(1, convert, wide=True) for order, convert in _BAYER.items()
+    },
 }
 
 

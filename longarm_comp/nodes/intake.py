@@ -19,16 +19,11 @@ PARAMS = (
     Param("unstamped", False, "take up trajectories with the stamp 0 too (docs/ros.md)"),
 )
 
-_WAITING = 10
-"""Trajectories that may wait: a later one replaces those before it anyway."""
-
-_REMEMBERED = 100
-"""Withdrawn ids that are remembered: more than can wait."""
 
 _NO_STAMP = "header.stamp: 0; allowed: when it was sent, or set unstamped of servo_driver to true"
 
 
-class Site(Protocol):
+class _Site(Protocol):
     """What the intake needs of the driver."""
 
     @property
@@ -45,12 +40,14 @@ class Site(Protocol):
 class Intake:
     """Hears `joint_trajectory` and `withdrawn`."""
 
-    def __init__(self, node: Node, site: Site, max_age_s: float, *, unstamped: bool) -> None:
+    def __init__(self, node: Node, site: _Site, max_age_s: float, *, unstamped: bool) -> None:
         self._site, self._unstamped = site, unstamped
         self._fresh = Freshness(node, max_age_s)
-        self._withdrawn: deque[str] = deque(maxlen=_REMEMBERED)
+        # Withdrawn ids that are remembered: more than can wait
+        self._withdrawn: deque[str] = deque(maxlen=100)
         graph.WITHDRAWN.subscription(node, self._on_withdrawn)
-        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, depth=_WAITING)
+        # Trajectories that may wait: a later one replaces those before it anyway
+        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, depth=10)
 
     def too_old(self, message: JointTrajectory) -> str:
         """Why a trajectory is too old to move the arm; empty if it is not. A stop never is."""

@@ -199,6 +199,9 @@ RIGHT_INFO = Topic(
 )
 TEMPERATURE = Topic("temperature", Temperature, 5, BEST_EFFORT, "of the arm, degrees Celsius")
 PAYLOAD = Topic("payload", Float64, 5, BEST_EFFORT, "mass carried at the tool, kg")
+CONTACT = Topic(
+    "contact", String, 5, RELIABLE, "name of the socket that the ball sits in, or blank"
+)
 INCLINATION = Topic(
     "inclination", Imu, 5, BEST_EFFORT, "tilt of a frame; frame_id is the row's number, 0 the base"
 )
@@ -253,7 +256,7 @@ TOPICS: tuple[Topic, ...] = (
     PREDICTED_ERROR,
     *(TIP_MEASURED, TIP_BY_READINGS),
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_COMPRESSED, RIGHT_COMPRESSED, LEFT_INFO, RIGHT_INFO),
-    *(TEMPERATURE, PAYLOAD, INCLINATION, WRENCH),
+    *(TEMPERATURE, PAYLOAD, INCLINATION, WRENCH, CONTACT),
     *(MARKERS, COLLECT_PROGRESS, DIAGNOSTICS, ROBOT_DESCRIPTION),
     *((TF, TF_STATIC) if HAS_TF else ()),
 )

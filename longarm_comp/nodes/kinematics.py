@@ -51,11 +51,12 @@ from longarm_comp.nodes.health import (
     Health,
     Report,
     Tally,
+    Twins,
 )
 from longarm_comp.nodes.interfaces import BEST_EFFORT
 from longarm_comp.nodes.learning import Learning
 from longarm_comp.nodes.markers import Markers
-from longarm_comp.nodes.model_files import ModelFiles
+from longarm_comp.nodes.model_files import FileWatch, ModelFiles
 from longarm_comp.nodes.monitoring import Sighted, TipMonitor
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.payload import Weigher
@@ -63,10 +64,8 @@ from longarm_comp.nodes.predictor_client import Caller, PredictorClient
 from longarm_comp.nodes.reach import ReachServer
 from longarm_comp.nodes.readiness import Readiness
 from longarm_comp.nodes.runner import run
-from longarm_comp.nodes.steady import steady_timer
 from longarm_comp.nodes.targets import TargetInlet
-from longarm_comp.nodes.twins import Twins
-from longarm_comp.nodes.watch import FileWatch
+from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.nodes.worker import Worker
 from longarm_interfaces.msg import Motion
 

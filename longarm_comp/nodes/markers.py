@@ -13,8 +13,8 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.model.link_frames import exaggerated, outline
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.outline import exaggerated, outline
 from longarm_comp.nodes.interfaces import MARKERS
 from longarm_comp.nodes.messages import Answer, sighting_of
 from longarm_comp.nodes.params import Param

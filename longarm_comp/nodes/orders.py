@@ -12,7 +12,7 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.nodes.stamps import stamp_ns, stamp_of
-from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.ticks import steady_timer
 
 
 def order_id(message: JointTrajectory) -> str:

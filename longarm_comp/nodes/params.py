@@ -123,7 +123,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
         value = given.get(name, param.default)
         try:
             value = param.check(value)
-            redeclare(node, name, value, param.descriptor())
+            _redeclare(node, name, value, param.descriptor())
         except (
             *(TypeError, ValueError, InvalidParameterTypeException),
             *(InvalidParameterValueException, ParameterImmutableException),
@@ -148,7 +148,7 @@ def _checked(known: Mapping[str, Param], asked: Sequence[Parameter]) -> SetParam
     return SetParametersResult(successful=True)
 
 
-def redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
+def _redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
     """Declare a parameter with a description, even if it was declared from an override."""
     if node.has_parameter(name):
         node.undeclare_parameter(name)
@@ -159,7 +159,7 @@ def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dic
     """Declare what was given below some prefixes, each field described; nested, to be checked."""
     given = {k: v for k, v in overrides(node).items() if k.split(".")[0] in sections}
     for name, value in given.items():
-        redeclare(node, name, value, described(sections[name.split(".")[0]], name.split(".")[-1]))
+        _redeclare(node, name, value, described(sections[name.split(".")[0]], name.split(".")[-1]))
     return nested(given)
 
 

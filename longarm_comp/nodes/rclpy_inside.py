@@ -23,9 +23,9 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 
 from longarm_comp.core.errors import JobError
+from longarm_comp.nodes.image_inlet import SequenceWatch
 from longarm_comp.nodes.interfaces import Service as ServiceName
 from longarm_comp.nodes.interfaces import Topic
-from longarm_comp.nodes.loss import SequenceWatch
 from longarm_comp.nodes.stamps import sent_s
 
 CHECKED = "7.1"
@@ -128,9 +128,9 @@ class Inlets:
         """
         self._services.append(service.server(self._node, callback, self._aside))
 
-    def caller(self, service: ServiceName) -> ServiceCaller:
+    def caller(self, service: ServiceName) -> _ServiceCaller:
         """A client of a service, for the same thread."""
-        return ServiceCaller(service.client(self._node, self._aside), self._node)
+        return _ServiceCaller(service.client(self._node, self._aside), self._node)
 
     def start(self) -> None:
         """Build the wait set, when everything is declared."""
@@ -196,7 +196,7 @@ def _send(service: Service, header: Any, response: Any) -> None:
     service.send_response(response, header)
 
 
-class ServiceCaller:
+class _ServiceCaller:
     """A service client that waits in the calling thread, without an executor.
 
     rclpy offers this only for topics (`rclpy.wait_for_message`); this works the same way.

@@ -31,7 +31,7 @@ PARAMS = (
 )
 
 
-class ReachSite(Protocol):
+class _ReachSite(Protocol):
     """What the action needs of `kinematics`."""
 
     @property
@@ -63,7 +63,7 @@ class ReachServer:
     """Serves one goal after another, in the order of arrival, on the node's executor."""
 
     def __init__(
-        self, node: Node, arm: Arm, site: ReachSite, feedback_s: float, look_s: float
+        self, node: Node, arm: Arm, site: _ReachSite, feedback_s: float, look_s: float
     ) -> None:
         self._arm, self._site, self._look_s = arm, site, look_s
         self._node, self._period_s = node, feedback_s

@@ -13,10 +13,8 @@ from longarm_comp.core.ik.codegen import Compiled
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.predictor_client import PredictorClient
-from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.nodes.worker import Worker
-
-_LOOK_S = 0.25
 
 
 class Readiness:
@@ -35,7 +33,7 @@ class Readiness:
         self._compiled = compiled and ik.warm_up()
         self._prepared: Hashable = None
         self._busy = self._probed = False
-        steady_timer(node, _LOOK_S, self.look)
+        steady_timer(node, 0.25, self.look)
         self.look()
 
     def look(self) -> None:

@@ -21,7 +21,7 @@ from longarm_comp.core.errors import LongarmError
 from longarm_comp.nodes.supervisor import GUARD
 
 
-class Runnable(Protocol):
+class _Runnable(Protocol):
     """A node that the runner can run."""
 
     def close(self) -> None:
@@ -31,7 +31,7 @@ class Runnable(Protocol):
         """Report an exception that a callback raised."""
 
 
-def run(make: Callable[[SingleThreadedExecutor], Runnable | Sequence[Runnable]]) -> int:
+def run(make: Callable[[SingleThreadedExecutor], _Runnable | Sequence[_Runnable]]) -> int:
     """Spin a node, or several, until a signal.
 
     Signals only set an event, so a second one does not interrupt the clean-up.
@@ -46,7 +46,7 @@ def run(make: Callable[[SingleThreadedExecutor], Runnable | Sequence[Runnable]])
         signal.signal(number, lambda *_: stop.set())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
-    nodes: Sequence[Runnable] = ()
+    nodes: Sequence[_Runnable] = ()
     try:
         made = make(executor)
         nodes = made if isinstance(made, Sequence) else (made,)
@@ -67,7 +67,7 @@ def run(make: Callable[[SingleThreadedExecutor], Runnable | Sequence[Runnable]])
     return 0
 
 
-def spin(executor: SingleThreadedExecutor, node: Runnable, stop: threading.Event) -> None:
+def spin(executor: SingleThreadedExecutor, node: _Runnable, stop: threading.Event) -> None:
     """Serve callbacks until the event is set. Their exceptions are reported and not fatal.
 
     A node that a supervisor started ends when the supervisor is gone.

@@ -46,7 +46,7 @@ from longarm_comp.nodes.messages import trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.params import Param, declare, declare_sections, where
 from longarm_comp.nodes.runner import run
-from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.ticks import steady_timer
 from longarm_interfaces.msg import DriverState, Motion
 
 PARAMS = (
@@ -75,7 +75,7 @@ _BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD)
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
-class ServoDriver(LifecycleNode):
+class _ServoDriver(LifecycleNode):
     """One arm's servos."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
@@ -392,7 +392,7 @@ class ServoDriver(LifecycleNode):
 
 def main() -> None:
     """Run the node."""
-    sys.exit(run(ServoDriver))
+    sys.exit(run(_ServoDriver))
 
 
 if __name__ == "__main__":

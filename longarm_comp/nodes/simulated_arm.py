@@ -17,7 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
@@ -28,7 +28,7 @@ from longarm_comp.nodes.images import image_message, info_message
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.stamps import stamp_of
-from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.nodes.worker import Worker
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.plant import Plant, PlantConfig, hidden_effects, mounting
@@ -53,6 +53,7 @@ PARAMS = (
     Param("warming_k", 0.0, "rise over hours", -50.0, 50.0),
     Param("damping", 0.0, "it rings with this share of critical damping; 0: not at all", 0.0, 0.9),
     Param("payload_kg", 0.25, "carried at the tool", 0.0, 1000.0),
+    Param("sockets", "", "conical sockets in the base frame, 'name=x,y,z name=x,y,z', m"),
     Param("camera.position", [0.75, -1.7, 0.3], "left camera in the base frame, m"),
     Param("camera.axis", [0.0, 1.0, 0.0], "where it looks"),
     Param("camera.baseline_m", 0.3, "from the left to the right camera", 1e-3, 10.0),
@@ -73,8 +74,8 @@ PARAMS = (
     PERIOD,
 )
 
-_RINGS_S = 0.01
-"""Between two steps of the arm's vibration, s: a small part of the first modes' periods."""
+_FELT_S = 0.1
+"""Between two looks for contact of the ball, s."""
 _SIDES = ("left", "right")
 
 
@@ -95,6 +96,20 @@ def _numbers(field: str, text: str, allowed: str) -> dict[str, float]:
     return by_name
 
 
+def places(text: str) -> dict[str, tuple[float, ...]]:
+    """Sockets and their places, m, of ``name=x,y,z name=x,y,z``."""
+    made: dict[str, tuple[float, ...]] = {}
+    for part in text.split():
+        name, _, place = part.partition("=")
+        try:
+            x, y, z = map(float, place.split(","))
+        except ValueError:
+            where, allowed = "parameters of simulated_arm", "name=x,y,z (m)"
+            raise InputError(where, "sockets", part, allowed) from None
+        made[name] = (x, y, z)
+    return made
+
+
 def _named(field: str, text: str, known: Iterable[str]) -> list[str]:
     """The words of a text; each must be known."""
     for word in text.split():
@@ -103,7 +118,7 @@ def _named(field: str, text: str, known: Iterable[str]) -> list[str]:
     return text.split()
 
 
-class SimulatedArm(Node):
+class _SimulatedArm(Node):
     """Renders images on a thread. A frame is skipped while the last one is being rendered."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
@@ -132,6 +147,7 @@ class SimulatedArm(Node):
             temperature_c=(p["temperature_c"], p["warming_k"]),
             payload_kg=p["payload_kg"],
             damping=p["damping"],
+            sockets=places(p["sockets"]),
         )
         self._plant = Plant(config, Path(p["port"]), rng)
         self._covered: list[str] = []
@@ -148,6 +164,9 @@ class SimulatedArm(Node):
         self._truth = self.create_publisher(PointStamped, "~/true_tip", 20)
         self._temperature = graph.TEMPERATURE.publisher(self)
         self._payload = graph.PAYLOAD.publisher(self)
+        if config.sockets:
+            self._contact = graph.CONTACT.publisher(self)
+            steady_timer(self, _FELT_S, self._feel)
         if p["frame_rate_hz"]:
             steady_timer(self, 1.0 / p["frame_rate_hz"], self._expose)
         if p["context_rate_hz"]:
@@ -156,7 +175,8 @@ class SimulatedArm(Node):
             self._chance = np.random.default_rng([p["seed"], 1])
             steady_timer(self, 1.0 / p["wire_faults_hz"], self._spoil)
         if p["damping"]:
-            steady_timer(self, _RINGS_S, self._ring)
+            # Between two steps of the arm's vibration, s: a small part of the first modes' periods
+            steady_timer(self, 0.01, self._ring)
         self._health = Health(self, {"plant": self._report}, p[PERIOD.name])
         self._plant.start()
 
@@ -227,6 +247,10 @@ class SimulatedArm(Node):
         self._temperature.publish(message)
         self._payload.publish(Float64(data=self._plant.config.payload_kg))
 
+    def _feel(self) -> None:
+        t_s = time.monotonic() - self._started
+        self._contact.publish(String(data=self._plant.contact(t_s)))
+
     def _report(self) -> Report:
         emulator = self._plant.emulator
         facts = {
@@ -241,7 +265,7 @@ class SimulatedArm(Node):
 
 def main() -> None:
     """Run the node."""
-    sys.exit(run(SimulatedArm))
+    sys.exit(run(_SimulatedArm))
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ from longarm_comp.nodes.messages import pose_message
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.stamps import stamp_ns, stamp_of
-from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.nodes.worker import Worker
 
 _TRANSPORTS = {
@@ -94,7 +94,7 @@ def _other(info: CameraInfo, file: CameraInfoLike) -> bool:
     return bool(info.k[0]) and not same_camera(info, file)
 
 
-class StereoBridge(Node):
+class _StereoBridge(Node):
     """Measures pairs on a worker thread. A pair that arrives during a measurement is dropped."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
@@ -262,7 +262,7 @@ class StereoBridge(Node):
 
 def main() -> None:
     """Run the node."""
-    sys.exit(run(StereoBridge))
+    sys.exit(run(_StereoBridge))
 
 
 if __name__ == "__main__":

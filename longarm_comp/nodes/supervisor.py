@@ -17,7 +17,6 @@ from longarm_comp.core.errors import JobError
 GUARD = "LONGARM_SUPERVISOR"
 """Environment variable with the supervisor's process id. Its nodes end when it is gone."""
 _GENTLE_S, _FIRM_S = 6.0, 2.0
-_PAUSE_S = 1.0
 
 
 @dataclass
@@ -78,7 +77,7 @@ class Supervisor:
             # 2: bad input
             if code == 2 or not self.respawn:
                 raise JobError(f"{name} ended", exit_code=code)
-            if time.monotonic() - child.started < _PAUSE_S:
+            if time.monotonic() - child.started < 1.0:
                 continue
             child.deaths += 1
             child.process, child.started = _start(child.command), time.monotonic()

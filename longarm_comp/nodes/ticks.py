@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
-from longarm_comp.nodes.steady import steady_timer
+
+def steady_timer(node: Node, period_s: float, callback: Callable[[], Any]) -> Any:
+    """Call back every ``period_s`` of a steady clock."""
+    return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class Ticks:

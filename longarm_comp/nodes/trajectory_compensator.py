@@ -44,14 +44,12 @@ from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.health import OK, PERIOD, WARN, Health, Report, Tally
 from longarm_comp.nodes.messages import duration, joints_message, seconds
-from longarm_comp.nodes.model_files import ModelFiles
+from longarm_comp.nodes.model_files import FileWatch, ModelFiles
 from longarm_comp.nodes.orders import Freshness, Stamps
 from longarm_comp.nodes.params import Param, declare, where
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
 from longarm_comp.nodes.runner import run
-from longarm_comp.nodes.steady import steady_timer
-from longarm_comp.nodes.ticks import Ticks
-from longarm_comp.nodes.watch import FileWatch
+from longarm_comp.nodes.ticks import Ticks, steady_timer
 from longarm_comp.nodes.worker import Worker
 
 PARAMS = (
@@ -79,7 +77,7 @@ _WAITING = 4
 """Goals that may wait."""
 
 
-class TrajectoryCompensator(Node):
+class _TrajectoryCompensator(Node):
     """Computes on a worker thread, so that the executor stays free."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
@@ -339,7 +337,7 @@ class TrajectoryCompensator(Node):
 
 def main() -> None:
     """Run the node."""
-    sys.exit(run(TrajectoryCompensator))
+    sys.exit(run(_TrajectoryCompensator))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ from longarm_comp.report.noise_floor import normal_length
 from longarm_comp.report.style import FLOOR, INK, LOOKS, Look
 
 _MM = 1e3
-_LEAST_MM = 1e-4
 
 
 def at_the_tip(
@@ -38,7 +37,7 @@ def at_the_tip(
         length = np.sort(np.linalg.norm(held, axis=1)) * _MM
         share = (np.arange(len(length)) + 1) / max(1, len(length))
         left.plot(
-            np.maximum(length, _LEAST_MM), share, label=name, color=look.color,
+            np.maximum(length, 1e-4), share, label=name, color=look.color,
             linestyle=look.dash, marker=look.marker, markersize=5,
             markevery=max(1, len(length) // 8),
         )  # fmt: skip

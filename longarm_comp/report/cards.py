@@ -32,7 +32,7 @@ class Size:
 
 
 @dataclass(frozen=True)
-class Card:
+class _Card:
     """A finding for people.
 
     Attributes:
@@ -67,13 +67,13 @@ class Card:
     figure: str = "mean error without → with it"
 
 
-def cards(report: DiagnosisReport) -> list[Card]:
+def cards(report: DiagnosisReport) -> list[_Card]:
     """A card per finding, then one per cause without a name that is in the model."""
     unnamed = [_unnamed(found) for found in report.discovered if found.kept]
     return [_card(finding, report) for finding in report.findings] + unnamed
 
 
-def _unnamed(found: ReportDiscovered) -> Card:
+def _unnamed(found: ReportDiscovered) -> _Card:
     """A cause without a name: its formula and what it behaves like."""
     word, others = _word(found.log_evidence), found.set[1:]
     said = f"Odds of {odds(found.log_evidence)} for it, the choice among all functions paid for."
@@ -81,7 +81,7 @@ def _unnamed(found: ReportDiscovered) -> Card:
         said += f" Places that explain it as well: {listed(others)}."
     tip = f"{millimetres(found.tip_mm.rms)} at the tip, up to {millimetres(found.tip_mm.max)}"
     held = "Inside the range of the data the new model.yaml compensates it."
-    return Card(
+    return _Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
         names="",
         where=found.frame,
@@ -99,11 +99,11 @@ def _unnamed(found: ReportDiscovered) -> Card:
     )
 
 
-def _card(finding: ReportFinding, report: DiagnosisReport) -> Card:
+def _card(finding: ReportFinding, report: DiagnosisReport) -> _Card:
     sure, because = _sure(finding)
     title, where = finding.title or finding.effect.replace("_", " "), _where(finding)
     in_order = sorted(finding.parameters, key=lambda p: _natural(p.where))
-    return Card(
+    return _Card(
         title=title.capitalize() + (f", {where}" if where not in title else ""),
         names=" or ".join(finding.set or [finding.effect]),
         where=where,

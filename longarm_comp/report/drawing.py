@@ -6,13 +6,18 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.core.model.encoders import tell_apart
-from longarm_comp.core.model.outline import outline
+from longarm_comp.core.model.link_frames import outline
+from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.report.candidate_states import best_forms
 from longarm_comp.report.detail import (
     Check,
@@ -21,16 +26,54 @@ from longarm_comp.report.detail import (
     Detectable,
     Encoder,
     Input,
+    Marked,
     SeenRows,
     SetSplit,
     SplitPose,
 )
-from longarm_comp.report.marks import marked
+
+
+def marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
+    """The arm at the held-out row that stretches it most, with the places of each finding.
+
+    Causes without a name that are in the model come last.
+    """
+    found = [f.terms for f in diagnosis.findings]
+    found += [cause.terms for cause in diagnosis.causes]
+    if not found:
+        return ()
+    rows, model = diagnosis.held_out, diagnosis.model
+    tips = model.tip(rows.q, rows.context())
+    row = int(np.linalg.norm(tips - tips.mean(axis=0), axis=1).argmax())
+    context, q = rows.context().take(row), rows.q[row]
+    line, posture = outline(model, q, context), model.posture(unstack(q), context)
+    return tuple(Marked(line, _places(terms, model, posture, context)) for terms in found)
+
+
+def _places(
+    terms: tuple[Effect | Bias, ...], model: Model, posture: Posture, context: Context
+) -> dict[str, np.ndarray]:
+    points: dict[str, list[np.ndarray]] = {}
+    for term in terms:
+        points.setdefault(term.where, []).extend(_points(term, model, posture, context))
+    return {where: np.mean(held, axis=0) for where, held in points.items()}
+
+
+def _points(
+    term: Effect | Bias, model: Model, posture: Posture, context: Context
+) -> list[np.ndarray]:
+    """The stations that it turns or moves; of a camera, the camera; else the tip."""
+    camera = model.arm.camera
+    if isinstance(term, Bias):
+        known = None if camera is None else [np.array(camera.position_m, dtype=float)]
+        return known or [stack(model.tip_frame(posture).p)]
+    stations = [posture.bearing(joint) for joint in term.joints]
+    stations = stations or [k for k in term.twists(posture) if k >= 0]
+    return [stack(posture.frames[k].p) for k in stations] or [stack(model.tip_frame(posture).p)]
+
 
 ARMS = 6
 """Number of arms drawn in the scene."""
-GUILTY = 4
-"""Most inputs that the residual is plotted against."""
 SPLITS = 3.0
 """Smallest expected log odds for which poses are worth measuring."""
 UNITS = {"temperature_c": "°C", "payload_kg": "kg", "t_s": "s"}
@@ -96,7 +139,8 @@ def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
         names += found.terms[0].inputs
     names += diagnosis.structure.inputs
     known = {entry.name for entry in rows.inputs}
-    return tuple(name for name in dict.fromkeys(names) if name in known)[:GUILTY]
+    # Most inputs that the residual is plotted against
+    return tuple(name for name in dict.fromkeys(names) if name in known)[:4]
 
 
 def _size(diagnosis: Diagnosis, term: Term) -> float:

@@ -15,9 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
-_LEAST = 0.05
-"""Where less of the estimate than this share has room, the noise is not known."""
-
 
 @dataclass(frozen=True)
 class ErrorFigures:
@@ -79,7 +76,8 @@ def noise_floor(
     if structure is not None:
         ratios.append(sqrt(max(0.0, structure[0] ** 2 - structure[1] ** 2)) / whole.rms)
     share = min(1.0, *ratios) if ratios else 1.0
-    if share < _LEAST:
+    # Where less of the estimate than this share has room, the noise is not known
+    if share < 0.05:
         return None
     kept = tuple(share * s for s in sigma)
     figures = _gaussian(kept, n, min((row.max for row in models), default=np.inf))

@@ -11,11 +11,10 @@ from plotly.offline import get_plotlyjs
 
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, tables, verdict, words
-from longarm_comp.report.arrows import MOST, exaggeration, stages_of
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.open_questions import open_questions
 from longarm_comp.report.record import DiagnosisReport
-from longarm_comp.report.scene import scene_json
+from longarm_comp.report.scene import MOST, exaggeration, scene_json, stages_of
 from longarm_comp.report.style import LOOKS
 from longarm_comp.report.template import template
 

@@ -7,18 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from longarm_comp.report.arrows import arrows, exaggeration, points_of
 from longarm_comp.report.detail import Correlation, Input, Marked, SeenRows
+from longarm_comp.report.scene import arrows, exaggeration, points_of
 from longarm_comp.report.style import GRID, INK, LOOKS, SKY, VERMILLION
 
-_MM = 1e3
 _LEVELS = 8
 """An input with at most this many distinct values is drawn level by level."""
 _FAINT = 0.1
-_RING = 0.06
-"""Places nearer to each other than this share of the picture get one ring."""
-_MANY = 800
-"""Above this many points, a scatter plot is rasterised."""
 
 
 def against_input(
@@ -36,11 +31,12 @@ def against_input(
         look = LOOKS[stage]
         for axis, name in enumerate("xyz"):
             panel = panels[axis, column]
-            error = rows.errors_m[stage][:, axis] * _MM
+            error = rows.errors_m[stage][:, axis] * 1e3
             if sigma_mm is not None:
                 half = 1.96 * sigma_mm[axis]
                 panel.axhspan(-half, half, color=GRID, alpha=0.6, linewidth=0)
             panel.axhline(0, color=INK, linewidth=0.8)
+            # Above this many points, a scatter plot is rasterised
             panel.plot(
                 _spread(values),
                 error,
@@ -49,7 +45,7 @@ def against_input(
                 markersize=3,
                 color=look.color,
                 alpha=0.6,
-                rasterized=len(error) > _MANY,
+                rasterized=len(error) > 800,
             )
             centre, middle = _medians(values, error)
             panel.plot(centre, middle, color=INK, marker="_", markersize=12, linewidth=1.6)
@@ -181,7 +177,8 @@ def place(found: Marked) -> Figure:
     axes.plot(*seen(found.arm_m[:1]), marker="s", markersize=9, color=INK)
     axes.plot(*seen(found.arm_m[-1:]), marker="x", markersize=7, color=INK)
     low, high = np.min(seen(points), axis=1), np.max(seen(points), axis=1)
-    for near in _together(found.places_m, _RING * float((high - low).max())):
+    # Places nearer to each other than this share of the picture get one ring
+    for near in _together(found.places_m, 0.06 * float((high - low).max())):
         x, z = seen(np.mean([found.places_m[where] for where in near], axis=0))
         axes.plot(
             x, z, marker="o", markersize=16, markerfacecolor="none", color=VERMILLION,

@@ -3,19 +3,75 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from longarm_comp.report.arrows import Arrows, arrows, exaggeration, extent_m, stages_of
-from longarm_comp.report.detail import SeenRows
+from longarm_comp.report.detail import STAGES, SeenRows
 from longarm_comp.report.style import LOOKS
 
+MOST = 150
+"""Most arrows in one figure. Of more rows, this many are taken evenly along the session."""
+_ROUND = np.array([1.0, 2.0, 5.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Arrows:
+    """The errors of one stage, drawn from the measured tip.
+
+    Attributes:
+        stage: the model whose errors are drawn.
+        start_m, stop_m: (M, 3) ends; an arrow is `exaggeration` times the error.
+        error_m: (M, 3) as they are.
+        index: (M,) row numbers in the session.
+        exaggeration: 1, 2 or 5 times a power of ten.
+    """
+
+    stage: str
+    start_m: np.ndarray
+    stop_m: np.ndarray
+    error_m: np.ndarray
+    index: np.ndarray
+    exaggeration: float
+
+
+def stages_of(rows: SeenRows) -> tuple[str, ...]:
+    """The stages that these rows have, in order."""
+    return tuple(stage for stage in STAGES if stage in rows.errors_m)
+
+
+def points_of(rows: SeenRows) -> np.ndarray:
+    """(P, 3) every measured tip and every point of the centre-lines, m."""
+    return np.concatenate([rows.measured_m, *rows.arms_m])
+
+
+def _extent_m(rows: SeenRows) -> float:
+    """Largest side of the box around `points_of`."""
+    points = points_of(rows)
+    return float(np.ptp(points, axis=0).max()) if len(points) else 1.0
+
+
+def exaggeration(rows: SeenRows, stages: tuple[str, ...]) -> float:
+    """Factor on all arrows: the largest p95 of the stages becomes about 15 % of the scene."""
+    lengths = [np.linalg.norm(rows.errors_m[stage], axis=1) for stage in stages]
+    long = max((float(np.percentile(length, 95)) for length in lengths if len(length)), default=0.0)
+    if long <= 0:
+        return 1.0
+    wanted = max(1.0, 0.15 * _extent_m(rows) / long)
+    decade = 10.0 ** np.floor(np.log10(wanted))
+    return float(decade * _ROUND[wanted / decade * (1 + 1e-9) >= _ROUND].max())
+
+
+def arrows(rows: SeenRows, stage: str, times: float) -> Arrows:
+    """The arrows of a stage, drawn `times` their true length."""
+    n = len(rows.index)
+    taken = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))
+    start, error = rows.measured_m[taken], rows.errors_m[stage][taken]
+    return Arrows(stage, start, start + times * error, error, rows.index[taken], times)
+
+
 _ARM = "#8a8a8a"
-_HEAD = 0.018
-"""Length of an arrow's head as a share of the scene."""
-_WIDE = 0.45
-"""Half width of a head over its length."""
 _POINTS = 10
 """Number of points of the polyline of one arrow."""
 
@@ -32,7 +88,8 @@ def scene_json(rows: SeenRows, shown: str) -> str:
     """
     stages = stages_of(rows)
     same = exaggeration(rows, stages)
-    head = _HEAD * extent_m(rows)
+    # Length of an arrow's head as a share of the scene
+    head = 0.018 * _extent_m(rows)
     traces = [_arm_line(line) for line in rows.arms_m]
     for stage in stages:
         for scale, times in (("own", exaggeration(rows, (stage,))), ("same", same)):
@@ -94,7 +151,8 @@ def _outlines(found: Arrows, head_m: float) -> np.ndarray:
     gap = np.full_like(shaft, np.nan)
     points = [found.start_m, found.stop_m]
     for sideways in (aside, across, -aside, -across):
-        points += [neck + _WIDE * size * sideways, found.stop_m]
+        # Half width of a head over its length
+        points += [neck + 0.45 * size * sideways, found.stop_m]
     return np.stack([*points[:-1], gap], axis=1)
 
 

@@ -17,8 +17,6 @@ from longarm_comp.report.record import (
 from longarm_comp.report.style import FLOOR, LOOKS
 from longarm_comp.report.words import DASH, interval, number
 
-_STRONGEST = 5
-
 VERDICTS = {
     "noise": "Noise",
     "named": "Named",
@@ -36,7 +34,7 @@ STATES = {
 
 
 @dataclass(frozen=True)
-class ErrorLine:
+class _ErrorLine:
     """A row of the before/after table.
 
     Values: mean, mean as commanded, RMS, p95, max, mean |z|, variance, excess.
@@ -48,7 +46,7 @@ class ErrorLine:
 
 
 @dataclass(frozen=True)
-class ParameterLine:
+class _ParameterLine:
     """A parameter of a finding, and whether its size is plausible."""
 
     effect: str
@@ -63,7 +61,7 @@ class ParameterLine:
 
 
 @dataclass(frozen=True)
-class CandidateLine:
+class _CandidateLine:
     """A candidate; `score` is for sorting, `shown` for reading."""
 
     effect: str
@@ -80,7 +78,7 @@ def headline(report: DiagnosisReport) -> str:
     return ": ".join(filter(None, (VERDICTS[report.verdict], ", ".join(found))))
 
 
-def error_lines(report: DiagnosisReport) -> list[ErrorLine]:
+def error_lines(report: DiagnosisReport) -> list[_ErrorLine]:
     """The before/after table, the noise floor last.
 
     Without effects the line of the model with effects would repeat the calibrated one.
@@ -88,7 +86,7 @@ def error_lines(report: DiagnosisReport) -> list[ErrorLine]:
     held = report.held_out
     marked = {held.before: "before", held.after: "after"}
     lines = [
-        ErrorLine(
+        _ErrorLine(
             LOOKS[row.model].label,
             _mm(
                 *(row.mean_mm, row.commanded_mean_mm, row.rms_mm, row.p95_mm, row.max_mm),
@@ -104,7 +102,7 @@ def error_lines(report: DiagnosisReport) -> list[ErrorLine]:
         return lines
     f = floor.figures
     values = _mm(f.mean, None, f.rms, f.p95, f.max, f.mean_abs_z, f.variance, 0.0)
-    return [*lines, ErrorLine(FLOOR + (", at most" if floor.limited else ""), values, "floor")]
+    return [*lines, _ErrorLine(FLOOR + (", at most" if floor.limited else ""), values, "floor")]
 
 
 def floor_of(report: DiagnosisReport) -> NoiseFloor | None:
@@ -128,7 +126,7 @@ def _mm(*values: float | None) -> tuple[str, ...]:
     return tuple(shown)
 
 
-def parameter_lines(report: DiagnosisReport) -> list[ParameterLine]:
+def parameter_lines(report: DiagnosisReport) -> list[_ParameterLine]:
     """Every parameter of every finding."""
     return [
         _parameter_line(finding, parameter)
@@ -137,8 +135,8 @@ def parameter_lines(report: DiagnosisReport) -> list[ParameterLine]:
     ]
 
 
-def _parameter_line(finding: ReportFinding, parameter: FindingParameter) -> ParameterLine:
-    return ParameterLine(
+def _parameter_line(finding: ReportFinding, parameter: FindingParameter) -> _ParameterLine:
+    return _ParameterLine(
         finding.effect,
         parameter.name,
         parameter.where,
@@ -166,7 +164,7 @@ def _size(parameter: FindingParameter) -> str:
     return f"{verdict}: {times:.1f} × prior scale"
 
 
-def candidate_lines(report: DiagnosisReport) -> list[CandidateLine]:
+def candidate_lines(report: DiagnosisReport) -> list[_CandidateLine]:
     """Every candidate, best score first, those without a score last."""
 
     def order(entry: ReportCandidate) -> tuple[float, str, str]:
@@ -174,7 +172,7 @@ def candidate_lines(report: DiagnosisReport) -> list[CandidateLine]:
         return (float("inf") if score is None else -score, entry.effect, entry.where)
 
     return [
-        CandidateLine(
+        _CandidateLine(
             entry.effect,
             entry.where,
             entry.log_bayes_factor,
@@ -192,7 +190,7 @@ def strongest(entry: Correlation) -> list[tuple[str, str]]:
     """Per parameter, the geometry that it is most correlated with, in words."""
     lines = []
     for name, row in zip(entry.parameters, entry.matrix, strict=True):
-        first = np.argsort(-np.abs(row), kind="stable")[:_STRONGEST]
+        first = np.argsort(-np.abs(row), kind="stable")[:5]
         named = (f"{entry.geometry[k]} ({row[k]:+.2f})".replace("-", "−") for k in first)
         lines.append((name, ", ".join(named)))
     return lines

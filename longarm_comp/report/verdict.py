@@ -62,7 +62,7 @@ def _of(part: int, n: int) -> str:
 
 
 @dataclass(frozen=True)
-class Improvement:
+class _Improvement:
     """What changed on the held-out rows, from one stage to another.
 
     Attributes:
@@ -82,7 +82,7 @@ class Improvement:
     camera: bool
 
 
-def improvement(report: DiagnosisReport) -> Improvement | None:
+def improvement(report: DiagnosisReport) -> _Improvement | None:
     """Of the stages that the verdict compares; None where there is nothing to compare."""
     held = report.held_out
     rows = {row.model: row for row in held.rows}
@@ -94,7 +94,7 @@ def improvement(report: DiagnosisReport) -> Improvement | None:
     if before.commanded_mean_mm is not None and after.commanded_mean_mm is not None:
         commanded = change((before.commanded_mean_mm, after.commanded_mean_mm))
     differs = commanded != seen
-    return Improvement(
+    return _Improvement(
         (STAGES[held.before], STAGES[held.after]),
         commanded,
         seen if differs else "",

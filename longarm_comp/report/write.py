@@ -10,12 +10,10 @@ from matplotlib.figure import Figure
 
 from longarm_comp.core.files import atomic_path, write_text
 from longarm_comp.report import plots, record, style, tables
-from longarm_comp.report.arrows import stages_of
 from longarm_comp.report.at_the_tip import at_the_tip
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.page import against, page, place_name, still_stages
-
-_BARS = 15
+from longarm_comp.report.scene import stages_of
 
 
 def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLike[str]) -> Path:
@@ -74,7 +72,7 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
             figures["correlation"] = plots.correlations(detail.correlation)
         scored = [line for line in tables.candidate_lines(report) if line.score is not None]
         if scored:
-            best = scored[:_BARS]
+            best = scored[:15]
             figures["scores"] = plots.scores(
                 [f"{line.effect}, {line.where}" for line in best],
                 [line.score or 0.0 for line in best],

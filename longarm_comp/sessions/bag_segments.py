@@ -19,8 +19,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.sessions.message_types import message_types
-from longarm_comp.sessions.offered import offered
+from longarm_comp.sessions.message_types import message_types, offered
 
 _PARTIAL = ".recording"
 _KEY = "rosbag2_bagfile_information"

@@ -23,13 +23,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.sessions.message_types import message_types
-from longarm_comp.sessions.offered import offered
+from longarm_comp.sessions.message_types import message_types, offered
 from longarm_comp.sessions.touches import write_touches
 
 _STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 PERIOD_S = 10.0  # between rows of a session that has no times
-_START_NS = 1_000_000_000_000  # a clock of 0 would read as "no stamp"
 
 
 def write_bag(
@@ -83,7 +81,8 @@ class _Recorder:
 
     def write(self, session: Session) -> None:
         times = session.t_s if session.t_s is not None else np.arange(len(session)) * PERIOD_S
-        stamps = _START_NS + np.round((times - times[0]) * 1e9).astype(np.int64)
+        # a clock of 0 would read as "no stamp"
+        stamps = 1_000_000_000_000 + np.round((times - times[0]) * 1e9).astype(np.int64)
         dwell = int(1e9 * min(2.0, _shortest(times) / 4))  # from a command to its sighting
         for i, stamp in enumerate(stamps):
             self._command(int(stamp) - dwell, _path(session, i))

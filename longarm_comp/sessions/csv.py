@@ -2,7 +2,7 @@
 
 Required: ``q1..qn`` (rad, m, the commanded joints in the order of the arm) and something
 measured: ``x,y,z`` (m), ``qx,qy,qz,qw``, ``distance`` (m, with ``anchor``), ``touch`` or ``plane``
-(names of what the tip touched); blank is not measured (`sessions/csv_readings.py`).  Known besides:
+(names of what the tip touched); blank is not measured (`sessions/csv.py`).  Known besides:
 ``index, t_s, temperature_c, payload_kg, approach, repeat_id, sigma_x..z, cov_xx..zz, role, group,
 marker, incl_<frame>_x/_y`` and ``approach_q1..qn`` (the direction per joint, where one for all
 joints does not do), ``run_up_q1..qn`` (where each joint came from last), ``read_q1..qn`` (where its
@@ -23,20 +23,90 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
+from longarm_comp.core.data.kinds import KINDS, Kind
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import range_of
-from longarm_comp.sessions.csv_readings import (
-    READ,
-    XYZ,
-    check_measured,
-    read_readings,
-    read_xyz,
-    written_readings,
-)
-from longarm_comp.sessions.names import check_header, check_unknown
+from longarm_comp.sessions.names import check_header, check_unknown, nearest
 from longarm_comp.sessions.table import Table, read_table, write_table
 from longarm_comp.sessions.touches import write_touches
+
+XYZ = KINDS["position"].cells
+_FURTHER = tuple(kind for name, kind in KINDS.items() if name != "position")
+READ = tuple(
+    cell for kind in _FURTHER for cell in (*kind.cells, *([kind.sigma] if kind.sigma else []))
+)
+"""Columns of the readings beside x, y, z, and of their standard deviations."""
+
+
+JOINT_READING = re.compile(r"read_q[1-9]\d*")
+"""Columns of where the joints' encoders say that they stand."""
+
+
+def _check_measured(table: Table) -> None:
+    """Raise `InputError` where a table measures nothing, or a coordinate's name is misspelt."""
+    first = [(*kind.cells, kind.label)[0] for kind in _FURTHER]
+    for name in XYZ:
+        others = [n for n in table.header if n not in XYZ]
+        if name not in table.header and nearest(name, others):
+            check_header(table.where, table.header, XYZ)
+    if not any(name in table.header for name in (*XYZ, *first)):
+        check_header(table.where, table.header, XYZ)
+
+
+def _read_xyz(table: Table) -> np.ndarray:
+    """(N, 3) coordinates in m, NaN where blank."""
+    made = [
+        table.lengths(name, blanks=True) if name in table.cells else np.full(len(table), np.nan)
+        for name in XYZ
+    ]
+    return np.stack(made, axis=-1)
+
+
+def _read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Readings of the other kinds, and their standard deviations, by kind."""
+    readings, sigmas = {}, {}
+    joints = (KINDS[name] for name in table.header if JOINT_READING.fullmatch(name))
+    for kind in (*_FURTHER, *joints):
+        if any(name in table.cells for name in kind.cells):  # none of a kind that a text measures
+            readings[kind.name] = _read(table, kind)
+            if kind.sigma in table.cells:
+                unit = f"{kind.unit}, above 0"
+                sigmas[kind.name] = table.numbers(kind.sigma, unit, True, lambda v: v > 0)
+        elif kind.sigma and kind.sigma in table.cells:
+            check_header(table.where, table.header, kind.cells)
+    return readings, sigmas
+
+
+def _written_readings(session: Session) -> dict[str, Sequence[object] | np.ndarray]:
+    """The columns that `_read_readings` reads."""
+    made: dict[str, Sequence[object] | np.ndarray] = {}
+    for kind in (*_FURTHER, *(KINDS[f"read_q{k + 1}"] for k in session.read_joints)):
+        if kind.name in session.readings:
+            made.update(zip(kind.cells, session.readings[kind.name].T, strict=True))
+        if kind.name in session.sigmas:
+            made[kind.sigma] = session.sigmas[kind.name]
+    return made
+
+
+def _read(table: Table, kind: Kind) -> np.ndarray:
+    check_header(table.where, table.header, kind.cells)
+    blank = np.stack([table.blank(name) for name in kind.cells], axis=-1)
+    for row in np.flatnonzero(blank.any(axis=1) & ~blank.all(axis=1)):
+        column = kind.cells[int(np.argmax(blank[row]))]
+        raise table.error(row, column, f"a number; {', '.join(kind.cells)} all blank where none")
+    values = np.stack([table.numbers(name, kind.unit, True) for name in kind.cells], axis=-1)
+    wrong, allowed = kind.wrong(values)
+    for row in np.flatnonzero(wrong & ~blank.any(axis=1)):
+        field = f"line {table.lines[row]}, {', '.join(kind.cells)}"
+        said = ", ".join(table.cells[name][row] for name in kind.cells)
+        raise InputError(table.where, field, said, allowed)
+    if kind.label:
+        for row in np.flatnonzero(~blank.any(axis=1) & table.blank(kind.label)):
+            field = f"line {table.lines[row]}, {kind.label}"
+            raise InputError(table.where, field, "blank", f"a name beside {kind.cells[0]}")
+    return values
+
 
 SIGMA = ("sigma_x", "sigma_y", "sigma_z")
 _VARIANCE = ("cov_xx", "cov_yy", "cov_zz")
@@ -57,15 +127,15 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
     joints = tuple(joint_columns or joint_names(arm.n))
     known = (*joints, *_known(arm.n))
     check_header(table.where, table.header, joints)
-    check_measured(table)
+    _check_measured(table)
     if joint_columns is None:
         _refuse_further_joints(table, arm)
     check_unknown(table.where, table.header, known, kept=_free(table.header, joint_columns))
     columns, labels = recorded_besides(table, set(known))
-    readings, sigmas = read_readings(table)
+    readings, sigmas = _read_readings(table)
     return Session.record(
         q=np.stack([table.lengths(name, "rad or m") for name in joints], axis=-1),
-        xyz=read_xyz(table),
+        xyz=_read_xyz(table),
         index=table.integers("index") if "index" in table.cells else None,
         approach=read_approach(table, arm.n),
         run_up=_run_up(table, arm.n),
@@ -87,7 +157,7 @@ def write_csv(session: Session, path: str | Path) -> None:
     columns.update(_written_approach(session))
     columns.update({name: session.q[:, j] for j, name in enumerate(joints)})
     columns.update({name: session.xyz[:, j] for j, name in enumerate(XYZ)})
-    columns.update(written_readings(session))
+    columns.update(_written_readings(session))
     columns["repeat_id"] = [None if r < 0 else r for r in session.repeat_id]
     if session.sigma is not None:
         columns.update({name: session.sigma[:, j] for j, name in enumerate(SIGMA)})

@@ -17,6 +17,21 @@ from longarm_comp.sessions.csv import approach_names, joint_names, read_approach
 from longarm_comp.sessions.names import check_header
 from longarm_comp.sessions.table import WriteTable, read_table, write_table
 
+FILE = "next_poses.csv"
+
+
+def read_next_poses(folder: str | Path, arm: Arm, n: int) -> Plan:
+    """The first n poses of a diagnosis' ``next_poses.csv``, most informative first."""
+    path = Path(folder) / FILE
+    if not path.is_file():
+        raise InputError(path, "file", "missing", "a diagnosis that asks for poses writes it")
+    plan = read_poses(path, arm)
+    if not 1 <= n <= len(plan):
+        raise InputError("plan", "n", n, f"1 to {len(plan)} (poses of the diagnosis)")
+    payload = None if plan.payload_kg is None else plan.payload_kg[:n]
+    return Plan(plan.q[:n], plan.approach[:n], payload)
+
+
 _SLACK = 1e-6  # printed digits of a joint that stands on its limit
 
 

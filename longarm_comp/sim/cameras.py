@@ -33,7 +33,6 @@ __all__ = [
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 _FINE = 6  # fine pixels along the side of an image pixel
-_BACK_GREY = 90.0  # the plate's unprinted side, and what covers it
 
 
 @dataclass(frozen=True)
@@ -218,7 +217,8 @@ def _fine_plate(
         borderMode=cv2.BORDER_REPLICATE,
     ).astype(np.float32)
     from_behind = camera_T_marker[:3, 2] @ camera_T_marker[:3, 3] > 0.0
-    colour[(across < covered) | from_behind] = _BACK_GREY
+    # the plate's unprinted side, and what covers it
+    colour[(across < covered) | from_behind] = 90.0
     share = ((np.abs(across - 0.5) <= 0.5) & (np.abs(down - 0.5) <= 0.5)).astype(np.float32)
     return colour * share, share
 

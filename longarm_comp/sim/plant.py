@@ -31,6 +31,10 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 _STEPS = 2  # integration steps a rod: good to a nanometre here
 _SAME = 1e-7  # rad or m: the arm has not moved
+_SEATED_M = 5e-5
+"""From the bottom of a socket, within which the ball touches all round."""
+_SLIDES = 5
+"""Newton steps of a ball into its socket; three are enough for a wide one."""
 
 
 def hidden_effects(
@@ -67,6 +71,7 @@ class PlantConfig:
         spec: mechanics of the servos.
         temperature_c: temperature at the start, and its rise over hours (K).
         damping: share of critical damping that the arm rings with; 0: it does not.
+        sockets: places (m, base frame) of conical sockets by name, and the radius of their mouths.
     """
 
     arm: Arm
@@ -80,6 +85,8 @@ class PlantConfig:
     temperature_c: tuple[float, float] = (22.0, 0.0)
     payload_kg: float = 0.0
     damping: float = 0.0
+    sockets: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    mouth_m: float = 0.009
 
 
 class Plant:
@@ -180,6 +187,35 @@ class Plant:
         pose = self._last[1].copy()
         pose[:3, 3] += self._swing
         return pose
+
+    def contact(self, t_s: float) -> str:
+        """Name of the socket that the ball at the tip sits in, or blank.
+
+        A ball in the mouth of a socket slides to its bottom where the servos let the arm go, each
+        joint by as little as it takes. Driven servos keep it where they stand.
+        """
+        for name, place in self.config.sockets.items():
+            away = np.asarray(place) - self.tip_pose(t_s)[:3, 3]
+            if np.linalg.norm(away) > self.config.mouth_m:
+                continue
+            for _ in range(_SLIDES):
+                if np.linalg.norm(away) <= _SEATED_M:
+                    return name
+                if any(self.emulator.torques_on().values()):
+                    return ""
+                self._slide(away)
+                away = np.asarray(place) - self.tip_pose(t_s)[:3, 3]
+        return ""
+
+    def _slide(self, away: Array) -> None:
+        """The joints give way so that the tip moves by (3,) m."""
+        q, step = self.joints(), 1e-5
+        turned = q + step * np.eye(len(q))
+        tips = self._true.settled(np.vstack([q, turned])).pose[:, :3, 3]
+        given = np.linalg.pinv((tips[1:] - tips[0]).T / step) @ away
+        for joint in self.config.servos.joints:
+            value = (q + given)[self.config.arm.joint_names.index(joint.name)]
+            self.emulator.push(joint.servo_id, joint.ticks(float(value)))
 
     def _felt(self, torques: Array) -> Mapping[int, float]:
         """What each servo feels of the joints' loads (n,), in the sense of its ticks, by id."""

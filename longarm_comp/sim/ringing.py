@@ -22,11 +22,10 @@ Array = np.ndarray
 PIECES = 6
 """Of each rod."""
 MODES = 8
-_AGAIN = 0.02  # of a joint's range: so far the modes are those of the posture before
 
 
 @dataclass(frozen=True, eq=False)
-class Vibration:
+class _Vibration:
     """Modes about one posture, scaled to a modal mass of 1 kg.
 
     Attributes:
@@ -149,7 +148,7 @@ class _Build:
         self._at = begin + along * abs(size)
 
 
-def vibration(true: TrueArm, q: Array, context: TrueContext | None = None) -> Vibration:
+def vibration(true: TrueArm, q: Array, context: TrueContext | None = None) -> _Vibration:
     """Modes of the true arm about one posture (n,), its drives held."""
     built = _Build(true, q, context)
     points = [*((at, before) for at, _, before in built.masses), built.tip]
@@ -171,7 +170,7 @@ def vibration(true: TrueArm, q: Array, context: TrueContext | None = None) -> Vi
     chosen = np.flatnonzero(values > 1e-12 * max(values.max(initial=0.0), 1e-30))[::-1][:MODES]
     omega = 1.0 / np.sqrt(values[chosen])
     shape = heavy @ axes[:, chosen] * omega
-    return Vibration(
+    return _Vibration(
         omega, shape, mass, gives[-3:] @ axes[:, chosen] * omega, hang,
         -shape.T @ (mass[:, None] * hang),
     )  # fmt: skip
@@ -189,7 +188,7 @@ class Ringing:
         if not 0.0 < damping < 1.0:
             raise InputError("simulated arm", "damping", damping, "above 0 and below 1")
         self._true, self._damping = true, damping
-        self._about: tuple[Array, Vibration] | None = None
+        self._about: tuple[Array, _Vibration] | None = None
         self._last: tuple[float, Array, Array] | None = None  # time, joints, their speed
         self._wave = np.zeros(0, complex)
 
@@ -214,10 +213,11 @@ class Ringing:
         rate = modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
         return np.real(self._wave * np.exp(np.multiply.outer(since_s, rate))) @ modes.tip.T
 
-    def _modes(self, q: Array) -> Vibration:
+    def _modes(self, q: Array) -> _Vibration:
         """Those of the posture; a wave goes on in them with the motion that the masses have."""
         span = self._true.arm.upper - self._true.arm.lower
-        if self._about is not None and (np.abs(q - self._about[0]) <= _AGAIN * span).all():
+        # of a joint's range: so far the modes are those of the posture before
+        if self._about is not None and (np.abs(q - self._about[0]) <= 0.02 * span).all():
             return self._about[1]
         new = vibration(self._true, q)
         if self._about is None:

@@ -11,12 +11,11 @@ from functools import partial
 from longarm_comp.jobs.client import GraphClient
 from longarm_comp.view import words
 from longarm_comp.view.commands import PAUSES, RELEASES, STOPS, Buttons
-from longarm_comp.view.gate import Gate
 from longarm_comp.view.listener import Listener
 from longarm_comp.view.panel import Panel
 from longarm_comp.view.plain import PlainPage
 from longarm_comp.view.scene import Scene
-from longarm_comp.view.server import serving
+from longarm_comp.view.server import Gate, serving
 from longarm_comp.view.trace import Trace
 
 _DRAWN_S, _CHART_S = 0.2, 0.5

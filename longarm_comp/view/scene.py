@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from longarm_comp.core.model.outline import exaggerated
+from longarm_comp.core.model.link_frames import exaggerated
 from longarm_comp.view.state import PageState, Picture
 
 GREY, PALE = (150, 150, 150), (205, 205, 205)

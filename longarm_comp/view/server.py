@@ -2,16 +2,146 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import secrets
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http import HTTPStatus
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import rich
 import viser
 import websockets.asyncio.server as sockets
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
 
 from longarm_comp.core.errors import JobError
-from longarm_comp.view.gate import LOOPBACK, Gate
+from longarm_comp.view.plain import PATH, START
+
+Serve = Callable[[ServerConnection, Request], "Response | None"]
+
+LOOPBACK = "127.0.0.1"
+_NAMES = (LOOPBACK, "localhost")
+_START = "/start"
+
+
+def _drawn() -> str:
+    return secrets.token_urlsafe(24)
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Refuses whoever has no token, which is the cookie's value. Every start has a new one.
+
+    Attributes:
+        plain: the plain page, by path (`PlainPage.answer`).
+    """
+
+    token: str = field(default_factory=_drawn, repr=False)
+    plain: Callable[[str], str | None] = lambda path: None
+    _codes: set[str] = field(default_factory=set, repr=False)
+
+    def link(self, port: int) -> str:
+        """An address to open once; it sets the cookie."""
+        code = _drawn()
+        self._codes.add(code)
+        return f"http://{LOOPBACK}:{port}/?code={code}"
+
+    def guarded(self, serve: Serve) -> Serve:
+        """The server's function of HTTP requests and WebSocket handshakes, behind the gate."""
+
+        def answer(connection: ServerConnection, request: Request) -> Response | None:
+            port = connection.local_address[1]
+            hosts = [f"{name}:{port}" for name in _NAMES]
+            why = self._stranger(request.headers, hosts)
+            if why:
+                return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
+            where = urlsplit(request.path)
+            if where.path == "/" and self._redeemed(*parse_qs(where.query).get("code", [])):
+                return self._welcome(port)
+            if not self._is_token(*_cookies(request.headers, _cookie(port))):
+                why = "open the link that `longarm view` printed; it opens the page once"
+                return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
+            page = START if where.path == _START else self.plain(where.path)
+            if page is not None and not where.query:
+                return _html(page, hosts)
+            if where.query:  # the viewer would connect to the server that ?websocket= names
+                return connection.respond(HTTPStatus.NOT_FOUND, "longarm view: no such page\n")
+            response = serve(connection, request)
+            if response is not None:
+                response.headers.update(_policy(hosts))
+            return response
+
+        return answer
+
+    def _stranger(self, headers: Headers, hosts: list[str]) -> str:
+        """Why a request is not from this page; empty if it is."""
+        asked, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if len(asked) != 1 or asked[0] not in hosts:
+            return f"Host {', '.join(asked)!r} is not this server; allowed: {', '.join(hosts)}"
+        if origins and origins != [f"http://{asked[0]}"]:
+            return f"Origin {', '.join(origins)!r} is not this page"
+        if not origins and "Upgrade" in headers:
+            return "a WebSocket needs an Origin"
+        return ""
+
+    def _redeemed(self, *given: str) -> bool:
+        """Whether this is a code of a link that was not used before; it is now."""
+        try:
+            self._codes.remove(*given)
+        except (KeyError, TypeError):  # unknown, another request was quicker; none or several
+            return False
+        return True
+
+    def _is_token(self, *given: str) -> bool:
+        return len(given) == 1 and secrets.compare_digest(given[0].encode(), self.token.encode())
+
+    def _welcome(self, port: int) -> Response:
+        cookie = f"{_cookie(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+        headers = Headers(
+            {"Location": _START, "Set-Cookie": cookie, "Referrer-Policy": "no-referrer",
+             "Cache-Control": "no-store", "Content-Length": "0"}
+        )  # fmt: skip
+        return Response(HTTPStatus.SEE_OTHER, "See Other", headers)
+
+
+def _html(page: str, hosts: list[str]) -> Response:
+    """A page, or after the press of a button the way back to it."""
+    body = page.encode()
+    kind = {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))}
+    headers = Headers(_policy(hosts) | kind)
+    if page:
+        return Response(HTTPStatus.OK, "OK", headers, body)
+    headers["Location"] = PATH
+    return Response(HTTPStatus.SEE_OTHER, "See Other", headers)
+
+
+def _cookie(port: int) -> str:
+    """Name of the cookie. Cookies are shared by all ports of a host."""
+    return f"longarm_view_{port}"
+
+
+def _cookies(headers: Headers, name: str) -> list[str]:
+    """Values of a cookie. Other servers of this machine may have set others, of any form."""
+    given = [part.strip() for line in headers.get_all("Cookie") for part in line.split(";")]
+    return [value for key, _, value in (part.partition("=") for part in given) if key == name]
+
+
+def _policy(hosts: list[str]) -> dict[str, str]:
+    """Headers of every page: it talks to this server alone, and nobody frames it."""
+    sockets = " ".join(f"ws://{host}" for host in hosts)
+    return {
+        "Content-Security-Policy": (
+            "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; "
+            f"connect-src 'self' data: blob: {sockets}; frame-ancestors 'none'; form-action 'none'"
+        ),
+        "X-Frame-Options": "DENY",
+        "X-Content-Type-Options": "nosniff",
+        "Referrer-Policy": "no-referrer",
+        "Cache-Control": "no-store",
+    }
 
 
 class _Server(viser.ViserServer):

@@ -9,13 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from longarm_comp.core.data.rest import JOINT_REST
-from longarm_comp.core.model.outline import exaggerated
+from longarm_comp.core.model.link_frames import exaggerated
 
 _SILENT_S = 3.0
 """Joints come many times a second: after so long without any message the graph is silent."""
-_SETTLED_S = 0.6
-"""A picture is a half second old and a sighting some frames: what came later after the last
-movement is of the arm at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +153,9 @@ class PageState:
     @property
     def resting(self) -> bool:
         """Whether picture and sighting are both of the arm at rest."""
-        since = self.moved + _SETTLED_S
+        # A picture is a half second old and a sighting some frames: what came later after the last
+        # movement is of the arm at rest
+        since = self.moved + 0.6
         both = self.picture is not None and self.tip is not None
         return both and min(self.picture.at, self.tip.at) > since  # type: ignore[union-attr]
 

@@ -10,15 +10,13 @@ import numpy as np
 from longarm_comp.view.state import PageState
 from longarm_comp.view.words import length_mm
 
-_KEPT = 1800
-"""Samples: a quarter of an hour at two a second."""
-
 
 class Trace:
     """Keeps the last samples. A number that is not known is NaN, which leaves a gap."""
 
     def __init__(self) -> None:
-        self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=_KEPT)
+        # Samples: a quarter of an hour at two a second
+        self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=1800)
 
     def add(self, state: PageState, now: float, clock: float) -> bool:
         """Take a sample at ``clock`` (s of the epoch); False where nothing is known."""

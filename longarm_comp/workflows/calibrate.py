@@ -12,6 +12,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.holdout import blocked_split
+from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
@@ -21,7 +22,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify.calibrate import Rung, ladder, stages
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.kind_of_arm import folded
+from longarm_comp.core.identify.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import (
     check_carries_over,
@@ -33,7 +34,7 @@ from longarm_comp.core.identify.standing import untold
 from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.model_file import save_model, store
+from longarm_comp.core.model.model_file import read_stored, restore, save_model, store
 from longarm_comp.version import __version__
 from longarm_comp.workflows.error_table import ErrorTable
 from longarm_comp.workflows.inputs import (
@@ -42,13 +43,41 @@ from longarm_comp.workflows.inputs import (
     Note,
     SessionLike,
     admitted,
+    file_hash,
     log_note,
 )
-from longarm_comp.workflows.kind_of_arm import kind_from, noise_key
 from longarm_comp.workflows.telling import Telling, teller
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+def kind_from(arm: Arm, given: Sequence[ModelLike]) -> tuple[KindOfArm, str]:
+    """What arms of a kind say of a further one, and which they are."""
+    models, names, origins = [], [], []
+    noise: dict[str, list[float]] = {}
+    for number, each in enumerate(given, 1):
+        if isinstance(each, Model):
+            models.append(each.lasting())
+            names.append(f"model {number}")
+            origins.append(names[-1])
+            continue
+        path, beside = Path(each), Path(each).parent / "arm.yaml"
+        stored = read_stored(path)
+        models.append(restore(stored, Arm.load(beside) if beside.is_file() else arm, str(path)))
+        names.append(str(path))
+        origins.append(f"{path.name} {file_hash(path)[:12]}")
+        for kind in KINDS:
+            sigma = stored.provenance.get(_noise_key(kind))
+            if isinstance(sigma, float) and sigma > 0:
+                noise.setdefault(kind, []).append(sigma)
+    usual = {kind: float(np.median(held)) for kind, held in noise.items()}
+    return KindOfArm.of(arm, models, names, usual), ", ".join(origins)
+
+
+def _noise_key(kind: str) -> str:
+    """Key of a model.yaml's provenance: the noise of a kind of measurement, m or rad."""
+    return f"noise_{kind}"
 
 
 Term = Effect | Bias
@@ -191,7 +220,7 @@ class Calibration:
             "longarm_comp": __version__,
         }
         provenance |= {"kind_of": self.kind_of} if self.kind_of else {}
-        provenance |= {noise_key(kind): sigma for kind, sigma in self._noise.items()}
+        provenance |= {_noise_key(kind): sigma for kind, sigma in self._noise.items()}
         save_model(path, store(self.model, self.fit.standard_errors, provenance=provenance))
         return Path(path)
 

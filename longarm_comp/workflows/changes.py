@@ -13,11 +13,6 @@ from longarm_comp.core.model.model import Model
 Term = Effect | Bias
 GEOMETRY, CAMERA = "geometry", "camera"
 
-_LEAST_MM = 5e-4
-"""A change that moves the tip by less than this is not reported."""
-_SAME = 1e-9
-"""Relative difference of two values that counts as none."""
-
 
 @dataclass(frozen=True)
 class Change:
@@ -77,7 +72,8 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
                 tip_mm=1e3 * float(np.sqrt((moved**2).sum(axis=1).mean())),
             )
         )
-    felt = (change for change in found if change.tip_mm >= _LEAST_MM)
+    # A change that moves the tip by less than this is not reported
+    felt = (change for change in found if change.tip_mm >= 5e-4)
     return sorted(felt, key=lambda change: -change.tip_mm)
 
 
@@ -121,7 +117,8 @@ def _values(
     rows = []
     for p in held.parameters(model.arm):
         was, now = (np.nan if t is None else float(getattr(t, p.name)) for t in (old, new))
-        if not np.isclose(was, now, rtol=_SAME, atol=0.0):
+        # Relative difference of two values that counts as none
+        if not np.isclose(was, now, rtol=1e-9, atol=0.0):
             rows.append((p.name, p.unit, was, now))
     return tuple(rows)
 

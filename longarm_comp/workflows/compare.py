@@ -26,7 +26,7 @@ Cell = str | float | None
 
 
 @dataclass(frozen=True)
-class ComparisonTable:
+class _ComparisonTable:
     """Rows side by side."""
 
     title: str
@@ -35,7 +35,7 @@ class ComparisonTable:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class _Comparison:
     """What came of it.
 
     Attributes:
@@ -44,10 +44,10 @@ class Comparison:
 
     kind: str
     said: tuple[str, ...]
-    tables: tuple[ComparisonTable, ...]
+    tables: tuple[_ComparisonTable, ...]
 
 
-def compare(a: Path, b: Path, arm: Arm | None = None) -> Comparison:
+def compare(a: Path, b: Path, arm: Arm | None = None) -> _Comparison:
     """Compare two of a kind: folders of diagnoses, model files, or sessions.
 
     Args:
@@ -77,7 +77,7 @@ def _kind(path: Path) -> str:
 # ------------------------------------------------------------------ diagnoses
 
 
-def of_diagnoses(a: DiagnosisReport, b: DiagnosisReport) -> Comparison:
+def of_diagnoses(a: DiagnosisReport, b: DiagnosisReport) -> _Comparison:
     """Verdicts, findings with their values, and held-out errors."""
     values = [_values_of_findings(each) for each in (a, b)]
     means = [{row.model: row for row in each.held_out.rows} for each in (a, b)]
@@ -107,12 +107,12 @@ def of_diagnoses(a: DiagnosisReport, b: DiagnosisReport) -> Comparison:
         ("noise x, y, z, mm", *(_noise(each) for each in (a, b))),
         ("held-out rows", *(str(each.held_out.n) for each in (a, b))),
     )
-    return Comparison(
+    return _Comparison(
         "diagnoses",
         tuple(said),
         (
-            ComparisonTable("Outcome", ("", "A", "B"), facts),
-            ComparisonTable(
+            _ComparisonTable("Outcome", ("", "A", "B"), facts),
+            _ComparisonTable(
                 "Held-out mean error, mm",
                 ("model", "A, commanded", "B, commanded", "A, seen", "B, seen"),
                 errors,
@@ -180,12 +180,12 @@ def _moved(a: Values, b: Values) -> list[str]:
     return said
 
 
-def _value_table(a: Values, b: Values) -> ComparisonTable:
+def _value_table(a: Values, b: Values) -> _ComparisonTable:
     rows = tuple(
         (*key, *("–" if key not in each else str(each[key]) for each in (a, b)))
         for key in dict.fromkeys((*a, *b))
     )
-    return ComparisonTable("Values", ("effect", "where", "parameter", "A", "B"), rows)
+    return _ComparisonTable("Values", ("effect", "where", "parameter", "A", "B"), rows)
 
 
 def _noise(report: DiagnosisReport) -> str:
@@ -196,7 +196,7 @@ def _noise(report: DiagnosisReport) -> str:
 # ------------------------------------------------------------------ models
 
 
-def of_models(a: StoredModel, b: StoredModel) -> Comparison:
+def of_models(a: StoredModel, b: StoredModel) -> _Comparison:
     """Effects and values; geometry by its largest changes."""
     if a.arm.hash != b.arm.hash:
         raise InputError("compare", "arm", b.arm.name, f"{a.arm.name}, as the first model")
@@ -210,12 +210,12 @@ def of_models(a: StoredModel, b: StoredModel) -> Comparison:
             said.append(f"Only {which} holds {', '.join(only)}.")
     said += _moved(*effects)
     moved = _largest_changes(geometry[0], geometry[1])
-    return Comparison(
+    return _Comparison(
         "models",
         tuple(said),
         (
             _value_table(*effects),
-            ComparisonTable(
+            _ComparisonTable(
                 "Geometry, largest changes", ("where", "parameter", "A", "B", "change"), moved
             ),
         ),
@@ -252,7 +252,7 @@ def _largest_changes(a: Values, b: Values) -> tuple[tuple[Cell, ...], ...]:
 # ------------------------------------------------------------------ sessions
 
 
-def of_sessions(a: Session, b: Session) -> Comparison:
+def of_sessions(a: Session, b: Session) -> _Comparison:
     """Rows and circumstances, and where the same commands put the tip."""
     facts: list[tuple[Cell, ...]] = [
         ("rows", *(str(len(each)) for each in (a, b))),
@@ -264,7 +264,7 @@ def of_sessions(a: Session, b: Session) -> Comparison:
         facts.append((joint, *(_range(each.q[:, k]) for each in (a, b))))
     pairs = _common(a, b)
     said = [f"{len(pairs)} common poses."]
-    tables = [ComparisonTable("Sessions", ("", "A", "B"), tuple(facts))]
+    tables = [_ComparisonTable("Sessions", ("", "A", "B"), tuple(facts))]
     if len(pairs) >= FEWEST:
         moved = 1e3 * np.array([b.xyz[k] - a.xyz[j] for j, k in pairs])
         length, mean = np.linalg.norm(moved, axis=1), moved.mean(axis=0)
@@ -272,7 +272,7 @@ def of_sessions(a: Session, b: Session) -> Comparison:
             f"At these the tip moved by {length.mean():.2f} mm in the mean, {length.max():.2f} mm "
             f"at most; by ({mean[0]:+.2f}, {mean[1]:+.2f}, {mean[2]:+.2f}) mm all together."
         )
-    return Comparison("sessions", tuple(said), tuple(tables))
+    return _Comparison("sessions", tuple(said), tuple(tables))
 
 
 def _range(values: np.ndarray | None) -> str:

@@ -29,7 +29,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.read import read_session
 from longarm_comp.sessions.table import WriteTable, write_table
 from longarm_comp.sessions.targets import Command, Targets, write_commands
-from longarm_comp.workflows.error_bars import bars
+from longarm_comp.workflows.error_table import bars
 from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
 
 if TYPE_CHECKING:

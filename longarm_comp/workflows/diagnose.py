@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,6 +24,7 @@ from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.assemble import assemble, refused
 from longarm_comp.report.write import write_report
+from longarm_comp.workflows.calibrate import kind_from
 from longarm_comp.workflows.diagnosis_files import (
     write_model,
     write_next,
@@ -40,8 +41,8 @@ from longarm_comp.workflows.inputs import (
     log_note,
     physics,
 )
-from longarm_comp.workflows.residual import training_rows
 from longarm_comp.workflows.telling import Telling, teller
+from longarm_comp.workflows.train import training_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -148,6 +149,7 @@ def diagnose(
     *,
     test: SessionLike | None = None,
     model: ModelLike | None = None,
+    kind_of: Sequence[ModelLike] = (),
     network: bool = True,
     seed: int = 0,
     note: Note = log_note,
@@ -160,6 +162,8 @@ def diagnose(
         session: measurements, or their CSV or bag.
         test: hold-out. Without it, blocks of the session are held out.
         model: known model, or its file. Its effects are never added twice.
+        kind_of: as in `calibrate`. What these arms give way by is part of what is expected of this
+            one, and no finding.
         network: whether to train a network on the remaining error.
         seed: seed of all random choices.
         note: called with each finding of the admission.
@@ -176,11 +180,13 @@ def diagnose(
         if rows is not None and not rows.placed.any():
             allowed = "rows that say where the tip is (longarm calibrate takes orientations alone)"
             raise InputError(rows.source, "x, y, z", "blank in all rows", allowed)
+    kind, origin_of_kind = kind_from(arm, kind_of) if kind_of else (None, "")
     found = core.diagnose(
         arm,
         whole,
         test=held_out,
         model=known,
+        kind=kind,
         train_network=_train(seed) if network else None,
         seed=seed,
         progress=teller(progress),
@@ -188,6 +194,7 @@ def diagnose(
     facts = {"session": _name(session), "arm": arm.hash, "rows": str(len(whole))}
     if test is not None and held_out is not None:
         facts |= {"hold-out": _name(test), "hold-out sha256": held_out.hash}
+    facts |= {"kind of": origin_of_kind} if kind_of else {}
     before = None if model is None or isinstance(model, Model) else Path(model)
     if before is not None:
         facts["model before"] = file_hash(before)
@@ -204,19 +211,27 @@ def diagnose_files(
     *,
     test: Path | None = None,
     model: Path | None = None,
+    kind_of: Sequence[Path] = (),
     network: bool = True,
     seed: int = 0,
     progress: Say = lambda _: None,
 ) -> DiagnosisResult:
     """Diagnose files and write everything to a folder; arguments as in `diagnose`."""
-    for path in (session, test, model):
+    for path in (session, test, model, *kind_of):
         if path is not None and not path.exists():
             raise InputError(path, "file", "missing", "a file or a bag that exists")
     if model is not None:
         physics(arm, model)
     try:
         found = diagnose(
-            arm, session, test=test, model=model, network=network, seed=seed, progress=progress
+            arm,
+            session,
+            test=test,
+            model=model,
+            kind_of=kind_of,
+            network=network,
+            seed=seed,
+            progress=progress,
         )
     except InputError as error:
         write_report(*refused(error, seed, session.name, file_hash(session)), folder)

@@ -27,7 +27,7 @@ from longarm_comp.workflows.inputs import (
     physics,
     predictor_of,
 )
-from longarm_comp.workflows.residual import expected
+from longarm_comp.workflows.train import expected
 
 if TYPE_CHECKING:
     from longarm_comp.core.learn.predictor import Predictor

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import hashlib
 import json
 from collections import Counter
@@ -29,9 +30,6 @@ from longarm_comp.workflows.inputs import file_hash
 SCHEMA = "longarm/fleet/1"
 WRITTEN = "fleet.json"
 
-_DRIFTED = 2.0
-"""Error of a model in use, in that of a calibration of today, from which the arm is another: three
-quarters of the squared error came since."""
 ARM, MODEL = "arm.yaml", "model.yaml"
 _ANSWER_S = 20.0
 """A scheduler that is there answers within it."""
@@ -99,7 +97,9 @@ class Diagnosed:
         """Whether the model in use errs by much more than what a calibration of today leaves."""
         if self.in_use_mm is None or self.calibrated_mm is None:
             return False
-        return self.in_use_mm > _DRIFTED * self.calibrated_mm
+        # Error of a model in use, in that of a calibration of today, from which the arm is another:
+        # three quarters of the squared error came since
+        return self.in_use_mm > 2.0 * self.calibrated_mm
 
     @property
     def row(self) -> dict[str, object]:
@@ -253,7 +253,7 @@ def _diagnosed(
     except LongarmError as error:
         return Diagnosed(member.name, kind, where, 0, "failed", str(error), made_of=made_of)
     left = found.held_out
-    return Diagnosed(
+    made = Diagnosed(
         member.name,
         kind,
         where,
@@ -266,6 +266,9 @@ def _diagnosed(
         tuple(Finding(_names(f), place) for f in found.findings for place in f.where),
         made_of,
     )
+    del found
+    gc.collect()  # fits and postures refer to each other: a fleet would hold those of many arms
+    return made
 
 
 def _names(finding: EffectFinding) -> str:

@@ -21,7 +21,7 @@ from longarm_comp.core.identify.touch_poses import touch_pool
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
-from longarm_comp.sessions.next_poses import read_next_poses
+from longarm_comp.sessions.poses import read_next_poses
 from longarm_comp.workflows.diagnosis_files import MODEL, SESSION
 from longarm_comp.workflows.inputs import (
     FilePath,

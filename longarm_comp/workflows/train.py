@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.plausible import check_placed
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn import predictor_file
-from longarm_comp.core.learn.predictor import Predictor, Provenance
+from longarm_comp.core.learn.predictor import Prediction, Predictor, Provenance
+from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.inputs import (
     FilePath,
     ModelLike,
@@ -28,7 +32,21 @@ from longarm_comp.workflows.inputs import (
     physics_mark,
     silent,
 )
-from longarm_comp.workflows.residual import expected, training_rows
+
+
+def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray, Context]:
+    """Joints (M, n), residual of a model (M, 3) in m, and circumstances of the M located rows."""
+    seen = session.take(session.located)
+    if not len(seen):
+        allowed = "rows with all three, to learn from"
+        raise InputError(session.source, "x, y, z", "not measured together in any row", allowed)
+    return seen.q, errors(model, seen), seen.context()
+
+
+def expected(predictor: Predictor, session: Session) -> Prediction:
+    """The error that a predictor expects at the M rows that say where the tip is."""
+    seen = session.take(session.placed)
+    return predictor.predict(seen.q, seen.context())
 
 
 @dataclass(frozen=True, eq=False, repr=False)

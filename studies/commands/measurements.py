@@ -19,7 +19,7 @@ from longarm_comp.cli.output import print_json, print_rows, progress
 @options.seed
 @options.as_json
 def command(arm: Path | None, count: int, seed: int, as_json: bool) -> None:
-    """Rows that a calibration needs where a row is a pose, a position, or one distance.
+    """Rows that a calibration needs where a row is a pose, a position, one distance, or a touch.
 
     Errors are of the true tip at poses that were not measured.
 

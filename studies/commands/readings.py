@@ -36,10 +36,20 @@ def command(cases: int, moves: int, as_json: bool) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         trim = [readings.trimmed(config, Path(scratch), moves, on) for on in (False, True)]
     named = list(readings.names(arm, cases))
-    right = sum(row["right"] for row in named)
+    right, servos, held = (sum(r[key] for r in named) for key in ("right", "servo", "held"))
     if as_json:
-        print_json({"tip": tip, "trim": trim, "names": named, "right": right})
+        print_json(
+            {
+                "tip": tip,
+                "trim": trim,
+                "names": named,
+                "right": right,
+                "servo": servos,
+                "held": held,
+            }
+        )
         return
     print_rows("The tip of servos that droop and stick", [tip])
     print_rows("Servos that droop by 8 mm", trim)
-    print_rows(f"Names: {right} of {cases} right", named)
+    said = f"{right} of {cases} right and alone; the servos' in {servos}; true in a set in {held}"
+    print_rows(f"Names: {said}", named)

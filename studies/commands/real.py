@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import click
 
@@ -35,6 +36,7 @@ def command(data: Path, as_json: bool) -> None:
             {
                 "model": line.model,
                 "mean_mm": 1e3 * line.errors.mean,
+                "ci95_mm": [1e3 * end for end in line.ci95],
                 "rms_mm": 1e3 * line.errors.rms,
                 "max_mm": 1e3 * line.errors.max,
                 "n": line.errors.n,
@@ -48,7 +50,11 @@ def command(data: Path, as_json: bool) -> None:
         print_json(rows)
         return
     for robot, lines in rows.items():
-        shown = [{k: v for k, v in line.items() if k != "effects"} for line in lines]
+        shown = [
+            {k: v for k, v in line.items() if k not in ("effects", "ci95_mm")} for line in lines
+        ]
         print_rows(f"{robot}: errors on the test rows", shown)
+        low, high = cast("tuple[float, float]", lines[-1]["ci95_mm"])
+        note(f"{robot}: 95 % of the best mean {low:.3f} to {high:.3f} mm")
         best = lines[-1]["effects"]
         note(f"{robot}: best holds {', '.join(best) if best else 'nothing beyond geometry'}")  # type: ignore[arg-type]

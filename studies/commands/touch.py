@@ -34,9 +34,11 @@ def command(data: Path, as_json: bool) -> None:
     if as_json:
         print_json({"arms": arms, "all": together})
         return
-    shown = [{k: v for k, v in row.items() if k not in ("names", "gain_ci95_mm")} for row in found]
+    shown = [{k: v for k, v in row.items() if k != "names" and "ci95" not in k} for row in found]
     print_rows("Mean distance from the touched point, each place held out in turn", shown)
     between = together["gain_ci95_mm"]
     note(f"diagnosed leaves less than rigid, over places: {together['gain_mm']} {between} mm")
+    said = {k: together[f"{k}_ci95_mm"] for k in ("nominal", "rigid", "diagnosed")}
+    note("95 % of the means, over places, mm: " + ", ".join(f"{k} {v}" for k, v in said.items()))
     for row in arms:
         note(f"{row['arm']}: {', '.join(row['names']) or 'nothing named'}")  # type: ignore[arg-type]

@@ -36,7 +36,7 @@ _FAR = 63
 _NEAR = 0.02  # rad, m
 _TRY_S = 3.0
 _SAMPLE_S = 1.0
-_PATIENCE_S = 60.0
+_PATIENCE_S = 300.0
 _MOST_WAITING = 50
 """Most open targets. It is far below the depth of the topics, beyond which messages are lost."""
 
@@ -60,6 +60,8 @@ class Scene:
     resets: int = 0
     """Faults of the driver that no fault of the soak explains: it or its servos got no time."""
     _untold: int | None = None
+    _aside: set[int] = field(default_factory=set)
+    """Stamps of targets that are not in the ledger: their answers may come late."""
     _refused: int = 0
     _driver: int = 0
     _driver_reports: int = 0
@@ -82,11 +84,12 @@ class Scene:
         graph.DIAGNOSTICS.subscription(node, self._on_diagnostics)
 
     def _on_compensation(self, message: Compensation) -> None:
-        if self._probing:
-            self._probed, self._answer = stamp_ns(message.target.header.stamp), message
+        stamp = stamp_ns(message.target.header.stamp)
+        if stamp in self._aside:
+            self._probed, self._answer = stamp, message
             return
         self.ledger.answer(
-            stamp_ns(message.target.header.stamp),
+            stamp,
             int(message.status),
             int(message.status) > Compensation.OUT_OF_DOMAIN,
             message.message,
@@ -292,6 +295,8 @@ class Scene:
 
     def _publish(self, *, good: bool, number: int | None = None) -> int:
         stamp = self.clock.stamp_ns()
+        if self._probing:
+            self._aside.add(stamp)
         place = self.ledger.sent if number is None else number
         message = PoseStamped(pose=self._poses[place % _PATH])
         message.header.frame_id, message.header.stamp = "base", stamp_of(stamp)

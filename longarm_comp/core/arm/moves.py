@@ -10,9 +10,6 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.errors import InputError
 
-_RUN_UP = 0.06
-"""Way of a run-up, as a share of each joint's range: longer than the play of most joints."""
-
 
 @dataclass(frozen=True, eq=False)
 class Move:
@@ -39,7 +36,8 @@ class Move:
 
 def run_up_lengths(arm: Arm) -> np.ndarray:
     """(n,) length of a run-up of every joint (rad, m)."""
-    return _RUN_UP * (arm.upper - arm.lower)
+    # Way of a run-up, as a share of each joint's range: longer than the play of most joints
+    return 0.06 * (arm.upper - arm.lower)
 
 
 def plan_move(

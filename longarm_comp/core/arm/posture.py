@@ -44,7 +44,7 @@ class Element:
 
 
 @dataclass(frozen=True)
-class ChainRow:
+class _ChainRow:
     """Stations of one row: its bearing (after Rz, before Tz) and its frame."""
 
     bearing: int
@@ -72,7 +72,7 @@ class Chain:
 
     def __init__(self, arm: Arm, elements_per_beam: int = 2) -> None:
         self.arm = arm
-        self.rows: list[ChainRow] = []
+        self.rows: list[_ChainRow] = []
         count = 2
         for joint in arm.joints:
             made: dict[str, tuple[Element, ...]] = {}
@@ -90,7 +90,7 @@ class Chain:
                         elements.append(Element(beam, count, axis, 1 / elements_per_beam, later))
                         count += 1
                 made[role] = tuple(elements)
-            self.rows.append(ChainRow(bearing, count, made["a"], made["d"]))
+            self.rows.append(_ChainRow(bearing, count, made["a"], made["d"]))
             count += 1
         carriers = {"": arm.tip.frame, **{name: m.frame for name, m in arm.markers.items()}}
         self.spots = {name: count + k for k, name in enumerate(carriers)}

@@ -9,9 +9,6 @@ import numpy as np
 
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, exp
 
-_AT_ONCE = 32768
-"""Numbers in an array of several items: what a processor keeps near."""
-
 
 def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], tuple]]:
     """Items of the same kind, stacked, so that one computation serves all of them.
@@ -28,7 +25,8 @@ def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], 
             yield [key], item
     for zeros, keys in kinds.items():
         size = max(np.size(x) for x in items[keys[0]])
-        count = max(1, _AT_ONCE // size)
+        # Numbers in an array of several items: what a processor keeps near
+        count = max(1, 32768 // size)
         for some in (keys[n : n + count] for n in range(0, len(keys), count)):
             rows = [items[key] for key in some]
             yield (

@@ -50,8 +50,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
+from longarm_comp.core.model.link_frames import reach
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.outline import reach
 
 _ContextAt = Callable[[np.ndarray], Context]
 

@@ -9,9 +9,6 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 
-_STEP = 0.1
-"""Share of a joint's range that two readings may differ by, however soon they follow."""
-
 _AGREEING = 3
 """Readings in a row that must agree before the joints are believed again."""
 
@@ -68,7 +65,8 @@ class JointTrust:
         range_, dt = self._arm.upper - self._arm.lower, max(at_s - before[1], 0.0)
         share = np.abs(q - before[0]) / np.where(range_ > 0, range_, math.inf)
         k = int(np.argmax(share))
-        if share[k] > _STEP + self._rate * dt:
+        # Share of a joint's range that two readings may differ by, however soon they follow
+        if share[k] > 0.1 + self._rate * dt:
             name, was, now = self._arm.joint_names[k], before[0][k], q[k]
             self.distrust(
                 f"joint_states: {name} jumped from {was:.4g} to {now:.4g} within {dt:.3f} s; "

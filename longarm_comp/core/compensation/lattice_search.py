@@ -18,7 +18,6 @@ _DIFFERENCE = 1e-4
 """Half the difference (rad, m) from which the tip's derivative is taken."""
 EDGE = 1e-9
 """Share of a step, or rad or m, by which rounding may put a joint beyond a limit."""
-_CHUNK = 2048  # targets at a time
 
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """The tip at joints (M, n) of targets number (M,): positions (M, 3) in m or poses (M, 4, 4)."""
@@ -93,9 +92,10 @@ class LatticeProblem:
     ) -> Found:
         """Joints for N targets; the arguments are those of `realisable.choose`."""
         ideal = np.clip(ideal, self.lower, self.upper)
+        # targets at a time
         parts = [
             _Search(self, search, predict, targets[ids], ideal[ids], ids).found()
-            for ids in np.array_split(np.arange(len(ideal)), -(-len(ideal) // _CHUNK) or 1)
+            for ids in np.array_split(np.arange(len(ideal)), -(-len(ideal) // 2048) or 1)
         ]
         return Found(*map(np.concatenate, zip(*parts, strict=True)))
 

@@ -30,9 +30,7 @@ from longarm_comp.core.compensation.result import (
 from longarm_comp.core.compensation.retime import (
     MotionLimits,
     Timed,
-    fastest,
-    retimed,
-    slopes_of,
+    planned_times,
 )
 from longarm_comp.core.compensation.take_up import TakeUp
 from longarm_comp.core.compensation.unknown import (
@@ -45,8 +43,8 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered_at
+from longarm_comp.core.model.link_frames import reach
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.outline import reach
 
 _POSE_JOINTS = 6
 """An arm of fewer joints cannot keep a planned orientation: its path is one of positions."""
@@ -130,10 +128,8 @@ class CompensatedPath:
     """A path to send.
 
     Attributes:
-        timed: joints, velocities and times; where the plan has neither times nor limits, a second
-            a way-point.
-        answers: what `Compensation` says, of all way-points (k, ...); of one where the arm stood
-            already nothing holds.
+        timed: joints, velocities and times, as `planned_times`.
+        answers: of all way-points; of one where the arm stood already nothing holds.
         correction_m: (k,) m, by how much the declared arm's tip is moved.
         history: of the joints at the end.
         notes: doubts.
@@ -167,8 +163,7 @@ def compensate_path(
 ) -> CompensatedPath:
     """Joints and times for a plan, or the reason why there are none.
 
-    Where the predictor cannot answer for every way-point, none is corrected by it: between
-    corrected and uncorrected ones the tip would jump.
+    Where the predictor cannot answer for every way-point, none is corrected by it: no jumps.
 
     Args:
         start: (n,) where the joints stand; None: not known. A plan that has begun begins there.
@@ -201,7 +196,7 @@ def compensate_path(
         way = replace(way, predictor=None)
         answers, came = way.solved(seed)
     corrected = _corrections(arm, plan, answers.command, int(begun), max_correction_m)
-    timed = _timed(plan, answers.command, limits or MotionLimits.none(arm.n), arm)
+    timed = _timed(plan, answers.command, limits or MotionLimits.none(arm.n))
     _keep_out(arm, timed)
     return CompensatedPath(timed, answers, corrected, came, (*notes, *way.doubts(answers)))
 
@@ -388,24 +383,11 @@ def _corrections(
     return moved
 
 
-def _timed(plan: PlannedPath, joints: np.ndarray, limits: MotionLimits, arm: Arm) -> Timed:
-    """Way-points (k, n) at the plan's times, or later where limits demand it."""
-    count = len(joints)
-    first = 0.0 if plan.times is None else float(plan.times[0])
-    if count == 1:
-        return Timed(np.array([first]), joints, np.zeros_like(joints))
-    times = np.arange(float(count)) if plan.times is None else plan.times - first
-    slopes = slopes_of(times, joints)
-    if plan.velocities is not None and plan.joints is not None:
-        slopes = plan.velocities + slopes_of(times, joints - plan.joints)
-        slopes[[0, -1]] = 0.0
+def _timed(plan: PlannedPath, joints: np.ndarray, limits: MotionLimits) -> Timed:
     try:
-        if plan.times is None and limits.bounded:
-            return fastest(joints, limits)
-        timed = retimed(Timed(times, joints, slopes), limits)
+        return planned_times(plan.times, joints, limits, plan.joints, plan.velocities)
     except JobError as error:
         raise PathRefused(Status.NOT_CONVERGED, 0, str(error)) from None
-    return replace(timed, times=timed.times + first)
 
 
 def _keep_out(arm: Arm, timed: Timed) -> None:

@@ -100,6 +100,34 @@ def fastest(joints: np.ndarray, limits: MotionLimits) -> Timed:
     return replace(_found(path, limits), stretch=1.0)
 
 
+def planned_times(
+    times: np.ndarray | None,
+    joints: np.ndarray,
+    limits: MotionLimits,
+    planned: np.ndarray | None,
+    velocities: np.ndarray | None,
+) -> Timed:
+    """Way-points (k, n) at planned times (k,), or later where limits demand it.
+
+    Without times as fast as the limits allow; without these too, a second a way-point.
+
+    Args:
+        planned, velocities: (k, n) of the plan that the way-points correct.
+    """
+    first = 0.0 if times is None else float(times[0])
+    if len(joints) == 1:
+        return Timed(np.array([first]), joints, np.zeros_like(joints))
+    if times is None and limits.bounded:
+        return fastest(joints, limits)
+    since = np.arange(float(len(joints))) if times is None else times - first
+    slopes = slopes_of(since, joints)
+    if velocities is not None and planned is not None:
+        slopes = velocities + slopes_of(since, joints - planned)
+        slopes[[0, -1]] = 0.0
+    made = retimed(Timed(since, joints, slopes), limits)
+    return replace(made, times=made.times + first)
+
+
 def _found(path: Timed, limits: MotionLimits) -> Timed:
     """Times by TOPP-RA, from rest to rest."""
     try:

@@ -17,25 +17,19 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import Frame, roll_pitch_yaw
 from longarm_comp.core.data.admission_finding import AdmissionFinding
-from longarm_comp.core.data.alignment import (
+from longarm_comp.core.data.belonging import STRAYS, believe
+from longarm_comp.core.data.registration import (
     Alignment,
     align,
     best_axes,
     best_rotation,
 )
-from longarm_comp.core.data.belonging import STRAYS, believe
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.data.touch_checks import check_touches
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
 FEW_POSES = 4
-_OUTLIER = 8.0  # robust standard deviations, before any fit
-_FAR = 0.5  # of a joint's range beyond its limits
-_TURN = 2 * np.pi
-"""Joints that all stay within it may well be in radians."""
-_MANY = 5.0  # times a joint's largest value, and more, are another unit
-_TILTED = np.radians(20.0)
 
 
 @dataclass(frozen=True)
@@ -185,18 +179,21 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
         (turning, np.pi / 180, "radians (this looks like degrees)"),
         (~turning, 1e-3, "metres (this looks like millimetres)"),
     ):
-        far = (beyond > _FAR * reach) & kind
+        # of a joint's range beyond its limits
+        far = (beyond > 0.5 * reach) & kind
         if not far.any():
             continue
         row, j = np.unravel_index(np.argmax(np.where(far, beyond / reach, 0)), q.shape)
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} of {arm.joint_names[j]}"
         scaled, slack = q[:, j] * factor, 0.05 * reach[j]
         within = (scaled > arm.lower[j] - slack) & (scaled < arm.upper[j] + slack)
-        many = abs(q[row, j]) > _MANY * max(abs(arm.lower[j]), abs(arm.upper[j]))
+        # times a joint's largest value, and more, are another unit
+        many = abs(q[row, j]) > 5.0 * max(abs(arm.lower[j]), abs(arm.upper[j]))
         if other := _exchanged(arm, q, int(j)):
             limits = f"{limits} ({other})"
         elif many and within.mean() > 0.95:
-            small = factor == np.pi / 180 and np.abs(q[:, kind]).max() < _TURN
+            # Joints that all stay within it may well be in radians
+            small = factor == np.pi / 180 and np.abs(q[:, kind]).max() < (2 * np.pi)
             limits = f"{limits}; degrees, or limits that are too narrow?" if small else (
                 f"{hint}: {limits}"
             )  # fmt: skip
@@ -323,14 +320,15 @@ def _frame_of(
     if axes.mirrored and axes.misfit < min(clear, 0.5 * turned.misfit):
         raise case.refuse(field, f"axes like {name}", "a right-handed x,y,z in the base frame")
     away = np.linalg.norm(straight.offset)
-    if turned.misfit < clear and turned.angle > _TILTED:
+    if turned.misfit < clear and turned.angle > np.radians(20.0):
         like = f", axes like {name}" if axes.misfit < clear else ""
         text = f"turned by {np.degrees(turned.angle):.0f} deg against the declared arm{like}"
         yield AdmissionFinding("frame", field, f"{text}; as {_base(case.arm, turned)}")
     elif away > 0.3 * _spread(predicted):
         yield AdmissionFinding("frame", field, f"{away:.3f} m away from where the declared arm is")
     distance = np.linalg.norm(measured - predicted @ turned.rotation.T - turned.offset, axis=1)
-    far = distance > max(_OUTLIER * 1.4826 * turned.misfit, 1e-9)
+    # robust standard deviations, before any fit
+    far = distance > max(8.0 * 1.4826 * turned.misfit, 1e-9)
     if far.any():
         worst = 1e3 * distance.max()
         text = f"{far.sum()} gross outliers ({far.mean():.1%}), the worst {worst:.0f} mm"

@@ -32,7 +32,7 @@ FAR, STRAYS = 8.0, 0.3
 
 
 @dataclass(frozen=True)
-class Mistake:
+class _Mistake:
     """One mistake, undone."""
 
     what: str
@@ -40,7 +40,7 @@ class Mistake:
 
 
 @dataclass(frozen=True)
-class Belief:
+class _Belief:
     """Whether rows fit the arm, its placement apart.
 
     Attributes:
@@ -67,7 +67,7 @@ class Belief:
         return not self.mistake and self.misfit < 0.25 * self.spread and self.stray < STRAYS
 
 
-def believe(model: Model, session: Session) -> Belief | None:
+def believe(model: Model, session: Session) -> _Belief | None:
     """Hold the rows against the arm, and against the arm under each common mistake.
 
     The mistakes are tried only where the rows fit badly.
@@ -82,7 +82,7 @@ def believe(model: Model, session: Session) -> Belief | None:
     distance = np.linalg.norm(found.residual, axis=1)
     spread = float(np.median(np.linalg.norm(seen.xyz - np.median(seen.xyz, axis=0), axis=1)))
     least = max(FAR * float(np.quantile(distance, 0.25)), BAD * spread)
-    belief = Belief(found.misfit, spread, float((distance > least).mean()))
+    belief = _Belief(found.misfit, spread, float((distance > least).mean()))
     # Rows that the mistakes are tried on, spread over the session
     rows = np.unique(np.linspace(0, len(session) - 1, 100).astype(int))
     if found.misfit < BAD * spread:
@@ -115,7 +115,7 @@ def _signs(model: Model, rows: Session, misfit: float) -> tuple[tuple[int, float
     return tuple(untold)
 
 
-def mistakes(arm: Arm, session: Session) -> Iterator[Mistake]:
+def mistakes(arm: Arm, session: Session) -> Iterator[_Mistake]:
     """The session with each common mistake undone."""
     q, n = session.q, session.n
     turning = [arm.joints[row - 1].type == "revolute" for row in arm.commanded]
@@ -129,15 +129,15 @@ def mistakes(arm: Arm, session: Session) -> Iterator[Mistake]:
         where = "later" if rows < 0 else "earlier"
         times = "one row" if abs(rows) == 1 else f"{abs(rows)} rows"
         moved = np.roll(session.xyz, rows, axis=0)
-        yield Mistake(
+        yield _Mistake(
             f"x, y, z look written {times} {where} than their joints", _with(session, moved)
         )
-    yield Mistake(
+    yield _Mistake(
         "x, y, z look mirrored: two of them are swapped or one is negated",
         _with(session, session.xyz * (1.0, 1.0, -1.0)),
     )
     for j in range(n):
-        yield Mistake(f"q{j + 1} looks negated", joint(j, -q[:, j]))
+        yield _Mistake(f"q{j + 1} looks negated", joint(j, -q[:, j]))
         if not turning[j]:
             continue
         for text, angle in (
@@ -145,16 +145,16 @@ def mistakes(arm: Arm, session: Session) -> Iterator[Mistake]:
             ("a quarter turn", np.pi / 2),
             ("minus a quarter turn", -np.pi / 2),
         ):
-            yield Mistake(f"q{j + 1} looks offset by {text}", joint(j, q[:, j] - angle))
+            yield _Mistake(f"q{j + 1} looks offset by {text}", joint(j, q[:, j] - angle))
             if angle > 0:
-                yield Mistake(
+                yield _Mistake(
                     f"q{j + 1} looks negated and offset by {text}", joint(j, angle - q[:, j])
                 )
-        yield Mistake(f"q{j + 1} looks given in degrees", joint(j, np.radians(q[:, j])))
+        yield _Mistake(f"q{j + 1} looks given in degrees", joint(j, np.radians(q[:, j])))
     for j, k in combinations(range(n), 2):
         order = np.arange(n)
         order[[j, k]] = k, j
-        yield Mistake(
+        yield _Mistake(
             f"q{j + 1} and q{k + 1} look swapped", dataclasses.replace(session, q=q[:, order])
         )
 

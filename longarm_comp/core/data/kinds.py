@@ -152,7 +152,7 @@ class Distance(Kind):
         return Equations(values - length, pull @ columns, pull)
 
 
-class Ray(Kind):
+class _Ray(Kind):
     """Direction in which a calibrated camera sees the tip, in its own axes; of any length.
 
     The residual is the angle (rad) across the measured direction, along two axes.
@@ -184,7 +184,7 @@ class Ray(Kind):
         return Equations(residual, pull @ columns, pull)
 
 
-class Touch(Kind):
+class _Touch(Kind):
     """The tip touched a point: all rows of one name touched the same one, which may be anywhere."""
 
     name = "touch"
@@ -203,7 +203,7 @@ class Touch(Kind):
         return Equations(-away, columns, np.broadcast_to(np.eye(3), (*away.shape, 3)))
 
 
-class Plane(Kind):
+class _Plane(Kind):
     """The tip touched a plane: all rows of one name the same one, which may be anywhere."""
 
     name = "plane"
@@ -254,7 +254,7 @@ class _Kinds(dict[str, Kind]):
 
 
 KINDS: Mapping[str, Kind] = _Kinds(
-    {k.name: k for k in (Position(), Orientation(), Distance(), Ray(), Touch(), Plane())}
+    {k.name: k for k in (Position(), Orientation(), Distance(), _Ray(), _Touch(), _Plane())}
 )
 """Every kind by name; positions come first in the channels of a session, joints last."""
 

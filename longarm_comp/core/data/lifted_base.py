@@ -33,7 +33,7 @@ _RANK, _EXACT = 1e-6, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class LinearEquations:
+class _LinearEquations:
     """``direction . (R point + p) = value``.
 
     Attributes:
@@ -102,25 +102,25 @@ def _anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
 # ------------------------------------------------------------------ equations
 
 
-def _linear(arm: Arm, points: np.ndarray, rows: Session) -> LinearEquations:
+def _linear(arm: Arm, points: np.ndarray, rows: Session) -> _LinearEquations:
     parts = [
         *_coordinates(points, rows), *_rays(arm, points, rows), *_anchors(arm, points, rows)
     ]  # fmt: skip
-    return LinearEquations(
+    return _LinearEquations(
         np.concatenate([part.direction for part in parts]),
         np.concatenate([part.point for part in parts]),
         np.concatenate([part.value for part in parts]),
     )
 
 
-def _coordinates(points: np.ndarray, rows: Session) -> Iterator[LinearEquations]:
+def _coordinates(points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
     for k, axis in enumerate(np.eye(3)):
         held = np.isfinite(rows.xyz[:, k])
         directions = np.broadcast_to(axis, (int(held.sum()), 3))
-        yield LinearEquations(directions, points[held], rows.xyz[held, k])
+        yield _LinearEquations(directions, points[held], rows.xyz[held, k])
 
 
-def _rays(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[LinearEquations]:
+def _rays(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
     if "ray" not in rows.readings:
         return
     held = np.isfinite(rows.readings["ray"]).all(axis=1)
@@ -129,10 +129,10 @@ def _rays(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[LinearEquatio
         local = across(rows.readings["ray"][held])[:, k]
         directions = np.einsum("nij,nj->ni", frames[:, :, :3], local)
         value = (directions * frames[:, :, 3]).sum(axis=1)
-        yield LinearEquations(directions, points[held], value)
+        yield _LinearEquations(directions, points[held], value)
 
 
-def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[LinearEquations]:
+def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
     """Declared anchors, each placed in the base by its distances, as points that were seen."""
     if "distance" not in rows.readings:
         return
@@ -144,7 +144,7 @@ def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[LinearEqua
         place = multilaterated(points[held], length[held])
         count = int(held.sum())  # as many equations as distances
         directions, value = np.tile(np.eye(3), (count, 1)), np.tile(anchor.xyz_m, count)
-        yield LinearEquations(directions, np.tile(place, (3 * count, 1)), value)
+        yield _LinearEquations(directions, np.tile(place, (3 * count, 1)), value)
 
 
 # ------------------------------------------------------------------ solutions
@@ -172,7 +172,7 @@ def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     return turn
 
 
-def _rotation(found: LinearEquations) -> np.ndarray:
+def _rotation(found: _LinearEquations) -> np.ndarray:
     """R of the lifted problem, brought back to a rotation."""
     middle = found.point.mean(axis=0)
     local = found.point - middle

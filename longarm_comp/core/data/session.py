@@ -23,8 +23,6 @@ from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, che
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 
-_SHOWN = 8
-"""Rows of a session in a notebook."""
 INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
 """Names of the columns of an inclinometer; NaN where it gave no reading."""
 
@@ -184,7 +182,8 @@ class Session(MeasuredRows):
 
     def _repr_html_(self) -> str:
         """The first rows; repr says how many there are."""
-        numbers = range(min(_SHOWN, len(self)))
+        # Rows of a session in a notebook
+        numbers = range(min(8, len(self)))
         rows = [
             {"index": int(self.index[k]), **{f"q{j}": float(v) for j, v in enumerate(self.q[k], 1)},
              **{axis: float(v) for axis, v in zip("xyz", self.xyz[k], strict=True)}}

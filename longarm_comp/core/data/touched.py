@@ -24,7 +24,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
-_ROUNDS = 4
 _EXACT = 1e-9
 
 Misfit = Callable[[np.ndarray], np.ndarray]
@@ -151,7 +150,7 @@ def _robust(
 ) -> np.ndarray:
     """A closed-form solution without the tips that are far from it."""
     answer, misfit = solved(tips)
-    for _ in range(_ROUNDS):
+    for _ in range(4):
         away = misfit(tips)
         # Misfit of a touch, in their median, from which a start leaves it out: 4 standard
         # deviations

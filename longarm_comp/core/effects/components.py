@@ -64,7 +64,7 @@ class Acting:
 
 
 @dataclass(frozen=True)
-class Component(ABC):
+class _Component(ABC):
     """What acts at a place.
 
     Attributes:
@@ -91,7 +91,7 @@ class Component(ABC):
 
 
 @dataclass(frozen=True)
-class Move(Component):
+class Move(_Component):
     """A displacement."""
 
     word: ClassVar[str] = "move"
@@ -102,7 +102,7 @@ class Move(Component):
 
 
 @dataclass(frozen=True)
-class Turn(Component):
+class Turn(_Component):
     """A rotation."""
 
     word: ClassVar[str] = "turn"
@@ -113,7 +113,7 @@ class Turn(Component):
 
 
 @dataclass(frozen=True)
-class Give(Component):
+class Give(_Component):
     """A rotation under the moment that is carried there, across the place's z axis."""
 
     word: ClassVar[str] = "give"
@@ -125,7 +125,7 @@ class Give(Component):
 
 
 @dataclass(frozen=True)
-class Wrench(Component):
+class Wrench(_Component):
     """A load: it bends the declared beams between the base and the place."""
 
     @abstractmethod
@@ -183,7 +183,7 @@ class Weight(Wrench):
         return spatial.scale(amount * (1.0 / max(size, 1e-9)), posture.gravity), ZERO
 
 
-COMPONENTS: dict[str, Component] = {
+COMPONENTS: dict[str, _Component] = {
     component.name: component
     for component in (
         *(kind(axis) for kind in (Move, Turn, Force, Moment) for axis in range(3)),

@@ -101,7 +101,7 @@ class OfPosture(Quantity):
 
 
 @dataclass(frozen=True)
-class OfJoint(OfPosture):
+class _OfJoint(OfPosture):
     """A quantity of one commanded joint."""
 
     @property
@@ -122,7 +122,7 @@ class OfJoint(OfPosture):
 
 
 @dataclass(frozen=True)
-class JointPosition(OfJoint):
+class JointPosition(_OfJoint):
     """Position of a commanded joint."""
 
     pattern: ClassVar[str] = r"q(\d+)"
@@ -135,7 +135,7 @@ class JointPosition(OfJoint):
 
 
 @dataclass(frozen=True)
-class JointLoad(OfJoint):
+class JointLoad(_OfJoint):
     """Gravity load of a commanded joint."""
 
     pattern: ClassVar[str] = r"load_(\d+)"
@@ -148,7 +148,7 @@ class JointLoad(OfJoint):
 
 
 @dataclass(frozen=True)
-class JointSide(OfJoint):
+class JointSide(_OfJoint):
     """Side that a commanded joint arrived from."""
 
     pattern: ClassVar[str] = r"side_(\d+)"
@@ -208,7 +208,7 @@ class Warmth(OfPosture):
 
 
 @dataclass(frozen=True)
-class OfRow(OfPosture):
+class _OfRow(OfPosture):
     """A quantity in the axes of one row's bearing, or of the base."""
 
     def exists(self, arm: Arm) -> bool:
@@ -220,7 +220,7 @@ class OfRow(OfPosture):
 
 
 @dataclass(frozen=True)
-class Moment(OfRow):
+class Moment(_OfRow):
     """Moment of all that is carried at a bearing, about one of its axes."""
 
     pattern: ClassVar[str] = r"moment_(\d+)_([xyz])"
@@ -234,7 +234,7 @@ class Moment(OfRow):
 
 
 @dataclass(frozen=True)
-class Gravity(OfRow):
+class Gravity(_OfRow):
     """Share of gravity along an axis of a row."""
 
     pattern: ClassVar[str] = r"gravity_(\d+)_([xyz])"

@@ -26,6 +26,7 @@ from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.intervals import intervals
+from longarm_comp.core.identify.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.next_poses import next_poses
 from longarm_comp.core.identify.noise import from_repeats
@@ -54,6 +55,7 @@ def diagnose(
     *,
     test: Session | None = None,
     model: Model | None = None,
+    kind: KindOfArm | None = None,
     kinds: Sequence[type[Effect] | type[Bias]] | None = None,
     train_network: Train | None = None,
     seed: int = 0,
@@ -66,6 +68,7 @@ def diagnose(
         session: admitted measurements.
         test: hold-out; whole blocks of the session are locked away when not given.
         model: what is known already (its effects are never added twice).
+        kind: what other arms of the kind say of its geometry and of what they all have.
         kinds: the effects to try; all of the catalogue where None.
         train_network: makes the learned correction of what is left; none is trained without.
         seed: of everything random; the same seed gives the same bytes.
@@ -88,7 +91,7 @@ def diagnose(
     session = as_fitted(session, nominal)
     test = None if test is None else as_fitted(test, nominal)
     train, rest = _split(session, test, seed)
-    staged = dict(stages(nominal, train, say))
+    staged = dict(stages(nominal, train, say, kind))
     start = staged["geometry"].model
     offered = library(arm, train.context(), kinds, start.terms)
     candidates = offered.testable
@@ -174,7 +177,7 @@ def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
         named = whole.model.without(functions)
         less = fit(named, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
         made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
-    return made
+    return {name: folded(fitted) for name, fitted in made.items()}
 
 
 def _hash(model: Model) -> str:

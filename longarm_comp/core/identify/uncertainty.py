@@ -14,6 +14,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -153,10 +154,14 @@ class LeftOut:
 
         found = []
         for growth in GROWTHS:
-            most = _least(lambda x, g=growth: enough(radii(x, g), 0.0), math.log(MOST_STRETCH))
+
+            def stretched(log: float, growth: float = growth) -> bool:
+                return enough(radii(log, growth), 0.0)
+
+            most = _least(stretched, math.log(MOST_STRETCH))
             for log in np.linspace(0.0, most, STRETCHES).tolist():
                 tried = radii(log, growth)
-                rest = _least(lambda x, tried=tried: enough(tried, x), float((size**2).max()))
+                rest = _least(partial(enough, tried), float((size**2).max()))
                 beyond = size - tried.at(rest)
                 loss = self.count @ np.maximum(LEVEL * beyond, (LEVEL - 1.0) * beyond)
                 found.append((float(loss), Stretch(math.exp(log), growth, typical), rest))

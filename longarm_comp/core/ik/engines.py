@@ -24,9 +24,7 @@ from longarm_comp.core.ik import newton
 from longarm_comp.core.ik.kernel import Kernel, kernel_of, tip_and_jacobian
 from longarm_comp.core.model.model import Model
 
-_CHUNK = 4096  # targets at a time: a compromise between calls and cache
 _FEW = 4  # number of targets up to which plain Python is faster than arrays
-_WORTH = 1 / 16  # workload of one target in a batch, in single targets
 _NOTHING = Context.empty().layout
 _THIN = 0.7  # share of active columns below which the finished ones are removed
 
@@ -95,7 +93,7 @@ def warm_up(model: Model | None = None, context: Context | None = None) -> bool:
     return compiler_at_hand()
 
 
-def worth_compiling(workload: float) -> bool:
+def _worth_compiling(workload: float) -> bool:
     """Whether to compile a program after a workload without compilation, in single targets."""
     # workload, in single targets, after which a model is compiled
     return compiler_at_hand() and (_LongLived.now or workload > 500)
@@ -116,7 +114,8 @@ def run(
     if engine is Engine.AUTO:
         engine = _chosen(model, context.layout, count)
     search = _SEARCH[engine]
-    chunk = count if engine is Engine.COMPILED else _CHUNK
+    # targets at a time: a compromise between calls and cache
+    chunk = count if engine is Engine.COMPILED else 4096
     q, report = np.empty_like(p.starts), np.zeros((count, 4))
     report[:, :2] = 1e300
     for first in range(0, count, max(chunk, 1)):
@@ -145,8 +144,9 @@ def _chosen(model: Model, layout: Layout, count: int) -> Engine:
     if not layout.traceable:
         return Engine.MODEL
     kernel = kernel_of(model, layout)
-    kernel.workload += count if count <= _FEW else _WORTH * count
-    if is_compiled(kernel, Engine.AUTO) or worth_compiling(kernel.workload):
+    # workload of one target in a batch, in single targets
+    kernel.workload += count if count <= _FEW else (1 / 16) * count
+    if is_compiled(kernel, Engine.AUTO) or _worth_compiling(kernel.workload):
         return Engine.COMPILED
     return Engine.PYTHON if count <= _FEW else Engine.ARRAYS
 
@@ -183,7 +183,7 @@ def _read(s: np.ndarray, kernel: Kernel) -> Found:
     return q.T, size.T, used[0]
 
 
-class Circumstance:
+class _Circumstance:
     """State of one search as a list of floats, and the programs on it."""
 
     def __init__(self, programs: Programs, place: dict[str, range], s: list[float]) -> None:
@@ -237,7 +237,7 @@ def _python(model: Model, context: Context, p: Problem, given: Given, count: int
     kernel = kernel_of(model, context.layout)
     results = []
     for s in _filled(given, kernel, count).T.tolist():
-        column = Circumstance(kernel.floats, kernel.place, s)
+        column = _Circumstance(kernel.floats, kernel.place, s)
         try:
             newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
         except ArithmeticError:  # beyond the range of numbers, where the other engines give NaN

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_LOVASZ = 0.99  # as in the literature: short columns, and an end after few swaps
-_MAX_WIDER = 8  # doublings of the squared radius
 _SLACK = 1e-9  # of a step
 NOTHING = 1e300
 """Squared distance of an entry without a point."""
@@ -81,7 +79,8 @@ class _Tree:
 
     def search(self) -> None:
         """Fill the list of the best, within a wider radius while it has gaps."""
-        for _ in range(_MAX_WIDER):
+        # doublings of the squared radius
+        for _ in range(8):
             self._visit(self.n - 1, 0.0, -self.W @ self.R[:, self.n])
             if len(self.best) == self.kept or self.nodes >= self.max_nodes:
                 break
@@ -132,7 +131,8 @@ def _reduced(R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             R[:, b] -= times * R[:, a]
             U[:, b] -= times * U[:, a]
         a = b - 1
-        if R[a, b] ** 2 + R[b, b] ** 2 >= _LOVASZ * R[a, a] ** 2:
+        # as in the literature: short columns, and an end after few swaps
+        if R[a, b] ** 2 + R[b, b] ** 2 >= 0.99 * R[a, a] ** 2:
             b += 1
             continue
         for matrix in (R, U):

@@ -25,10 +25,7 @@ State = Mapping[str, Scalars]
 Outcome = dict[str, Scalars]
 
 UNKNOWN = 1e300  # energy (m^2) before the first evaluation
-_POOR = 0.1  # share of the squared residual after a step that is too large with carried twists
 FLOOR = 1e-13  # least damping, in (m per joint range)^2
-_STALL_AFTER = 6  # iterations with less than a fifth of progress that end a level
-FIRST_DAMPING = 0.05
 ROTATION_TOLERANCE = 1e-6
 
 
@@ -101,7 +98,7 @@ def begin(n: int) -> Outcome:
     """Initial state of a search."""
     return {
         "e": [0.0] * 6, "J": [0.0] * (6 * n), "sag": [0.0] * (6 * n), "used": [0.0],
-        "mu": [FIRST_DAMPING], "size": [UNKNOWN, UNKNOWN],
+        "mu": [0.05], "size": [UNKNOWN, UNKNOWN],
     }  # fmt: skip
 
 
@@ -147,7 +144,8 @@ def judge(s: State, span: Sequence[float], length: float, m: int, level: Level) 
     size = [where(take, new, old) for new, old in zip(size, s["size"], strict=True)]
     q = [where(take, new, old) for new, old in zip(s["trial"], s["q"], strict=True)]
     used = s["used"][0] + go_on
-    poor = where(better, (energy > _POOR * was) * (used > 2.5), 1.0)
+    # share of the squared residual after a step that is too large with carried twists
+    poor = where(better, (energy > 0.1 * was) * (used > 2.5), 1.0)
     mu = s["mu"][0]
     changed = where(better, maximum(0.1 * mu, 1e-6), minimum(8.0 * mu + 1e-3, 1e6))
     energy = where(take, energy, was)
@@ -157,7 +155,8 @@ def judge(s: State, span: Sequence[float], length: float, m: int, level: Level) 
     if level.near is not None:
         near = where(fresh, level.skip, level.near)
     arrived = (size[0] <= near) * (size[1] <= near)
-    ended = (used >= s["permitted"][0]) + (since >= _STALL_AFTER) + arrived
+    # iterations with less than a fifth of progress that end a level
+    ended = (used >= s["permitted"][0]) + (since >= 6) + arrived
     if level.hasty:
         ended = ended + poor
     stuck: Any = 0.0

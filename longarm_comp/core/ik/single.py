@@ -42,7 +42,7 @@ class _Workspace:
         self.search = kernel.code.function(f"solve{m}")
 
 
-class Task:
+class _Task:
     """Single searches that differ only in target, seed and numbers of the context."""
 
     def __init__(self, kernel: Kernel, key: Key) -> None:
@@ -85,7 +85,7 @@ def solve_compiled(
     columns, or the input is invalid and needs an error message.
     """
     key = (None if context is None else context.layout, *options)
-    tasks: dict[Any, Task] = model.__dict__.setdefault("_tasks", {})
+    tasks: dict[Any, _Task] = model.__dict__.setdefault("_tasks", {})
     task = tasks.get(key)
     if task is None:
         layout = key[0] or _NOTHING
@@ -94,5 +94,5 @@ def solve_compiled(
         kernel = kernel_of(model, layout)
         if not is_compiled(kernel, engine):
             return None
-        task = tasks[key] = Task(kernel, key)
+        task = tasks[key] = _Task(kernel, key)
     return task.run(target, task.kernel.mid if seed is None else np.asarray(seed), context)

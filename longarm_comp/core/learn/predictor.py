@@ -29,10 +29,6 @@ from longarm_comp.core.learn.network import NetworkShape, output_jacobian, with_
 
 Array = NDArray[np.float64]
 
-_Z95 = 1.6449
-_JOINT_MARGIN = 0.02  # of a joint's training range
-_CONTEXT_MARGIN = 0.5  # of a context column's training range; it has less influence, and drifts
-
 
 @dataclass(frozen=True)
 class Prediction:
@@ -65,7 +61,7 @@ class LearnedGain:
         """From the residual (N, 3) and what the network leaves of it, row by row."""
         before, after = (np.linalg.norm(e, axis=1) for e in (residual, left))
         gained = before - after
-        chance = _Z95 * gained.std(ddof=1) / math.sqrt(len(gained))
+        chance = 1.6449 * gained.std(ddof=1) / math.sqrt(len(gained))
         return cls(float(before.mean()), float(after.mean()), float(gained.mean() - chance))
 
     @property
@@ -119,8 +115,10 @@ class Predictor:
         object.__setattr__(self, "_shape", shape)
         v, w, b = shape.split(self.weights)
         object.__setattr__(self, "_members", tuple(map(np.ascontiguousarray, (v, w, b[:, None]))))
-        margin = np.full(len(self.lower), _CONTEXT_MARGIN)
-        margin[: self.encoding.joints] = _JOINT_MARGIN
+        # of a context column's training range; it has less influence, and drifts
+        margin = np.full(len(self.lower), 0.5)
+        # of a joint's training range
+        margin[: self.encoding.joints] = 0.02
         width = margin * (self.upper - self.lower) + 1e-6
         object.__setattr__(self, "_box", (self.lower - width, self.upper + width))
 

@@ -8,11 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.outline import outline
-
-_STEPS = 16
-"""Postures looked at from one way-point to the next."""
 
 
 def entered(model: Model, path: np.ndarray) -> str:
@@ -22,7 +19,8 @@ def entered(model: Model, path: np.ndarray) -> str:
     the thing that it protects by the arm's radius. Between way-points joints move straight.
     """
     boxes = model.arm.keep_out
-    shares = np.linspace(0.0, 1.0, _STEPS + 1)[1:, None]
+    # Postures looked at from one way-point to the next
+    shares = np.linspace(0.0, 1.0, 16 + 1)[1:, None]
     for start, end in pairwise(path) if boxes else ():
         if found := entered_at(model, start + shares * (end - start)):
             return found

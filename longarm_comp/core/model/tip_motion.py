@@ -37,14 +37,14 @@ class Sensor(Protocol):
 
 
 @dataclass(frozen=True)
-class Moved:
+class _Moved:
     """A change of the arm: shift of the tip (m) and turn of its axes (rad), in the base frame."""
 
     shift: Vec
     turn: Vec
 
 
-STILL = Moved(spatial.ZERO, spatial.ZERO)
+STILL = _Moved(spatial.ZERO, spatial.ZERO)
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class TipMotion:
     sensor: Sensor
     frame: Frame
     context: Context
-    changes: Sequence[Moved | Reseen]
+    changes: Sequence[_Moved | Reseen]
     joints: SeenJoints
 
     def point(self, kind: str = "position") -> tuple[np.ndarray, np.ndarray]:
@@ -122,7 +122,7 @@ class TipMotion:
         blocks = [self._point_change(change, kind, free) for change in self.changes]
         return _together(seen, blocks)
 
-    def _point_change(self, change: Moved | Reseen, kind: str, free: bool) -> Vec:
+    def _point_change(self, change: _Moved | Reseen, kind: str, free: bool) -> Vec:
         tip = self.frame.p
         if isinstance(change, Reseen):
             if kind not in change.sees:
@@ -149,7 +149,7 @@ class TipMotion:
         moves = iter(self.joints.changes)
         each = [
             gain * next(moves)[joint]
-            if isinstance(change, Moved)
+            if isinstance(change, _Moved)
             else change.per * (change.raised.read(at, row) - change.lowered.read(at, row))
             for change in self.changes
         ]
@@ -193,8 +193,8 @@ class TipMotion:
             ends.append(self.sensor.seen_axes(tip, self.context))
         return spatial.scale(0.5 / _H, spatial.turned(ends[0], ends[1]))
 
-    def _turn(self, change: Moved | Reseen, gain: list[Vec]) -> Vec:
-        if isinstance(change, Moved):
+    def _turn(self, change: _Moved | Reseen, gain: list[Vec]) -> Vec:
+        if isinstance(change, _Moved):
             turned = [spatial.scale(w, g) for w, g in zip(change.turn, gain, strict=True)]
             return spatial.add(spatial.add(turned[0], turned[1]), turned[2])
         if "orientation" not in change.sees:
@@ -215,7 +215,7 @@ def summed(parts: Iterable[Twists]) -> Twists:
 
 def moved(
     posture: Posture, tip: Vec, total: Twists, ends: Sequence[TwistChange], turns: bool
-) -> list[Moved]:
+) -> list[_Moved]:
     """Eq. (5): the tip's motion under changes of twists.
 
     Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``.
@@ -239,7 +239,7 @@ def moved(
                 _add(shift, per, turned[k] if k < 3 else shifted[k - 3])
                 if turns and k >= 3:
                     _add(turn, per, turned[k - 3])
-        made.append(Moved(tuple(shift), tuple(turn)))  # type: ignore[arg-type]
+        made.append(_Moved(tuple(shift), tuple(turn)))  # type: ignore[arg-type]
     return made
 
 

@@ -22,11 +22,9 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import LineLoads, Posture
 from longarm_comp.core.arm.spatial import Scalar, Vec
-from longarm_comp.core.ik.jacobian import geometric
+from longarm_comp.core.ik.kernel import geometric
 from longarm_comp.core.model.model import Model
 
-ELEMENTS = 12
-"""Of all beams together, at least; twice as many change the first frequencies by less than 1 %."""
 MODES = 6
 """Modes that are kept, the slowest first."""
 _PUSH = 0.1
@@ -70,10 +68,11 @@ def modes(model: Model, q: np.ndarray, context: Context | None = None) -> Modes:
         q: (n,) rad and m.
         context: circumstances; the payload above all.
     """
-    each = -(-ELEMENTS // max(1, len(model.arm.links)))
+    # Of all beams together, at least; twice as many change the first frequencies by less than 1 %
+    each = -(-12 // max(1, len(model.arm.links)))
     fine = replace(model, elements_per_beam=max(each, model.elements_per_beam))
     posture = fine.posture(tuple(float(x) for x in q), context)
-    masses = masses_of(posture)
+    masses = _masses_of(posture)
     n, tip = model.arm.n, model.arm.tip
     points = [*masses, Mass(posture.frame(tip.frame), tip.position_m, 0.0)]
     root = np.repeat(np.sqrt([p.mass for p in points]), 3)
@@ -92,7 +91,7 @@ _ROUNDING = 1e-9
 """Smaller eigenvalues, compared with the largest, are rounding."""
 
 
-def masses_of(posture: Posture) -> list[Mass]:
+def _masses_of(posture: Posture) -> list[Mass]:
     """All masses of the arm, each at a station; beams at the ends of their elements."""
     found: dict[tuple[int, Vec], float] = defaultdict(float)
     for station, held in posture.station_masses().items():

@@ -14,8 +14,6 @@ from longarm_comp.math.shaper import Shaper, Way
 
 SMALL_M = 1e-4
 """A ring below it is over: what a good camera sees of one picture."""
-_A_PERIOD = 32
-"""Samples of a move in a period of the fastest mode."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +77,8 @@ def along(
     if shaper is not None:
         way, seconds = shaper.shaped(way), seconds + shaper.duration
     fastest = float(modes.hz.max(initial=1.0 / seconds))
-    count = int(np.ceil(_A_PERIOD * max(1.0, fastest * seconds)))
+    # Samples of a move in a period of the fastest mode
+    count = int(np.ceil(32 * max(1.0, fastest * seconds)))
     times = np.linspace(0.0, seconds, count + 1)
     return left_by(modes, times, way(times), damping)
 

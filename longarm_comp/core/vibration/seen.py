@@ -18,10 +18,6 @@ from longarm_comp.core.vibration.modes import Modes
 
 LEAST = 12
 """Sightings that say anything of a wave."""
-A_PERIOD = 2.5
-"""Sightings in a period; with fewer another frequency fits as well."""
-_ODDS = 1e-6
-"""Chance at which noise alone would be taken for a wave."""
 _FIRST = 0.01
 """Damping that the search begins with."""
 
@@ -54,7 +50,8 @@ def waves(times: np.ndarray, xyz: np.ndarray, most: int = 2) -> list[SeenWave]:
     if len(times) < LEAST or (np.diff(times) <= 0.0).any():
         raise InputError("ring", "sightings", len(times), f"{LEAST} or more, one after the other")
     t = times - times[0]
-    fastest = 1.0 / (A_PERIOD * float(np.median(np.diff(t))))
+    # Sightings in a period; with fewer another frequency fits as well
+    fastest = 1.0 / (2.5 * float(np.median(np.diff(t))))
     slowest = 1.0 / float(t[-1])
     if fastest <= slowest:
         raise JobError("too few sightings in a second for any ring", sightings=len(t))
@@ -72,7 +69,8 @@ def waves(times: np.ndarray, xyz: np.ndarray, most: int = 2) -> list[SeenWave]:
             break
         gain = ((left**2).sum() - (now**2).sum()) / 8.0
         noise = (now**2).sum() / free
-        if f_distribution.sf(gain / max(noise, 1e-30), 8, free) > _ODDS:
+        # Chance at which noise alone would be taken for a wave
+        if f_distribution.sf(gain / max(noise, 1e-30), 8, free) > 1e-6:
             break
         found, left, last = fit.x.tolist(), now, fit
     if not found:

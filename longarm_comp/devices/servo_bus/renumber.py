@@ -9,8 +9,6 @@ from longarm_comp.devices.servo_bus.port import SerialPort
 from longarm_comp.devices.servo_bus.registry import protocols
 from longarm_comp.devices.servo_bus.scan import ALL_IDS, Scan, look
 
-_LOOKS = 3
-
 
 def renumber(found: Scan, servo_id: int, reply_timeout_s: float = 0.05) -> int:
     """Write an id into the memory of the only servo of a scan; its torque goes off.
@@ -37,7 +35,7 @@ def renumber(found: Scan, servo_id: int, reply_timeout_s: float = 0.05) -> int:
         line.send(dialect.sync_write(dialect.identity, {old: bytes((servo_id,))}))
         if dialect.turns_lock is not None:
             line.send(dialect.sync_write(dialect.turns_lock, {servo_id: b"\1"}))
-        for _ in range(_LOOKS):
+        for _ in range(3):
             if look(line, dialect, found.protocol, servo_id) is not None:
                 return old
     raise JobError("the servo does not answer to its new id: scan again", id=servo_id, before=old)

@@ -13,7 +13,6 @@ from longarm_comp.devices.stereo.camera import StereoRig
 from longarm_comp.devices.stereo.target import Corners, Target
 from longarm_comp.devices.stereo.triangulate import triangulate
 
-_ROUNDS = 3
 _FEWEST_PAIRS = 4
 _FEWEST_CORNERS = 8
 _ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 300, 1e-10)
@@ -66,7 +65,7 @@ def calibrate_stereo(
             for seen in (lefts, rights)
         ]
         used = usable
-        for _ in range(_ROUNDS):
+        for _ in range(3):
             rms, k_l, d_l, k_r, d_r, turn, move, *_ = cv2.stereoCalibrate(
                 [objects[i] for i in used],
                 [lefts[i] for i in used],

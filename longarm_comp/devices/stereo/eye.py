@@ -122,7 +122,7 @@ class StereoEye:
     def _measure(
         self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
     ) -> StereoSighting:
-        greys = as_grey(left, self.rig.left, "left"), as_grey(right, self.rig.right, "right")
+        greys = _as_grey(left, self.rig.left, "left"), _as_grey(right, self.rig.right, "right")
         seen = (
             found_corners(self.target, greys[0], "left", self.limits),
             found_corners(self.target, greys[1], "right", self.limits),
@@ -182,7 +182,7 @@ class StereoEye:
         )
 
 
-def as_grey(image: NDArray[np.uint8], camera: Camera, side: str) -> NDArray[np.uint8]:
+def _as_grey(image: NDArray[np.uint8], camera: Camera, side: str) -> NDArray[np.uint8]:
     """An image as (H, W) uint8 of the camera's size.
 
     Raises:

@@ -20,10 +20,6 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.stereo.camera import Array
 from longarm_comp.devices.stereo.rigid import cross_matrices, fit_rigid
 
-_PASSES = 20
-_ROUNDS = 3
-_OUTLIER = 5.0  # times the median normalised distance
-
 
 @dataclass(frozen=True)
 class HandEye:
@@ -77,8 +73,8 @@ def hand_eye(
     start = fit_rigid(seen, turns @ place + base_T_tip[:, :3, 3]).transform
     rotation, translation = start[:3, :3], start[:3, 3]
     kept = np.arange(count)
-    for _ in range(_ROUNDS):
-        for _ in range(_PASSES):
+    for _ in range(3):
+        for _ in range(20):
             arm = seen @ rotation.T
             residuals = arm + translation - turns @ place - base_T_tip[:, :3, 3]
             spread = rotation @ covariances @ rotation.T + arm_sigma_m**2 * np.eye(3)
@@ -100,7 +96,8 @@ def hand_eye(
             if np.max(np.abs(step)) > 1e-6:
                 raise JobError("hand-eye did not settle", last_step=float(np.max(np.abs(step))))
         distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, weights, residuals))
-        inliers = np.flatnonzero(distance <= _OUTLIER * max(float(np.median(distance)), 1e-12))
+        # times the median normalised distance
+        inliers = np.flatnonzero(distance <= 5.0 * max(float(np.median(distance)), 1e-12))
         if np.array_equal(inliers, kept):
             break
         kept = inliers

@@ -21,8 +21,6 @@ from longarm_comp.devices.stereo.triangulate import (
     stereo_residuals,
 )
 
-_PASSES = 8
-
 
 @dataclass(frozen=True)
 class MarkerPose:
@@ -75,7 +73,7 @@ def marker_pose(
     rotation, translation = start.transform[:3, :3], start.transform[:3, 3]
     log_scale = 0.0
     prior = (noise.sigma_px / size_tolerance) ** 2
-    for _ in range(_PASSES):
+    for _ in range(8):
         arm = np.exp(log_scale) * corners @ rotation.T
         in_front(rig, arm + translation)
         residuals, by_point = stereo_residuals(rig, arm + translation, left_px, right_px)

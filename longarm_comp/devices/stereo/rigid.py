@@ -16,8 +16,6 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.stereo.camera import Array
 from longarm_comp.math.points import kabsch
 
-_PASSES = 10
-
 
 @dataclass(frozen=True)
 class RigidFit:
@@ -60,7 +58,7 @@ def fit_rigid(source: Array, target: Array, covariances: Array | None = None) ->
         if covariances is not None
         else np.broadcast_to(np.eye(3), (len(source), 3, 3))
     )
-    for _ in range(_PASSES):
+    for _ in range(10):
         arm = source @ rotation.T
         residuals = target - arm - translation
         jacobian = np.concatenate(

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import Array
-from longarm_comp.devices.stereo.edges import refine_quads
-from longarm_comp.devices.stereo.saddle import refine_saddles
+from longarm_comp.devices.stereo.saddle import refine_quads, refine_saddles
 
 Grey = NDArray[np.uint8]
 

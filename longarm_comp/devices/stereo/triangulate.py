@@ -15,8 +15,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 
-_PASSES = 2  # Gauss-Newton from the linear start settles in two, to parts in 1e9 of the depth
-
 
 @dataclass(frozen=True)
 class PixelNoise:
@@ -83,7 +81,8 @@ def triangulate(
         raise InputError("triangulate", "pixels", len(left_px), "one or more, finite")
     noise = noise or PixelNoise()
     points = _linear(rig, left_px, right_px)
-    for _ in range(_PASSES):
+    # Gauss-Newton from the linear start settles in two, to parts in 1e9 of the depth
+    for _ in range(2):
         in_front(rig, points)
         residuals, jacobian = stereo_residuals(rig, points, left_px, right_px)
         normal = jacobian.transpose(0, 2, 1) @ jacobian

@@ -11,8 +11,6 @@ import numpy as np
 from longarm_comp.core.errors import JobError
 
 _SYSTEM = Path("/sys/class/video4linux")
-_FRAMES = 5
-"""The first pictures of a webcam are dark: it sets its exposure."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,8 @@ def picture(device: str) -> np.ndarray:
     """
     camera = cv2.VideoCapture(device)
     try:
-        taken = [image for _ in range(_FRAMES) for ok, image in [camera.read()] if ok]
+        # The first pictures of a webcam are dark: it sets its exposure
+        taken = [image for _ in range(5) for ok, image in [camera.read()] if ok]
     finally:
         camera.release()
     if not taken:

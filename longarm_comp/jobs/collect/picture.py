@@ -34,8 +34,6 @@ SUFFIXES = (".png", ".svg", ".pdf")
 GOOD, NOT_DRIVEN = "", "not driven now"
 _MARKS = ("x", "v", "s", "^", "D", "P", "*")
 _COLOURS = (VERMILLION, ORANGE, PURPLE, INK)
-_REACH = 2048
-"""Random joints whose tips outline the reach."""
 _MOST_KINDS = 5
 """Faults that get a sign of their own."""
 
@@ -151,7 +149,8 @@ def _extent(found: Preview, plane: list[int]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _reach(axes: Axes, arm: Arm, plane: list[int]) -> None:
-    tips = declared_model(arm, deflection=False).tip(random_joints(arm, _REACH))[:, plane]
+    # Random joints whose tips outline the reach
+    tips = declared_model(arm, deflection=False).tip(random_joints(arm, 2048))[:, plane]
     try:
         edge = tips[ConvexHull(tips).vertices]
     except QhullError:  # all on one line

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rclpy.serialization import serialize_message
@@ -19,23 +20,56 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
 
 from longarm_comp.arm_folder.visible import View
+from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.errors import JobError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered
 from longarm_comp.jobs.client import ArmClient, DriverStopped
 from longarm_comp.jobs.collect.causes import Causes
-from longarm_comp.jobs.collect.progress import Progress
-from longarm_comp.jobs.collect.progress_message import progress_message
-from longarm_comp.jobs.collect.resume import ROW_TOPIC, ROW_TYPE, visited
+from longarm_comp.jobs.collect.progress import Progress, progress_message
 from longarm_comp.jobs.measurement_schedule import Visit
 from longarm_comp.jobs.pace import Pace
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.sessions.bag import read_visit
+from longarm_comp.sessions.bag import open_bag, read_visit
 from longarm_comp.sessions.bag_segments import SegmentedBag
+from longarm_comp.sessions.message_types import message_types
 
-_FRESH_S = 0.05  # a sighting shall be taken this long after the joints came to rest
+ROW_TOPIC, ROW_TYPE = "session_row", "std_msgs/msg/String"
+_COMMAND_TOPIC = "joint_trajectory"
+_READ = {ROW_TOPIC: ROW_TYPE, _COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajectory"}
+
+
+def visited(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
+    """Indices of the visits that a bag of an arm with n joints holds."""
+    planned = {visit.index: visit.path for visit in todo}
+    done: set[int] = set()
+    command = np.zeros((0, n))
+    with open_bag(path) as reader:
+        kept = [c for c in reader.connections if _last_name(c.topic) in _READ]
+        for connection, _, raw in reader.messages(connections=kept) if kept else ():
+            name = _last_name(connection.topic)
+            message: Any = message_types().deserialize_cdr(raw, _READ[name])
+            try:
+                if name == _COMMAND_TOPIC:
+                    command = np.array([point.positions for point in message.points], float)
+                    continue
+                index = int(json.loads(message.data)["index"])
+            except (KeyError, TypeError, ValueError) as error:
+                allowed = "a bag that `longarm collect` began"
+                raise InputError(path, connection.topic, str(error), allowed) from error
+            way = planned.get(index)
+            if way is None or command.shape != way.shape or np.abs(command - way).max() > SAME_POSE:
+                allowed = "the plan, seed and options that it was begun with"
+                raise InputError(path, f"visit {index}", command.tolist(), allowed)
+            done.add(index)
+    return done
+
+
+def _last_name(topic: str) -> str:
+    return topic.rpartition("/")[2]
+
 
 _CIRCUMSTANCES_S = 5.0
 """Patience with the first temperature, payload and tilt. They come about once a second."""
@@ -283,7 +317,8 @@ def _visit(client: ArmClient, visit: Visit, pace: Pace) -> tuple[int, list[np.nd
     client.spin(0.05)  # the driver has taken it up when its joints move
     tolerance = np.full(client.arm.n, pace.tolerance)
     now = client.arrive(visit.path, tolerance, pace.dwell_s, pace.arrive_s, start)
-    return begun, client.look(now + int(_FRESH_S * 1e9), pace.sightings, pace.look_s)
+    # a sighting shall be taken this long after the joints came to rest
+    return begun, client.look(now + int(0.05 * 1e9), pace.sightings, pace.look_s)
 
 
 def _tell_visit(client: ArmClient, recorder: Recorder, visit: Visit) -> None:

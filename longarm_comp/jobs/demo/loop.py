@@ -11,28 +11,52 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import PointStamped
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.demo import table
 from longarm_comp.jobs.demo.settings import NAMESPACE, DemoSettings
-from longarm_comp.jobs.demo.witness import TrueTip
-from longarm_comp.jobs.loop.files import write_loop
 from longarm_comp.jobs.loop.run import Loop, LoopResult, Round
+from longarm_comp.jobs.loop.summary import write_loop
 from longarm_comp.jobs.parameters import set_parameter
 from longarm_comp.jobs.targets import Trial
 from longarm_comp.nodes.bringup import running
 from longarm_comp.nodes.simulated_arm import sizes
+from longarm_comp.nodes.stamps import stamp_ns
 from longarm_comp.sim.plant import hidden_effects
 from longarm_comp.workflows.inputs import load_predictor
 from longarm_interfaces.srv import Compensate
+
+
+class TrueTip:
+    """Listens to `simulated_arm/true_tip`; a `Witness` of `TargetRunner`."""
+
+    def __init__(self, client: ArmClient) -> None:
+        self._client = client
+        self._heard: list[tuple[int, np.ndarray]] = []
+        client.node.create_subscription(PointStamped, "simulated_arm/true_tip", self._hear, 20)
+
+    def _hear(self, message: PointStamped) -> None:
+        p = message.point
+        self._heard.append((stamp_ns(message.header.stamp), np.array([p.x, p.y, p.z])))
+        del self._heard[:-20]
+
+    def __call__(self, after_ns: int) -> np.ndarray:
+        """The tip (3,), m, after a time (ns)."""
+        self._client.until(
+            lambda: self._heard and self._heard[-1][0] > after_ns, 10.0,
+            "no true_tip of the simulation",
+        )  # fmt: skip
+        return self._heard[-1][1]
+
 
 Say = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class DemoResult:
+class _DemoResult:
     """What came of it.
 
     Attributes:
@@ -68,7 +92,7 @@ class DemoResult:
 
 def demonstrate(
     settings: DemoSettings, stop: threading.Event, say: Say = lambda text, share: None
-) -> DemoResult:
+) -> _DemoResult:
     """Run the whole loop; every process has ended when this returns or raises."""
     arm = Arm.load(settings.arm)
     hidden_effects(arm, sizes(settings.hidden), np.random.default_rng(settings.seed))  # checked
@@ -104,7 +128,7 @@ def demonstrate(
             second["true_mean_mm"] = {
                 r["model"]: r["true_mean_mm"] for r in table.rows(again.trials)
             }
-    return DemoResult(first, inputs, second)
+    return _DemoResult(first, inputs, second)
 
 
 _LOGS = "log"
@@ -127,7 +151,7 @@ def prepare(settings: DemoSettings) -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def report(settings: DemoSettings, result: DemoResult) -> dict[str, Any]:
+def report(settings: DemoSettings, result: _DemoResult) -> dict[str, Any]:
     """Everything as plain data, for --json and the file in the folder."""
     files = {
         "session": settings.bag,

@@ -16,6 +16,8 @@ NAMESPACE = "longarm_demo"
 """Its own namespace: apart from any real arm on the same network."""
 
 PACE = Pace(sightings=3, dwell_s=0.08, move_s=0.05, arrive_s=60.0, look_s=30.0, tolerance=2e-4)
+_PATIENCE_S = 30.0
+"""Age of an order: on a busy machine one waits for seconds, and no simulated arm does harm."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +71,11 @@ class DemoSettings:
     def graph(self) -> BringUp:
         """The graph; model and predictor are taken up once they are there."""
         given: dict[str, dict[str, Any]] = {
-            "servo_driver": {"follower.blend_s": 0.05},
+            "servo_driver": {"follower.blend_s": 0.05, "order_max_age_s": _PATIENCE_S},
             "simulated_arm": {
                 "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 20.0,
             },
-            "kinematics": {"move_time_s": PACE.move_s},
+            "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": _PATIENCE_S},
         }  # fmt: skip
         for node, more in self.parameters.items():
             given[node] = {**given.get(node, {}), **more}

@@ -18,13 +18,12 @@ from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.collect.run import collect
 from longarm_comp.jobs.loop.journal import Journal
-from longarm_comp.jobs.loop.rule import Decision, another_round
-from longarm_comp.jobs.loop.settings import LoopSettings
+from longarm_comp.jobs.loop.settings import Decision, LoopSettings, another_round
 from longarm_comp.jobs.measurement_schedule import visits
 from longarm_comp.jobs.targets import Say, TargetRunner, Trial, Witness
 from longarm_comp.jobs.verify import choose, method_at_work
 from longarm_comp.report.record import DiagnosisReport, read_report
-from longarm_comp.sessions.next_poses import FILE as NEXT_POSES
+from longarm_comp.sessions.poses import FILE as NEXT_POSES
 from longarm_comp.sessions.poses import read_poses, write_poses
 from longarm_comp.workflows.apply import nothing_to_apply
 from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose_files

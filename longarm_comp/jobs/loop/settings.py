@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,41 @@ from typing import Any
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.pace import Pace
 
-LEAST_POSES = 60
-"""With fewer poses the diagnosis cannot weigh a library of some 170 parameters."""
+NEAR_NOISE = 2.0
+"""A mean error below so many times what the noise alone shows is as good as measured."""
+
+RULE = (
+    "another round follows where the last one brought the tip nearer beyond chance and the mean "
+    f"error is still more than {NEAR_NOISE:g} times what the noise of the measurement alone shows"
+)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Whether to go on, and why."""
+
+    again: bool
+    why: str
+
+
+def another_round(
+    gain_ci95_m: tuple[float, float], mean_m: float, sigma_m: tuple[float, float, float]
+) -> Decision:
+    """The rule.
+
+    Args:
+        gain_ci95_m: 95 % interval of what the round took off the mean error at the tip.
+        mean_m: mean 3-D error at the tip after it.
+        sigma_m: noise of a measurement along each axis.
+    """
+    rms = math.sqrt(sum(s * s for s in sigma_m) / 3.0)
+    alone = math.sqrt(8.0 / math.pi) * rms  # mean length of a normal vector in three dimensions
+    shown = f"the mean error is {1e3 * mean_m:.3f} mm, noise alone shows {1e3 * alone:.3f} mm"
+    if gain_ci95_m[0] <= 0.0:
+        return Decision(False, f"this round did not bring the tip nearer beyond chance; {shown}")
+    if mean_m <= NEAR_NOISE * alone:
+        return Decision(False, f"what is left is near the noise: {shown}")
+    return Decision(True, f"more is left than noise: {shown}")
 
 
 @dataclass(frozen=True)
@@ -43,7 +77,8 @@ class LoopSettings:
     names: Names = field(default_factory=Names)
 
     def __post_init__(self) -> None:
-        for name, least in (("rounds", 1), ("poses", LEAST_POSES), ("targets", 2)):
+        # With fewer poses the diagnosis cannot weigh a library of some 170 parameters
+        for name, least in (("rounds", 1), ("poses", 60), ("targets", 2)):
             if getattr(self, name) < least:
                 raise InputError("loop", f"--{name}", getattr(self, name), f"at least {least}")
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.foreign.cells import Cells
-from longarm_comp.sessions.foreign.clock import seconds
-from longarm_comp.sessions.foreign.units import split_name
+from longarm_comp.sessions.foreign.units import seconds, split_name
 
 _MARKER = "marker"
 _AXIS = re.compile(r"(?i)(.*?)[ _.:-]*([xyz])")

@@ -18,7 +18,6 @@ from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.csv import XYZ
 from longarm_comp.sessions.foreign.cells import Cells, read_cells
-from longarm_comp.sessions.foreign.clock import seconds
 from longarm_comp.sessions.foreign.columns import JOINT, TEXTS, Column, kind_of, turned, understand
 from longarm_comp.sessions.foreign.combine import (
     appended,
@@ -27,8 +26,16 @@ from longarm_comp.sessions.foreign.combine import (
     melted,
     ordered,
 )
-from longarm_comp.sessions.foreign.rotation import ALLOWED, UNIT_LENGTH, Rotation
-from longarm_comp.sessions.foreign.units import ANGLE, UNITS, Unit, split_name
+from longarm_comp.sessions.foreign.units import (
+    ALLOWED,
+    ANGLE,
+    UNIT_LENGTH,
+    UNITS,
+    Rotation,
+    Unit,
+    seconds,
+    split_name,
+)
 from longarm_comp.sessions.table import write_table
 from longarm_comp.sessions.targets import QUATERNION
 
@@ -85,7 +92,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Imported:
+class _Imported:
     """A converted table.
 
     Attributes:
@@ -163,7 +170,7 @@ class Imported:
 
 def import_table(
     path: str | Path | Sequence[str | Path], options: Options | None = None
-) -> Imported:
+) -> _Imported:
     """Read a table of another program, or several that make one session."""
     options = options or Options()
     files = tuple(map(Path, [path] if isinstance(path, str | Path) else path))
@@ -194,7 +201,7 @@ def import_table(
         if kind_of(c.name, options.arm) == JOINT and split_name(c.source)[1] is None
         and ":" not in options.given.get(c.source, "")
     )  # fmt: skip
-    return Imported(
+    return _Imported(
         cells, columns, tuple(sources), left, assumed, rotation, options.units, files, lonely,
         markers,
     )  # fmt: skip

@@ -11,7 +11,7 @@ import llvmlite.binding as llvm
 from longarm_comp.core.ik.codegen import Compiled
 
 
-class Code:
+class _Code:
     """A loaded module.
 
     Attributes:
@@ -45,7 +45,7 @@ def lanes() -> int:
     return 8 if features.get("avx512f") else 4 if features.get("avx") else 2
 
 
-def compile_module(text: str, width: int) -> Code:
+def compile_module(text: str, width: int) -> _Code:
     """Compile straight-line code, without LLVM's passes: they save 3 % and double the time."""
     _prepare()
     module = llvm.parse_assembly(text)
@@ -59,4 +59,4 @@ def compile_module(text: str, width: int) -> Code:
     engine = llvm.create_mcjit_compiler(module, machine)
     engine.finalize_object()
     Compiled.programs += 1
-    return Code(engine, width)
+    return _Code(engine, width)
