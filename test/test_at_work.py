@@ -15,7 +15,7 @@ from longarm_comp.core.arm.history import LEGS
 from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.learner import Learner
-from longarm_comp.core.at_work.posterior import Posterior, Row
+from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
@@ -63,7 +63,7 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
     active = np.arange(6)
     root = rng.standard_normal((6, 6))
     prior = root @ root.T
-    known = Posterior.begun(space, space.values, active, prior)
+    known = RecursivePosterior.begun(space, space.values, active, prior)
     rows = [
         Row(float(k), rng.standard_normal((3, len(space))), rng.standard_normal(3), np.eye(3), 1.0)
         for k in range(9)
