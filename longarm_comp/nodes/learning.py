@@ -5,23 +5,25 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.at_work import file
-from longarm_comp.core.at_work.learner import STEP_M, Learner
 from longarm_comp.core.data.rest import RestPose
 from longarm_comp.core.errors import JobError
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.params import Param
 
+if TYPE_CHECKING:
+    from longarm_comp.core.at_work.learner import Learner
+
 PARAMS = (
     Param(
         "at_work", "", "file in which what ordinary moves teach is kept; empty: nothing is learned"
     ),
-    Param("at_work_step_m", STEP_M, "largest step of the tip by one sighting", 1e-6, 0.1),
+    Param("at_work_step_m", 2e-3, "largest step of the tip by one sighting", 1e-6, 0.1),
 )
 
 
@@ -53,6 +55,8 @@ class Learning:
         """
         if not self.path:
             return
+        from longarm_comp.core.at_work import file  # with SciPy: only where it is wanted
+
         loaded = self.files.given
         self.learner = file.load(self.path, loaded.model, loaded.file_hash, self.step_m)
         self.files.put(self.learner.model)
@@ -84,6 +88,8 @@ class Learning:
         return True, f"version {len(self.learner.versions)} is served, and nothing is learned"
 
     def _take(self, after: Learner) -> None:
+        from longarm_comp.core.at_work import file
+
         before, self.learner = self.learner, after
         if before is None or after.model is not before.model:
             self.files.put(after.model)

@@ -132,7 +132,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Encoder:
+class EncoderError:
     """What the readings of a joint said, over the rows that were fitted; mrad or mm.
 
     Attributes:
@@ -196,6 +196,6 @@ class Detail:
     detectable: tuple[Detectable, ...] = ()
     splits: tuple[SetSplit, ...] = ()
     checks: tuple[Check, ...] = ()
-    encoders: tuple[Encoder, ...] = ()
+    encoders: tuple[EncoderError, ...] = ()
     marked: tuple[Marked, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)

@@ -24,7 +24,7 @@ from longarm_comp.report.detail import (
     Correlation,
     Detail,
     Detectable,
-    Encoder,
+    EncoderError,
     Input,
     Marked,
     SeenRows,
@@ -214,7 +214,7 @@ def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
     return SetSplit(found.names, reason, poses, by.log_bayes_factor)
 
 
-def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> tuple[Encoder, ...]:
+def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> tuple[EncoderError, ...]:
     """Reading less command of every joint that was read."""
     fit, made = diagnosis.fit, []
     rows, names = fit.session, diagnosis.arm.joint_names
@@ -227,7 +227,7 @@ def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> tuple[Encoder, ...]
         figures = (off.mean(), about.std(), np.abs(about).max())
         left = 1e3 * np.sqrt(np.mean(fit.residual[held, channel] ** 2))
         noise = 1e3 * fit.sigma[channel]
-        made.append(Encoder(names[k], f"m{units[k]}", *map(float, (*figures, left, noise))))
+        made.append(EncoderError(names[k], f"m{units[k]}", *map(float, (*figures, left, noise))))
     return tuple(made)
 
 

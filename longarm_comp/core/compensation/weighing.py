@@ -1,7 +1,7 @@
 """The payload, by what drives or a wrist sensor feel of it while the arm rests.
 
 A drive holds what gravity asks of its joint (`joint_load`), and friction hides a part: it keeps
-what the joint's motion left, more coming from below, less from above.  Payload, friction of every
+what the joint's motion left, more coming from below, less from above.  FeltPayload, friction of every
 channel and one scale of the arm's own weight are solved together over the rests (least squares
 with priors).  How large friction is against its data sheet, and which part of it is alike from
 rest to rest, is weighed by the evidence of the rests (restricted likelihood; Patterson and
@@ -115,7 +115,7 @@ def _loads(
 
 
 @dataclass(frozen=True)
-class Payload:
+class FeltPayload:
     """An estimate of the payload, kg, over a number of rests."""
 
     kg: float
@@ -167,13 +167,13 @@ class Weighing:
         return NormalDist().inv_cdf(1.0 - 0.5 / self.run_length)
 
     @cached_property
-    def payload(self) -> Payload | None:
+    def payload(self) -> FeltPayload | None:
         """The present one; None before the first rest with it."""
         if self.load not in self.loads:
             return None
         means, covariance = _solved(self.rests, self.loads)
         sigma = float(np.sqrt(covariance[-1, -1]))
-        return Payload(float(means[-1]), sigma, self.loads.count(self.load))
+        return FeltPayload(float(means[-1]), sigma, self.loads.count(self.load))
 
     def contradicts(self, told_kg: float) -> bool:
         """Whether a told payload cannot be what is felt."""
