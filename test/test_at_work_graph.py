@@ -68,7 +68,7 @@ class Work:
         return "", {}
 
     def serve(self) -> float:
-        """Serve a target and wait until its sighting is learned; the true tip's miss."""
+        """Serve a target until its sighting is learned; by how much the true tip misses it, m."""
         before = int(self.said()[1].get("sightings", 0))
         miss = self.reach()
         self.stage.spin(lambda: int(self.said()[1].get("sightings", 0)) > before, within=60.0)
