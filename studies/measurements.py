@@ -100,10 +100,10 @@ def errors_by_rows(arm: Arm, seed: int, counts: Sequence[int] = ROWS) -> dict[st
     )
     true = TrueArm(arm, hidden)
     largest = max(counts)
-    q = arm.lower + (arm.upper - arm.lower) * rng.random((largest + FRESH, arm.n))
-    pose = true.pose(q)
-    fresh_q, fresh = q[largest:], pose[largest:, :3, 3]
-    anywhere = q[:largest], pose[:largest], np.full(largest, "")
+    drawn = arm.lower + (arm.upper - arm.lower) * rng.random((largest + FRESH, arm.n))
+    pose = true.pose(drawn)
+    fresh_q, fresh = drawn[largest:], pose[largest:, :3, 3]
+    anywhere = drawn[:largest], pose[:largest], np.full(largest, "")
     touched = _touching(arm, true, largest, rng)
     sited = arm.model_copy(update={"anchors": {k: Anchor(xyz_m=v) for k, v in ANCHORS.items()}})
     made: dict[str, np.ndarray] = {}

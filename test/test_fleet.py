@@ -148,6 +148,7 @@ def test_a_dask_cluster_says_the_same(folders: Path, tmp_path: Path) -> None:
     assert (tmp_path / "there" / "knocked" / "report.html").is_file()
 
 
+@pytest.mark.long
 def test_simulated_arms_of_one_kind(tmp_path: Path) -> None:
     """Three arms of the study; it goes on from the first two."""
     words = ["--arms", "3", "--arms", "2", "-o", str(tmp_path), "--json"]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +96,7 @@ def _numbers(field: str, text: str, allowed: str) -> dict[str, float]:
     return by_name
 
 
-def places(text: str) -> dict[str, tuple[float, ...]]:
+def places(text: str) -> Mapping[str, Sequence[float]]:
     """Sockets and their places, m, of ``name=x,y,z name=x,y,z``."""
     made: dict[str, tuple[float, ...]] = {}
     for part in text.split():
