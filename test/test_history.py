@@ -324,3 +324,19 @@ def commanded(arm: Arm, model: Model) -> float:
         tip = truly.tip(arrival.outcome.command, TrueContext(behind=after.behind))
         misses.append(np.linalg.norm(tip - target))
     return float(np.mean(misses))
+
+
+def test_along_a_path_every_way_point_has_the_history_of_a_move_there() -> None:
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        steps = rng.normal(size=(6, 3)) * rng.choice([0.0, 1e-7, 1e-2, 1.0], (6, 3))
+        path, start = np.cumsum(steps, axis=0), rng.normal(size=3)
+        history = History.unknown(3).after(rng.normal(size=(1, 3)), start)
+        found, at, now = history.along(path, start), start, history
+        for row, point in enumerate(path):
+            now, at = now.after(point[None], at), point
+            np.testing.assert_array_equal(found.approach[row], now.approach)
+            np.testing.assert_allclose(found.legs[row], now.legs, atol=1e-5)
+        np.testing.assert_array_equal(found.latest.approach, now.approach)
+        unknown = history.along(path, None)
+        np.testing.assert_array_equal(unknown.legs[0], 0.0)
