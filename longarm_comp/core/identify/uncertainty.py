@@ -14,6 +14,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -151,12 +152,15 @@ class LeftOut:
         def enough(tried: _Radii, rest: float) -> bool:
             return float(self.count @ (size <= tried.at(rest))) >= wanted
 
+        def alone(growth: float, log: float) -> bool:
+            return enough(radii(log, growth), 0.0)
+
         found = []
         for growth in GROWTHS:
-            most = _least(lambda x, g=growth: enough(radii(x, g), 0.0), math.log(MOST_STRETCH))
+            most = _least(partial(alone, growth), math.log(MOST_STRETCH))
             for log in np.linspace(0.0, most, STRETCHES).tolist():
                 tried = radii(log, growth)
-                rest = _least(lambda x, tried=tried: enough(tried, x), float((size**2).max()))
+                rest = _least(partial(enough, tried), float((size**2).max()))
                 beyond = size - tried.at(rest)
                 loss = self.count @ np.maximum(LEVEL * beyond, (LEVEL - 1.0) * beyond)
                 found.append((float(loss), Stretch(math.exp(log), growth, typical), rest))
