@@ -86,6 +86,7 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
             "start_kinematics",
             "start_error_predictor",
         ),
+        "recovery": ("kinematics_back_after_kill", "nodes_end_after_interrupt"),
     },
     "ros": {
         "ros": (

@@ -45,8 +45,8 @@ def _errors(axes: Axes, found: Sequence[DayOutcome]) -> None:
     lines = itertools.cycle(_LINES)
     for i, (way, (color, marker, dash)) in enumerate(zip(found[0].ways, lines, strict=False)):
         axes.plot(
-            hours + 0.5, np.nanmean(by_hour[:, i], axis=0), color=color, linestyle=dash, marker=marker,
-            label=way,
+            hours + 0.5, np.nanmean(by_hour[:, i], axis=0), color=color, linestyle=dash,
+            marker=marker, label=way,
         )  # fmt: skip
         for day in by_hour[:, i]:
             axes.plot(

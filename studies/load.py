@@ -76,7 +76,8 @@ def weighed(servo: str, arm: Arm, full_effort: np.ndarray, seed: int) -> Iterato
 def told(servo: str, load: float, side: float, part: float) -> float:
     """Share of full effort that a resting servo reports under a load, through its registers."""
     kind, sheet = models()[servo], dict(DATA_SHEETS[servo])
-    spec = replace(MotorSpec(), **(sheet | {"hold_share": part * sheet["hold_share"]}))
+    changed: dict[str, Any] = sheet | {"hold_share": part * sheet["hold_share"]}
+    spec = replace(MotorSpec(), **changed)
     motor = Motor(spec, 1000.0)
     motor.switch(True)
     motor.approach, motor.external_load = int(side), load

@@ -111,7 +111,8 @@ def errors_by_rows(arm: Arm, seed: int, counts: Sequence[int] = ROWS) -> dict[st
         left = []
         for count in counts:
             rows_of = touched if kind == "touch" else anywhere
-            taken = _Rows(*(part[:count] for part in rows_of), np.random.default_rng([seed, count]))
+            q_, pose_, names = (part[:count] for part in rows_of)
+            taken = _Rows(q_, pose_, names, np.random.default_rng([seed, count]))
             session = Session.record(taken.q, source=kind, **read(taken))
             *_, (_, fitted) = stages(declared_model(sited), session)
             said = fitted.model.tip(fresh_q)

@@ -20,7 +20,9 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.path import CompensatedPath, PlannedPath, compensate_path
+from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.compensation.retime import Timed, slopes_of
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.data.session import Session
@@ -128,11 +130,12 @@ def way(arm: Arm, kind: str, speed: float, rng: np.random.Generator) -> Way:
         length = np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
         times = np.linspace(0.0, length / speed, max(4, round(length / speed / PERIOD_S)) + 1)
         share = times / times[-1]
-        at = share**3 * (10.0 - 15.0 * share + 6.0 * share**2) * (_DENSE - 1)
-        rows = np.round(at).astype(int)
+        at = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        straight = ends[0] + at[:, None] * (ends[1] - ends[0])
         if kind == "joints":
-            return Way(PlannedPath.of_joints(arm, times, joints[rows]), curve)
-        found = ik.solve_many(rigid, curve[rows], seed=joints[rows], max_starts=1)
+            return Way(PlannedPath.of_joints(arm, times, straight), curve)
+        points = np.stack([np.interp(at, knots[:, 0], axis) for axis in curve.T], axis=1)
+        found = ik.solve_many(rigid, points, seed=straight, max_starts=1)
         if found.ok.all():
             return Way(PlannedPath.of_joints(arm, times, found.q), curve)
 
@@ -200,7 +203,8 @@ def one_arm(declared: Arm, number: int, seed: int, each: int) -> list[dict[str, 
     """`each` paths of every kind and speed on one arm."""
     names = (*ELASTIC, PLAY) if number % 2 else ELASTIC
     studied = StudiedArm.draw(declared, number, seed, names)
-    ik.warm_up()
+    known = Context(**History.unknown(studied.arm.n).fields())
+    ik.warm_up(physics_of(studied.model, Method.DEFLECTION), known)
     lines: list[dict[str, Any]] = []
     for kind in KINDS:
         for speed in SPEEDS:

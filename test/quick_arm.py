@@ -75,6 +75,9 @@ class QuickArm:
         self._state = state if on else DriverState.READY
         if on:
             self._way.clear()
+        self._tell()
+
+    def _tell(self) -> None:
         self._states.publish(DriverState(state=self._state, message="by the test"))
 
     def pause(self, on: bool) -> None:
@@ -99,6 +102,7 @@ class QuickArm:
             self.stand(self._way.pop(0))
             if not self._way:
                 self._motions.publish(Motion(id=self._id, event=Motion.REACHED))
+        self._tell()
         now = self.node.get_clock().now().to_msg()
         joints = JointState(name=list(self.arm.joint_names), position=self._q.tolist())
         joints.header.stamp = now

@@ -31,10 +31,10 @@ def test_every_table_has_its_place_and_every_command_is_there() -> None:
 
 def test_a_table_is_written_below_its_mark_and_nowhere_else() -> None:
     page = "a\n\n<!-- figures: day -->\n\n| old |\n|---|\n| 1 |\n\nb\n\n| other |\n"
-    found = {"rows": [{"commanded": "once", "0-2 h, mm": 1234.5, "p95, mm": 0.12345}]}
+    found = {"rows": [{"commanded": "once", "poses": 1234.5, "minutes": 0.12345}]}
     _, header, rows = figures.TABLES["day"]
     made = figures.placed(page, "day", figures.table(header[:3], rows(found)))
-    told = "| commanded | 0-2 h | 2-4 h |\n| --- | --- | --- |\n| once | 1,234 | 0.123 |\n"
+    told = "| commanded | poses | minutes |\n| --- | --- | --- |\n| once | 1,234 | 0.123 |\n"
     assert made == f"a\n\n<!-- figures: day -->\n\n{told}\nb\n\n| other |\n"
     with pytest.raises(ValueError, match="no mark"):
         figures.placed(page, "real", told)

@@ -28,7 +28,7 @@ IO = ("cv2", "serial", "click", "rich", "matplotlib", "plotly")
 # through whatever they import.
 CORE_ORDER = (
     *("errors", "files", "strict_yaml", "yaml_file", "arm", "effects", "model"),
-    *("ik", "data", "compensation", "vibration", "learn", "identify"),
+    *("ik", "data", "compensation", "vibration", "learn", "identify", "at_work"),
 )
 
 

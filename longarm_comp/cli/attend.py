@@ -50,6 +50,8 @@ def status(namespace: str, as_json: bool) -> None:
         click.echo(f"All is well: {', '.join(found.nodes)}.")
     if found.tip:
         click.echo(f"{found.tip[0].upper()}{found.tip[1:]}.")
+    if found.learned:
+        click.echo(f"At work: {found.learned}.")
     if found.next:
         click.echo(f"Next: {found.next}")
 

@@ -13,7 +13,7 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.client import GraphClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
-from longarm_comp.nodes.health import TIP_SAID
+from longarm_comp.nodes.health import LEARNED_SAID, TIP_SAID
 from longarm_comp.nodes.interfaces import Service
 from longarm_interfaces.msg import DriverState
 
@@ -55,6 +55,7 @@ class _Standing:
         troubles: of their parts.
         next: command that leads on; empty where none is needed.
         tip: where the tip stands by the readings of the joints, in one sentence; empty: unknown.
+        learned: what was learned at work, likewise.
     """
 
     driver: str
@@ -63,6 +64,7 @@ class _Standing:
     troubles: tuple[_Trouble, ...]
     next: str
     tip: str = ""
+    learned: str = ""
 
 
 class Attendant:
@@ -127,8 +129,9 @@ class Attendant:
         step = _NEXT.get(driver.state, "") if driver else "longarm up ARM"
         if step == "longarm reset" and self._namespace:
             step += f" --namespace {self._namespace[1:]}"
-        _, tip = self._reports.get("kinematics", {}).get(TIP_SAID, (0, ""))
-        return _Standing(words, why, tuple(sorted(self._reports)), troubles, step, tip)
+        said = self._reports.get("kinematics", {})
+        tip, learned = (said.get(part, (0, ""))[1] for part in (TIP_SAID, LEARNED_SAID))
+        return _Standing(words, why, tuple(sorted(self._reports)), troubles, step, tip, learned)
 
     # ------------------------------------------------------------------ asking
 

@@ -180,8 +180,9 @@ class Kinematics(Node):
             "servos": self._monitor.servo_report,
             "payload": self._weigher.report,
             TIP_SAID: self._tip_by_readings.report,
-            LEARNED_SAID: self._learning.report,
         }
+        if self._learning.learner is not None:
+            parts[LEARNED_SAID] = self._learning.report
         self._health = Health(self, parts, p[PERIOD.name])
         self._worker.start()
 

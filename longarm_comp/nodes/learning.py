@@ -60,7 +60,7 @@ class Learning:
     def seen(
         self, rest: RestPose, context: Context, learned: np.ndarray | None, at_s: float
     ) -> None:
-        """Learn from a rest pose; what a predictor says of it (3,) m is not the model's to learn."""
+        """Learn from a rest pose, less what a predictor says of it, (3,) m."""
         if self.learner is None or self.learner.frozen:
             return
         tip = rest.tip if learned is None else rest.tip - learned
@@ -96,8 +96,7 @@ class Learning:
     def report(self) -> Report:
         """What changed, for diagnostics."""
         learner = self.learner
-        if learner is None:
-            return Report(OK, _OFF)
+        assert learner is not None
         facts = {
             "sightings": learner.sightings,
             "doubtful": learner.doubtful,

@@ -98,7 +98,7 @@ def _numbers(field: str, text: str, allowed: str) -> dict[str, float]:
 
 def places(text: str) -> dict[str, tuple[float, ...]]:
     """Sockets and their places, m, of ``name=x,y,z name=x,y,z``."""
-    made = {}
+    made: dict[str, tuple[float, ...]] = {}
     for part in text.split():
         name, _, place = part.partition("=")
         try:

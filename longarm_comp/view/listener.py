@@ -18,6 +18,7 @@ from visualization_msgs.msg import MarkerArray
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
+from longarm_comp.nodes.health import LEARNED_SAID
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
 from longarm_comp.view.state import (
@@ -102,6 +103,8 @@ class Listener:
             facts = {value.key: value.value for value in status.values}
             if EVIDENCE in facts and part == "monitor":
                 self._heard(evidence=_number(facts[EVIDENCE]))
+            if part == LEARNED_SAID:
+                self._heard(learned=status.message)
             parts.append(Part(part, ord(status.level), status.message))
         if parts:
             self.state = self.state.with_report(node, tuple(parts), now)

@@ -44,9 +44,9 @@ def command(
 ) -> None:
     """Command a simulated arm for a day while it wears, warms up and carries other loads.
 
-    Compares no compensation, one calibration, a calibration that is told the circumstances, one that
-    is diagnosed again when the drift monitor asks, and one that learns at work. Errors are of the
-    true tip, at the targets that were served. Each arm takes some minutes.
+    Compares no compensation, one calibration, a calibration that is told the circumstances, one
+    that is diagnosed again when the drift monitor asks, and one that learns at work. Errors are of
+    the true tip, at the targets that were served. Each arm takes some minutes.
 
     \b
     Example:

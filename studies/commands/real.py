@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import click
 
@@ -53,7 +54,7 @@ def command(data: Path, as_json: bool) -> None:
             {k: v for k, v in line.items() if k not in ("effects", "ci95_mm")} for line in lines
         ]
         print_rows(f"{robot}: errors on the test rows", shown)
-        low, high = lines[-1]["ci95_mm"]  # type: ignore[misc]
+        low, high = cast("tuple[float, float]", lines[-1]["ci95_mm"])
         note(f"{robot}: 95 % of the best mean {low:.3f} to {high:.3f} mm")
         best = lines[-1]["effects"]
         note(f"{robot}: best holds {', '.join(best) if best else 'nothing beyond geometry'}")  # type: ignore[arg-type]

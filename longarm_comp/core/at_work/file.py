@@ -87,7 +87,7 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
     versions = (
         begun.versions[0],
         *(
-            Version(v.at_s or 0.0, restore(v.model, arm, where), v.named and _named(v.named))
+            Version(v.at_s or 0.0, restore(v.model, arm, where), _named(v.named))
             for v in stored.versions[1:]
         ),
     )
@@ -106,5 +106,5 @@ def _stored(version: Version) -> StoredVersion:
     )
 
 
-def _named(stored: StoredNamed) -> Named:
-    return Named(**dict(stored))
+def _named(stored: StoredNamed | None) -> Named | None:
+    return None if stored is None else Named(**dict(stored))

@@ -1,8 +1,8 @@
 """The model at work learns from sightings of ordinary moves.
 
 Each sighting is an equation of the model's parameters and of all that may have changed
-(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is said:
-which effect moved, since when, how much.
+(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is
+said: which effect moved, since when, how much.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.at_work.bank import Bank, Branch
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.posterior import Posterior, Row
+from longarm_comp.core.at_work.explanations import Branch, Explanations
+from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
@@ -54,7 +54,7 @@ class Named:
 
     @property
     def text(self) -> str:
-        """In one line: ``backlash (61 %) or friction_hysteresis (39 %), joint 2: width +3.1e-03 rad``."""
+        """In one line: ``backlash (61 %) or servo_droop (39 %), joint 2: width +0.0031 rad``."""
         each = ((self.effect, self.probability), *self.rivals)
         names = " or ".join(f"{name} ({100 * p:.0f} %)" for name, p in each)
         by = ", ".join(f"{name} {value:+.2g} {unit}" for name, unit, value in self.by)
@@ -90,13 +90,13 @@ class Learner:
     """
 
     model: Model
-    known: Bank | None = None
+    known: Explanations | None = None
     versions: tuple[Version, ...] = ()
     frozen: bool = False
     step_m: float = STEP_M
     sightings: int = 0
     doubtful: int = 0
-    pending: tuple[Bank, Row, float] | None = None
+    pending: tuple[Explanations, Row, float] | None = None
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
@@ -229,7 +229,7 @@ class Learner:
         )
 
 
-def _begun(model: Model, context: Context) -> Bank:
+def _begun(model: Model, context: Context) -> Explanations:
     """What a fitted model's record says.
 
     Its parameters are known as well as its form is right, or only as well as rows that were left
@@ -242,9 +242,9 @@ def _begun(model: Model, context: Context) -> Bank:
     active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
     factor = record.factor[[at[space.identities[k]] for k in active]]
     covariance = factor @ factor.T
-    each = sorted({1.0, record.stretch.factor})
-    begun = (Posterior.begun(space, space.values, active, by * covariance) for by in each)
-    return Bank(tuple(Branch(1.0 / len(each), known) for known in begun))
+    each = sorted({1.0, max(1.0, record.stretch.factor)})
+    begun = (RecursivePosterior.begun(space, space.values, active, by * covariance) for by in each)
+    return Explanations(tuple(Branch(1.0 / len(each), known) for known in begun))
 
 
 def _values(space: Parameters, model: Model) -> np.ndarray:
@@ -256,8 +256,8 @@ def _values(space: Parameters, model: Model) -> np.ndarray:
 
 
 def _judged(
-    known: Bank, row: Row, pending: tuple[Bank, Row, float] | None
-) -> tuple[Bank, tuple[Bank, Row, float] | None, bool]:
+    known: Explanations, row: Row, pending: tuple[Explanations, Row, float] | None
+) -> tuple[Explanations, tuple[Explanations, Row, float] | None, bool]:
     """Take a row in, unless it is doubtful; the one before, if that was doubtful, with it."""
     after = known.seen(row)
     doubt = _doubtful(known, row)
@@ -274,7 +274,7 @@ def _judged(
     return after, None, pending is not None
 
 
-def _doubtful(known: Bank, row: Row) -> float:
+def _doubtful(known: Explanations, row: Row) -> float:
     """Log likelihood of a sighting of anything around, with its prior odds."""
     off = known.predicted(row)
     square = float(off @ off) / row.reach**2

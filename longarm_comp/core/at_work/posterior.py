@@ -54,7 +54,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class RecursivePosterior:
     """What is known after some sightings.
 
     Attributes:
@@ -92,7 +92,7 @@ class Posterior:
         active: np.ndarray,
         covariance: np.ndarray,
         again: np.ndarray | None = None,
-    ) -> Posterior:
+    ) -> RecursivePosterior:
         """Nothing is seen yet."""
         c, k = space.places.shape
         again = np.zeros(c, bool) if again is None else again
@@ -102,7 +102,7 @@ class Posterior:
             np.zeros(0),
         )  # fmt: skip
 
-    def seen(self, row: Row) -> Posterior:
+    def seen(self, row: Row) -> RecursivePosterior:
         """The next sighting taken in."""
         a = row.columns[:, self.active]
         carried = self.covariance @ a.T
@@ -189,7 +189,7 @@ class Posterior:
             made += self.probability[t, c] * (follows @ jump)
         return made
 
-    def given(self, c: int) -> Posterior:
+    def given(self, c: int) -> RecursivePosterior:
         """What is known if an effect has changed: its onsets merged; other changes begin anew."""
         weight = self.probability[:, c] / max(float(self.probability[:, c].sum()), 1e-300)
         likely = [t for t in range(len(weight)) if weight[t] > NEGLIGIBLE]
@@ -209,9 +209,9 @@ class Posterior:
             covariance += weight[t] * (carried @ own @ carried.T + np.outer(off, off))
         again = self.again.copy()
         again[c] = True
-        return Posterior.begun(self.space, mean, active, covariance, again)
+        return RecursivePosterior.begun(self.space, mean, active, covariance, again)
 
-    def _thinned(self) -> Posterior:
+    def _thinned(self) -> RecursivePosterior:
         """With one onset fewer where there are too many: the one least apart for its age."""
         if len(self.since) <= ONSETS:
             return self
@@ -238,7 +238,7 @@ class Hypotheses:
     unnamed: np.ndarray
 
     @classmethod
-    def of(cls, known: Posterior) -> Hypotheses:
+    def of(cls, known: RecursivePosterior) -> Hypotheses:
         space = known.space
         values, turn = np.linalg.eigh(known.gram)
         z = np.einsum("tcik,tci->tck", turn, known.along)[:, :, None, :]

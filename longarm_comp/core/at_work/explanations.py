@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.at_work.changes import Key, Parameters
-from longarm_comp.core.at_work.posterior import NEGLIGIBLE, Posterior, Row
+from longarm_comp.core.at_work.posterior import NEGLIGIBLE, RecursivePosterior, Row
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 
 MOST = 4
@@ -24,11 +24,11 @@ MOST = 4
 KEPT = 0.99
 """Probability that these must have among all, so that the others may be forgotten."""
 FEWEST, LATEST = 2, 15
-"""Sightings of a change after which posteriors part: at least; and at last, whatever is left out."""
+"""Sightings of a change after which posteriors part: at least, and whatever is left out."""
 
 
 @dataclass(frozen=True)
-class Change:
+class PastChange:
     """An effect that changed, by one explanation.
 
     Attributes:
@@ -51,8 +51,8 @@ class Branch:
     """One explanation: its weight, what it knows, and what has changed by it, in order."""
 
     weight: float
-    known: Posterior
-    changes: tuple[Change, ...] = ()
+    known: RecursivePosterior
+    changes: tuple[PastChange, ...] = ()
 
     def parted(self) -> Iterator[Branch]:
         """One for each effect that may have changed; itself where that is not clear yet."""
@@ -72,19 +72,19 @@ class Branch:
                 changes = self._changed(c)
                 yield Branch(self.weight * float(chance[c]) / whole, known.given(c), changes)
 
-    def _changed(self, c: int) -> tuple[Change, ...]:
+    def _changed(self, c: int) -> tuple[PastChange, ...]:
         known = self.known
         key, t = known.space.keys[c], int(known.probability[:, c].argmax())
         if any(change.key == key for change in self.changes):
             return self.changes
         own = known.space.own(c)
         before, where = tuple(known.mean[own].tolist()), known.space.slots[own[0]].owner.where
-        made = Change(key, where, float(known.since[t]), int(known.count[t]), before)
+        made = PastChange(key, where, float(known.since[t]), int(known.count[t]), before)
         return (*self.changes, made)
 
 
 @dataclass(frozen=True, eq=False)
-class Bank:
+class Explanations:
     """All explanations; weights sum to 1.
 
     Attributes:
@@ -100,7 +100,7 @@ class Bank:
         """The numbers."""
         return self.branches[0].known.space
 
-    def seen(self, row: Row) -> Bank:
+    def seen(self, row: Row) -> Explanations:
         """The next sighting taken in."""
         each = [(b, b.known.seen(row)) for b in self.branches]
         logs = np.array([math.log(b.weight) + known.log_likelihood for b, known in each])
@@ -113,9 +113,9 @@ class Bank:
             if w > NEGLIGIBLE
             for part in Branch(w, known, b.changes).parted()
         ]
-        kept = sorted(made, key=lambda b: -b.weight)[:MOST]
+        kept = sorted(_alike_as_one(made), key=lambda b: -b.weight)[:MOST]
         whole = sum(b.weight for b in kept)
-        return Bank(
+        return Explanations(
             tuple(dataclasses.replace(b, weight=b.weight / whole) for b in kept), likelihood
         )
 
@@ -152,3 +152,15 @@ class Bank:
             for place in {c.where for c in b.changes}:
                 made[place] = made.get(place, 0.0) + b.weight
         return made
+
+
+def _alike_as_one(branches: list[Branch]) -> list[Branch]:
+    """Where there are too many, of each explanation the most probable one, with all weight."""
+    if len(branches) <= MOST:
+        return branches
+    made: dict[frozenset[Key], Branch] = {}
+    for b in sorted(branches, key=lambda b: b.weight):
+        name = frozenset(c.key for c in b.changes)
+        whole = b.weight + (made[name].weight if name in made else 0.0)
+        made[name] = dataclasses.replace(b, weight=whole)
+    return list(made.values())
