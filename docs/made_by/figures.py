@@ -135,8 +135,8 @@ TABLES: dict[str, tuple[str, tuple[str, ...], Callable[[Any], Cells]]] = {
         for name in ("table1", "paper")
     },
     "coverage": (
-        "studies.md", ("rows left out", "rows", "inside", "mean, mm", "expected, mm"),
-        of("set", "rows", "inside_90", "mean_mm", "expected_mm"),
+        "studies.md", ("rows left out", "rows", "inside", "kept", "mean, mm", "expected, mm"),
+        of("set", "rows", "inside_90", "kept", "mean_mm", "expected_mm"),
     ),
     "day": (
         "studies.md", ("commanded", "poses", "minutes", "not served", "day", "p95",

@@ -152,13 +152,12 @@ class LeftOut:
         def enough(tried: _Radii, rest: float) -> bool:
             return float(self.count @ (size <= tried.at(rest))) >= wanted
 
+        def alone(growth: float, log: float) -> bool:
+            return enough(radii(log, growth), 0.0)
+
         found = []
         for growth in GROWTHS:
-
-            def stretched(log: float, growth: float = growth) -> bool:
-                return enough(radii(log, growth), 0.0)
-
-            most = _least(stretched, math.log(MOST_STRETCH))
+            most = _least(partial(alone, growth), math.log(MOST_STRETCH))
             for log in np.linspace(0.0, most, STRETCHES).tolist():
                 tried = radii(log, growth)
                 rest = _least(partial(enough, tried), float((size**2).max()))
