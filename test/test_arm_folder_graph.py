@@ -68,7 +68,7 @@ def test_faults_are_rehearsed_and_a_second_graph_is_refused(
                 shell("status")
                 return shell.out + shell.err
 
-            second = subprocess.run(up, capture_output=True, text=True)
+            second = subprocess.run(up, capture_output=True, text=True, timeout=120)
             assert second.returncode == 3
             assert "a graph runs already in this namespace" in second.stderr
             assert shell("sim", "cover", "left") == 0, shell.err

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
+import tempfile
 import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note
+from longarm_comp.core.errors import JobError
 
 
 @click.command()
@@ -84,19 +90,33 @@ def command(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    _alone(namespace, stop)
-    with running(graph, respawn=respawn, say=note) as supervisor:
+    with _alone(namespace, stop), running(graph, respawn=respawn, say=note) as supervisor:
         note(f"{', '.join(graph.nodes)} are starting; Ctrl-C ends all")
         supervisor.run(stop)
 
 
-def _alone(namespace: str, stop: threading.Event) -> None:
-    """Refuse a second graph beside one that runs: both would command the same arm."""
+@contextmanager
+def _alone(namespace: str, stop: threading.Event) -> Iterator[None]:
+    """Refuse a second graph beside one that runs: both would command the same arm.
+
+    On this machine a lock tells it, which ends with its process; the graph tells of others, as
+    soon as the middleware has discovered them.
+    """
     from longarm_comp.jobs.client import GraphClient, drivers
 
-    with GraphClient(namespace, stop, "up") as client:
-        # A graph that runs is seen within it
-        client.spin(1.5)
-        several = "a graph runs already in this namespace and ROS_DOMAIN_ID; end it, or --namespace"
-        # The middleware counts a killed driver for 20 s
-        client.until(lambda: not drivers(client.node), 22.0, several)
+    several = "a graph runs already in this namespace and ROS_DOMAIN_ID; end it, or --namespace"
+    domain, space = os.environ.get("ROS_DOMAIN_ID", "0"), namespace.replace("/", "_")
+    lock = Path(tempfile.gettempdir()) / f"longarm_up_{domain}_{space}.lock"
+    with ExitStack() as held:
+        with suppress(PermissionError):  # another user's
+            file = held.enter_context(open(os.open(lock, os.O_RDONLY | os.O_CREAT, 0o666)))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise JobError(several) from None
+        with GraphClient(namespace, stop, "up") as client:
+            # A graph that runs is seen within it
+            client.spin(1.5)
+            # The middleware counts a killed driver for 20 s
+            client.until(lambda: not drivers(client.node), 22.0, several)
+        yield
