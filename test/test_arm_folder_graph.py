@@ -5,6 +5,8 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +17,9 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from cli_shell import Shell
 from some_arms import COLUMN, HOBBY
 
+from longarm_comp.cli.up import alone
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.jobs.client import ArmClient
@@ -92,6 +95,22 @@ def test_faults_are_rehearsed_and_a_second_graph_is_refused(
             process.wait(timeout=60)
         finally:
             process.kill()
+
+
+def test_a_graph_of_this_machine_is_noticed_before_it_is_discovered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ros_domain: int
+) -> None:
+    """Nothing is on the middleware here; what refuses is that an `up` holds the namespace."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    stop = threading.Event()
+    with alone("boom/left", stop):
+        with pytest.raises(JobError, match="a graph runs already"), alone("boom/left", stop):
+            pass
+        with alone("another", stop):
+            pass
+    with alone("boom/left", stop):  # the lock ended with its holder
+        pass
 
 
 def stopped(pid: int) -> bool:

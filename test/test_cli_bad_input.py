@@ -6,9 +6,10 @@ import csv
 import shutil
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
-from cli_shell import Shell
+from cli_shell import Shell, click_command
 from small_arm import ARM
 
 from longarm_comp.core.data.session import Session
@@ -168,3 +169,17 @@ def test_a_predictor_with_numbers_that_are_nonsense_is_refused(
         return
     with pytest.raises(InputError, match=name):
         predictor_file.load(tmp_path / "predictor.npz")
+
+
+@pytest.mark.parametrize("said", ["1left", "left arm", "left//gripper", "left-arm"])
+def test_a_namespace_that_the_middleware_does_not_take(said: str, shell: Shell) -> None:
+    assert shell("status", "--namespace", said) == 2
+    assert repr(said) in shell.err and "Traceback" not in shell.err
+
+
+def test_a_namespace_may_have_slashes_at_its_ends() -> None:
+    for name in ("status", "apply", "collect", "record", "up", "bag to-csv", "bag from-csv"):
+        command = click_command(name)
+        option = next(o for o in command.params if o.name == "namespace")
+        assert option.callback is not None
+        assert option.callback(click.Context(command), option, "/boom/left/") == "boom/left"

@@ -39,7 +39,7 @@ def info(bag: Path, as_json: bool) -> None:
 @options.arm
 @_bag
 @options.output("samples.csv", "Session to write.", outputs.session)
-@click.option("--namespace", help="Which arm, where the bag holds several.")
+@options.namespace_of(None, "Which arm, where the bag holds several.")
 @options.as_json
 def to_csv(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: bool) -> None:
     """Write what BAG recorded of ARM as a session in CSV.
@@ -72,7 +72,7 @@ def to_csv(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: b
 @click.option(
     "--storage", type=click.Choice(["mcap", "sqlite3"]), default="mcap", show_default=True
 )
-@click.option("--namespace", default="", help="Put before every topic.")
+@options.namespace_of("", "Put before every topic.")
 def from_csv(
     arm: Path, session: Path, output: Path, storage: Literal["mcap", "sqlite3"], namespace: str
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,26 @@ def kind_of(function: Callable[..., Any]) -> Callable[..., Any]:
 floor = click.option(
     "--floor", type=float, metavar="Z", help="Height that the arm must stay above, m, base frame."
 )
-namespace = click.option("--namespace", default="", help="Namespace of the arm.")
+
+
+def _namespace(_: click.Context, __: click.Parameter, given: str | None) -> str | None:
+    """As the middleware takes it, without slashes at its ends."""
+    if given is None:
+        return None
+    parts = given.strip("/").split("/")
+    if parts != [""] and not all(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", part) for part in parts):
+        raise click.BadParameter(
+            f"{given!r}; allowed: words of letters, digits and _, with / between, as left_arm"
+        )
+    return "/".join(parts)
+
+
+def namespace_of(default: str | None, what: str) -> _Decorator:
+    """Option ``--namespace`` with another default or another meaning."""
+    return click.option("--namespace", default=default, callback=_namespace, help=what)
+
+
+namespace = namespace_of("", "Namespace of the arm.")
 
 
 def pace(function: Callable[..., Any]) -> Callable[..., Any]:

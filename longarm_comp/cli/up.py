@@ -27,7 +27,7 @@ from longarm_comp.core.errors import JobError
 @click.option("--speed", default=1.0, help="Simulation: factor on all velocities.")
 @click.option("--seed", default=1, help="Simulation: seed of all random choices.")
 @click.option("--port", default="", help="Serial port of the servos; default: the file's.")
-@click.option("--namespace", default="", help="Namespace, so that several arms share a network.")
+@options.namespace_of("", "Namespace, so that several arms share a network.")
 @click.option(
     "--config",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
@@ -90,13 +90,13 @@ def command(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with _alone(namespace, stop), running(graph, respawn=respawn, say=note) as supervisor:
+    with alone(namespace, stop), running(graph, respawn=respawn, say=note) as supervisor:
         note(f"{', '.join(graph.nodes)} are starting; Ctrl-C ends all")
         supervisor.run(stop)
 
 
 @contextmanager
-def _alone(namespace: str, stop: threading.Event) -> Iterator[None]:
+def alone(namespace: str, stop: threading.Event) -> Iterator[None]:
     """Refuse a second graph beside one that runs: both would command the same arm.
 
     On this machine a lock tells it, which ends with its process; the graph tells of others, as
@@ -108,7 +108,7 @@ def _alone(namespace: str, stop: threading.Event) -> Iterator[None]:
     domain, space = os.environ.get("ROS_DOMAIN_ID", "0"), namespace.replace("/", "_")
     lock = Path(tempfile.gettempdir()) / f"longarm_up_{domain}_{space}.lock"
     with ExitStack() as held:
-        with suppress(PermissionError):  # another user's
+        with suppress(OSError):  # another user's, or no folder for it: the graph must tell
             file = held.enter_context(open(os.open(lock, os.O_RDONLY | os.O_CREAT, 0o666)))
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -19,24 +19,12 @@ from longarm_comp.core.model.model_file import StoredModel, restore, store
 from longarm_comp.core.yaml_file import Declared, parse_declared
 
 
-class StoredNamed(Declared):
-    """What changed (`Named`)."""
-
-    effect: str
-    where: str
-    since_s: float
-    by: tuple[tuple[str, str, float], ...]
-    probability: float
-    rivals: tuple[tuple[str, float], ...]
-    sightings: int
-
-
 class StoredVersion(Declared):
     """A model that was served, and since when; the first is the model as it was given."""
 
     at_s: float | None
     model: StoredModel
-    named: StoredNamed | None
+    named: Named | None
 
 
 class StoredLearner(Declared):
@@ -87,7 +75,7 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
     versions = (
         begun.versions[0],
         *(
-            Version(v.at_s or 0.0, restore(v.model, arm, where), _named(v.named))
+            Version(v.at_s or 0.0, restore(v.model, arm, where), v.named)
             for v in stored.versions[1:]
         ),
     )
@@ -98,13 +86,5 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
 
 
 def _stored(version: Version) -> StoredVersion:
-    named = version.named
-    return StoredVersion(
-        at_s=None if named is None else version.at_s,
-        model=store(version.model),
-        named=None if named is None else StoredNamed(**vars(named)),
-    )
-
-
-def _named(stored: StoredNamed | None) -> Named | None:
-    return None if stored is None else Named(**dict(stored))
+    at_s = None if version.named is None else version.at_s
+    return StoredVersion(at_s=at_s, model=store(version.model), named=version.named)

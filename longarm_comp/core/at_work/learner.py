@@ -22,6 +22,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch
+from longarm_comp.core.yaml_file import Declared
 
 DOUBT = 0.01
 """Probability that a sighting is wrong: of another point, or of an arm that still moves."""
@@ -31,8 +32,7 @@ WORTH = 0.1
 """Step, in standard deviations of a sighting, from which on another model is served."""
 
 
-@dataclass(frozen=True)
-class Named:
+class Named(Declared):
     """What changed: a place, and the effect there that is the most probable.
 
     Attributes:
@@ -170,7 +170,13 @@ class Learner:
         by = ((p.name, p.unit, float(v)) for p, v in zip(parameters, moved, strict=True) if v)
         rivals = tuple((name, chances[name]) for name in order[1:])
         return Named(
-            order[0], where, change.since_s, tuple(by), chances[order[0]], rivals, change.sightings
+            effect=order[0],
+            where=where,
+            since_s=change.since_s,
+            by=tuple(by),
+            probability=chances[order[0]],
+            rivals=rivals,
+            sightings=change.sightings,
         )
 
     def _served(self, columns: np.ndarray, at: np.ndarray) -> Learner:
