@@ -16,6 +16,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.learner import Learner
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import rigid
@@ -207,7 +208,8 @@ class _Truth:
         return tip + self.setting.noise_m * self.rng.standard_normal(tip.shape)
 
     def session(self, rows: int, t_h: float, payloads: Sequence[float]) -> Session:
-        """Poses measured up to t_h, all joints of a pose from one side, payloads in turn."""
+        """Poses measured up to t_h, as `longarm collect` does: a run-up of all joints of a pose from
+        one side; payloads in turn."""
         arm, rng = self.setting.arm, self.rng
         q = random_joints(arm, rows, rng)
         side = rng.choice([-1.0, 1.0], rows)
@@ -217,9 +219,11 @@ class _Truth:
         context = TrueContext(temperature_c=temperature, payload_kg=mass, t_s=3600.0 * at)
         tip = self.tip(q, np.repeat(side[:, None], arm.n, axis=1), t_h, context)
         columns = {"t_s": 3600.0 * at, "temperature_c": temperature, "payload_kg": mass}
+        begun = q - side[:, None] * run_up_lengths(arm)
         return Session.record(
-            q, self.seen(tip), approach=side, columns=columns, source=f"measured at {t_h:.1f} h"
-        )
+            q, self.seen(tip), approach=side, run_up=begun, columns=columns,
+            source=f"measured at {t_h:.1f} h",
+        )  # fmt: skip
 
 
 def levers(arm: Arm) -> list[int]:
