@@ -208,8 +208,10 @@ class _Truth:
         return tip + self.setting.noise_m * self.rng.standard_normal(tip.shape)
 
     def session(self, rows: int, t_h: float, payloads: Sequence[float]) -> Session:
-        """Poses measured up to t_h, as `longarm collect` does: a run-up of all joints of a pose from
-        one side; payloads in turn."""
+        """Poses measured up to t_h as `longarm collect` does, with run-ups; payloads in turn.
+
+        All joints of a pose arrive from one side.
+        """
         arm, rng = self.setting.arm, self.rng
         q = random_joints(arm, rows, rng)
         side = rng.choice([-1.0, 1.0], rows)
