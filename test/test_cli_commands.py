@@ -14,6 +14,7 @@ from cli_shell import Shell, real
 from small_arm import ARM
 
 from bench import catalogue
+from longarm_comp.cli.output import print_rows
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import Plan, paper_grid
 from longarm_comp.core.model.declared_model import declared_model
@@ -240,3 +241,8 @@ def test_bench_gives_the_agreed_rows(shell: Shell, monkeypatch: pytest.MonkeyPat
 def test_every_benchmark_is_where_the_list_says() -> None:
     for name, module in catalogue.MODULE_OF.items():
         assert callable(getattr(importlib.import_module(f"bench.{module}"), name))
+
+
+def test_a_table_without_rows_is_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    print_rows("What the monitor asked for", [])
+    assert capsys.readouterr().out == ""

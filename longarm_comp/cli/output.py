@@ -58,7 +58,9 @@ def print_table(
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print rows with equal keys as a table."""
+    """Print rows with equal keys as a table; nothing where there are none."""
+    if not rows:
+        return
     header = list(rows[0])
     print_table(title, header, [[row[name] for name in header] for row in rows])
 

@@ -129,7 +129,7 @@ class Kinematics(Node):
                 p["arm"], p["model"] if self._files.loaded.file_hash else "", self.get_namespace()
             ),
         )  # fmt: skip
-        self._learning = Learning(self._files, p["at_work"], p["at_work_step_m"])
+        self._learning = Learning(self._files, p["learning"], p["learning_step_m"])
         self._markers = Markers(self, self._base_frame)
         self._state = ArmState(
             self, self._arm, tally.count, self._on_joints,

@@ -20,10 +20,8 @@ if TYPE_CHECKING:
     from longarm_comp.core.at_work.learner import Learner
 
 PARAMS = (
-    Param(
-        "at_work", "", "file in which what ordinary moves teach is kept; empty: nothing is learned"
-    ),
-    Param("at_work_step_m", 2e-3, "largest step of the tip by one sighting", 1e-6, 0.1),
+    Param("learning", False, "the model learns from ordinary moves (docs/at_work.md)"),
+    Param("learning_step_m", 2e-3, "largest step of the tip by one sighting", 1e-6, 0.1),
 )
 
 
@@ -33,12 +31,12 @@ class Learning:
 
     Args:
         files: the model at work; what is learned is put in its place.
-        path: file that is read, and written after every sighting; empty: nothing is learned.
+        on: whether anything is learned; it is kept beside the model, after every sighting.
         step_m: largest step of the tip by one sighting.
     """
 
     files: ModelFiles
-    path: str
+    on: bool
     step_m: float
     learner: Learner | None = None
     update_ms: float = 0.0
@@ -53,12 +51,14 @@ class Learning:
         Raises:
             InputError: the file is not one of these; the model does not say how well it is known.
         """
-        if not self.path:
+        if not self.on:
             return
         from longarm_comp.core.at_work import file  # with SciPy: only where it is wanted
 
         loaded = self.files.given
-        self.learner = file.load(self.path, loaded.model, loaded.file_hash, self.step_m)
+        self.learner = file.load(
+            self.files.learned_path, loaded.model, loaded.file_hash, self.step_m
+        )
         self.files.put(self.learner.model)
 
     def seen(
@@ -94,7 +94,7 @@ class Learning:
         if before is None or after.model is not before.model:
             self.files.put(after.model)
         try:
-            file.save(self.path, after, self.files.given.file_hash)
+            file.save(self.files.learned_path, after, self.files.given.file_hash)
             self._fault = ""
         except JobError as error:
             self._fault = str(error)
@@ -119,7 +119,7 @@ class Learning:
         return Report(OK, f"{state}: {found or 'nothing changed'}", facts)
 
 
-_OFF = "nothing is learned at work: kinematics has no parameter at_work"
+_OFF = "nothing is learned at work: its parameter `learning` is false"
 
 
 def _clock(at_s: float) -> str:

@@ -65,6 +65,7 @@ class ModelFiles:
             raise InputError("parameters", "arm", arm_path, "path of arm.yaml")
         self.arm = Arm.load(arm_path)
         self._path = model_path
+        self.learned_path = Path(model_path or "model.yaml").with_suffix(".at_work.json")
         self.rigid = Model(self.arm)
         self._of_commands = by_readings if trimmed else (lambda model: model)
         self.loaded = self.given = LoadedModel(self._of_commands(declared_model(self.arm)))
