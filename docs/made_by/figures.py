@@ -39,7 +39,7 @@ COMMANDS = {
     "table1": "study table1 --arms 4",
     "paper": "study table1 --paper-setting --arms 10",
     "coverage": "study coverage --data {data} --arms 8",
-    "day": "study day --arms 12",
+    "day": "study day --arms 12 --fast",
     "poses": "study poses --arms 3",
     "measurements": "study measurements --arms 4",
     "realisable": "study realisable",
@@ -220,8 +220,8 @@ SUMMARY: dict[str, tuple[str, Callable[[Any], float]]] = {
         "table1", first("row", "mean_abs_z_mm", "calibrated + effects, 300")),
     "**A day of work**, wear, warmth and payloads, mean 3-D error: calibrated once, mm": (
         "day", first("commanded", "mean_mm", "calibrated once")),
-    "A day of work, diagnosed again when the monitor asks, mm": (
-        "day", first("commanded", "mean_mm", "with re-diagnosis, free of charge")),
+    "A day of work, learning at work, mm": (
+        "day", first("commanded", "mean_mm", "learning at work")),
     "**Single hidden effects**: right name, or a set with it": (
         "loop single", first("measure", "share", "right name, or a set with it", "summary")),
     "Nothing hidden: an effect added": (
