@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
-
-from typing_extensions import Self
+from typing import Any, ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -32,16 +31,10 @@ class AnchorPlace(Bias):
     y: float = parameter("m", "place of the anchor", 0.05, unknown=True)
     z: float = parameter("m", "place of the anchor", 0.05, unknown=True)
 
-    @property
-    def where(self) -> str:
-        """``anchor left``."""
-        return f"anchor {self.anchor}"
-
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
         """Every anchor whose place is not declared."""
-        free = tuple(cls(anchor=k) for k, v in arm.anchors.items() if v.xyz_m is None)
-        return [free] if free else []
+        return [{"anchor": k} for k, v in arm.anchors.items() if v.xyz_m is None]
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """The tip moved against the anchor, for the rows that measure to it."""

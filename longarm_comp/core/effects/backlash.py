@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
@@ -29,6 +27,7 @@ class Backlash(JointTerm):
 
     name: ClassVar[str] = "backlash"
     title: ClassVar[str] = "play"
+    types: ClassVar[tuple[str, ...]] = ("revolute", "prismatic")
     action: ClassVar[str] = "Tighten or replace the gear, coupling or clamp of the joint."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": "Renew worn pins and bushes of the cylinder and the joint.",
@@ -38,19 +37,9 @@ class Backlash(JointTerm):
     loaded: ClassVar[bool] = True
     limit_aliases: ClassVar[tuple[str, ...]] = ("friction_hysteresis",)  # load decides nowhere
 
-    gate: float = form(0.0, lower=0.0, upper=1.0)
+    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
     blend: float = form(BLEND, lower=0.01, upper=0.5)
     width: float = parameter("rad", "full width of the play", prior=0.02, lower=0.0)
-
-    @classmethod
-    def fits(cls, arm: Arm, row: int) -> bool:
-        """Every commanded joint can have play."""
-        return True
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Each joint, with several gates."""
-        return [(cls(joint=row, gate=gate),) for row in cls.rows(arm) for gate in GATES]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior 20 mrad, or 0.5 mm for a slide."""

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
@@ -25,6 +23,7 @@ class BaseCompliance(Effect):
 
     name: ClassVar[str] = "base_compliance"
     title: ClassVar[str] = "soft base"
+    whole: ClassVar[str] = "base"
     action: ClassVar[str] = (
         "Tighten the bolts of the base, brace its stand, or put it on firm ground."
     )
@@ -32,16 +31,6 @@ class BaseCompliance(Effect):
 
     about_x: float = parameter("rad/(N m)", "tilt about x per moment", prior=2e-3, lower=0.0)
     about_y: float = parameter("rad/(N m)", "tilt about y per moment", prior=2e-3, lower=0.0)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """One base."""
-        return [(cls(),)]
-
-    @property
-    def where(self) -> str:
-        """``base``."""
-        return "base"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: 10 mrad under the arm's typical torque."""

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
-
-from typing_extensions import Self
+from typing import Any, ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import three
@@ -48,9 +46,9 @@ class BasePose(Effect):
         return f"base of group {self.group}" if self.group else "base"
 
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """One placement."""
-        return [(cls(),)]
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
+        """One placement; groups are of a session."""
+        return [{}]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Unknown, or with the priors of the declared tolerance."""

@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, parameter
@@ -24,22 +21,13 @@ class BaseSettling(Effect):
 
     name: ClassVar[str] = "base_settling"
     title: ClassVar[str] = "settling base"
+    whole: ClassVar[str] = "base"
     action: ClassVar[str] = "Brace the stand; measure again after it has settled."
     needs: ClassVar[tuple[str, ...]] = ("t_s",)
 
     sink: float = parameter("m/h", "motion along z of the base frame", prior=1e-3)
     about_x: float = parameter("rad/h", "lean about x of the base frame", prior=2e-3)
     about_y: float = parameter("rad/h", "lean about y of the base frame", prior=2e-3)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """One base."""
-        return [(cls(),)]
-
-    @property
-    def where(self) -> str:
-        """``base``."""
-        return "base"
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Motion of the base frame since the session began."""

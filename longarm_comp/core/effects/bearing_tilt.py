@@ -11,7 +11,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
-from longarm_comp.core.effects.effect import Parameter, parameter
+from longarm_comp.core.effects.effect import Parameter, moving_joints, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
 
 
@@ -35,7 +35,7 @@ class BearingTilt(JointTerm):
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:
         """Every joint that moves, passive ones too."""
-        return [j.id for j in arm.joints if j.type != "fixed"]
+        return moving_joints(arm)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: 10 mrad under the arm's typical torque."""

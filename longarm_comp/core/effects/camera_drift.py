@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Instrument
@@ -34,11 +32,6 @@ class CameraDrift(Bias):
     x: float = parameter("m/h", "drift of the seen points", prior=2e-3)
     y: float = parameter("m/h", "drift of the seen points", prior=2e-3)
     z: float = parameter("m/h", "drift of the seen points", prior=2e-3)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """One camera."""
-        return [(cls(),)]
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """The point moved by drift times hours since the session began."""

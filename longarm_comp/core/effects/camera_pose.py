@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -34,11 +32,6 @@ class CameraPose(Bias):
     rx: float = parameter("rad", "turn of the seen points", prior=0.05)
     ry: float = parameter("rad", "turn of the seen points", prior=0.05)
     rz: float = parameter("rad", "turn of the seen points", prior=0.05)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """One camera."""
-        return [(cls(),)]
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """The point moved by the placement's twist."""

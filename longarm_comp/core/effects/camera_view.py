@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from typing_extensions import Self
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import Instrument
@@ -22,9 +21,9 @@ class CameraView(Bias):
     instruments: ClassVar[Mapping[Instrument, str]] = {"camera": ""}
 
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
         """One camera, where it is declared."""
-        return [(cls(),)] if arm.camera is not None else []
+        return [{}] if arm.camera is not None else []
 
     @staticmethod
     def split(point: Vec, arm: Arm) -> tuple[Vec, Scalar, Vec, Vec]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from typing_extensions import Self
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
@@ -32,13 +31,13 @@ class Creep(Effect):
     needs: ClassVar[tuple[str, ...]] = ("t_s",)
     loaded: ClassVar[bool] = True
 
-    time: float = form(3600.0, lower=100.0, upper=1e5)
+    time: float = form(3600.0, lower=100.0, upper=1e5, tried=_TIMES_S)
     amount: float = parameter("1", "final extra sag over the elastic one", prior=0.3, lower=0.0)
 
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """All beams together, by time constant."""
-        return [(cls(time=time),) for time in _TIMES_S] if arm.links else []
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
+        """All beams together."""
+        return [{}] if arm.links else []
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The declared cantilever twist times the grown share."""

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
@@ -30,7 +28,7 @@ class CylinderPlay(JointTerm):
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     loaded: ClassVar[bool] = True
 
-    gate: float = form(0.0, lower=0.0, upper=1.0)
+    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
     blend: float = form(BLEND, lower=0.01, upper=0.5)
     width: float = parameter("m", "play of both pins along the cylinder", prior=1e-3, lower=0.0)
 
@@ -38,11 +36,6 @@ class CylinderPlay(JointTerm):
     def fits(cls, arm: Arm, row: int) -> bool:
         """Joints that a cylinder turns."""
         return arm.joints[row - 1].cylinder is not None
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Each of them, with several gates."""
-        return [(cls(joint=row, gate=gate),) for row in cls.rows(arm) for gate in GATES]
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Half the play over the lever, to the side that holds."""

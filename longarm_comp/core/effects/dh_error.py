@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
@@ -73,11 +71,6 @@ class DhError(Effect):
             if p.unit == "m" and abs(value) > most:
                 allowed = f"within +-{most:.3g} m, a quarter of the arm's reach"
                 raise InputError(where, f"{self.name}.{p.name} at {self.where}", value, allowed)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """One group: every row (geometry is fitted, not diagnosed)."""
-        return [tuple(cls(row=j.id) for j in arm.joints)]
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i."""

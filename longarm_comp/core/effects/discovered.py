@@ -29,10 +29,9 @@ from longarm_comp.core.effects.quantities import (
     SeenCoordinate,
     SeenPoint,
 )
-from longarm_comp.core.effects.shapes import FunctionError
+from longarm_comp.core.effects.shapes import LARGEST, FunctionError
 from longarm_comp.core.errors import InputError
 
-LARGEST = 1e9
 DISTANCE = "distance"
 
 
@@ -41,8 +40,42 @@ def views(arm: Arm) -> list[str]:
     return [*AXES, *([DISTANCE] if arm.camera is not None else [])]
 
 
+class _OfFunction:
+    """What a term owes to its function alone."""
+
+    name: ClassVar[str]
+    function: str
+    domain: str
+
+    @property
+    def where(self) -> str:
+        """Where it acts, and what."""
+        raise NotImplementedError
+
+    @cached_property
+    def of(self) -> Function:
+        """The function. Raises `FunctionError`."""
+        return function(self.function, self.domain)
+
+    @property
+    def place(self) -> str:
+        """Where it acts and how it depends."""
+        return f"{self.where}, {self.function}"
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Circumstances that its function reads."""
+        return tuple(dict.fromkeys(name for q in self.of.quantities for name in q.inputs))
+
+    def require(self, context: Context) -> None:
+        """What its function reads must be recorded."""
+        for column in self.inputs:
+            if column not in PER_JOINT and not context.has(column):
+                raise InputError(self.name, column, "missing", "a recorded column of the session")
+
+
 @dataclass(frozen=True)
-class Discovered(Effect):
+class Discovered(_OfFunction, Effect):
     """A cause without a name: an amount of a twist or load, as some function of the posture.
 
     Attributes:
@@ -67,29 +100,14 @@ class Discovered(Effect):
     scale: float = form(1e-3)
     amount: float = parameter("of its component and function", "how much", prior=1e-3)
 
-    @cached_property
-    def of(self) -> Function:
-        """The function. Raises `FunctionError`."""
-        return function(self.function, self.domain)
-
     @property
     def where(self) -> str:
         """``joint 5, force y``."""
         return f"{self.at}, {self.component}"
 
-    @property
-    def place(self) -> str:
-        """Where it acts and how."""
-        return f"{self.where}, {self.function}"
-
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The amount, in the units of its component and function."""
         return _amount(self.declared(), COMPONENTS[self.component].unit, self.of, self.scale, arm)
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Circumstances that its function reads."""
-        return _inputs(self.of)
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -100,10 +118,6 @@ class Discovered(Effect):
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
         """Joints whose side of arrival its function reads."""
         return tuple(dict.fromkeys(j for q in self.of.quantities for j in q.joints))
-
-    def require(self, context: Context) -> None:
-        """What its function reads must be recorded."""
-        _require(self.name, self.inputs, context)
 
     def check(self, arm: Arm, where: str) -> None:
         """Its function must be one of what this arm has."""
@@ -127,7 +141,7 @@ class Discovered(Effect):
 
 
 @dataclass(frozen=True)
-class DiscoveredView(Bias):
+class DiscoveredView(_OfFunction, Bias):
     """A measuring-side cause without a name: the seen point is displaced by some function of it.
 
     Attributes:
@@ -148,34 +162,15 @@ class DiscoveredView(Bias):
     scale: float = form(1e-3)
     amount: float = parameter("of its function", "displacement of what is seen", prior=1e-3)
 
-    @cached_property
-    def of(self) -> Function:
-        """The function. Raises `FunctionError`."""
-        return function(self.function, self.domain)
-
     @property
     def where(self) -> str:
         """``camera, x``."""
         return f"camera, {self.axis}"
 
-    @property
-    def place(self) -> str:
-        """Which displacement, and how it depends."""
-        return f"{self.where}, {self.function}"
-
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The amount, in m, or as a share of the distance, per unit of the function."""
         unit = "1" if self.axis == DISTANCE else "m"
         return _amount(self.declared(), unit, self.of, self.scale, arm)
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Columns that its function reads."""
-        return _inputs(self.of)
-
-    def require(self, context: Context) -> None:
-        """What its function reads must be recorded."""
-        _require(self.name, self.inputs, context)
 
     def check(self, arm: Arm, where: str) -> None:
         """Its function must be one of the seen point and of recorded columns."""
@@ -219,16 +214,6 @@ def _bracketed(unit: str) -> str:
 
 def _all(units: list[str]) -> str:
     return units[0] if len(units) == 1 and " " not in units[0] else f"({' '.join(units)})"
-
-
-def _inputs(of: Function) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name for q in of.quantities for name in q.inputs))
-
-
-def _require(name: str, inputs: tuple[str, ...], context: Context) -> None:
-    for column in inputs:
-        if column not in PER_JOINT and not context.has(column):
-            raise InputError(name, column, "missing", "a recorded column of the session")
 
 
 def _check(name: str, term: Discovered | DiscoveredView, arm: Arm, where: str, kind: type) -> None:

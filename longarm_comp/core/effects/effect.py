@@ -9,6 +9,7 @@ treated like one of this folder (docs/add_an_effect.md).
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -53,7 +54,7 @@ class Parameter:
         return _FLAT * self.prior if self.unknown else self.prior
 
 
-_PARAMETER, _PLACE, _FORM = "parameter", "place", "form"
+_PARAMETER, _PLACE, _FORM, _TRIED = "parameter", "place", "form", "tried"
 Drive = Literal["servo", "gear", "arm"]
 Places = Callable[[Arm], Sequence[int] | Sequence[str]]
 
@@ -105,18 +106,24 @@ def place(allowed: Places | None = None, default: int | str | None = None) -> An
     return dataclasses.field(default=default, metadata=meta)
 
 
-def form(default: float | int | str, lower: float | None = None, upper: float | None = None) -> Any:
+def form(
+    default: float | int | str,
+    lower: float | None = None,
+    upper: float | None = None,
+    tried: Sequence[float] | Sequence[int] | Sequence[str] = (),
+) -> Any:
     """Declare a field as a form: a variant of the effect, which is tried but not fitted.
 
     Args:
         default: default value.
         lower, upper: ends of a continuous scale. The search then also tries values between those
             of `candidates`.  Without them only those values are tried.
+        tried: values of the candidates, where there are others than the default.
     """
     if (lower is None) != (upper is None):
         raise TypeError("a form's scale has two ends")
     scale = None if lower is None else (lower, upper)
-    return dataclasses.field(default=default, metadata={_FORM: scale})
+    return dataclasses.field(default=default, metadata={_FORM: scale, _TRIED: tuple(tried)})
 
 
 def moving_joints(arm: Arm) -> list[int]:
@@ -153,6 +160,7 @@ class _Term:
         title: what a mechanic calls it: ``play``.
         action: what can be done about it at the arm, in one sentence. What software does about it
             the report says by itself.
+        whole: where it is, for an effect without a place.
         needs: recorded inputs that every instance needs.
         geometry: always fitted, and never "named" by a diagnosis.
         passing: of one fit (where a touched point was), and no more: no model.yaml holds it.
@@ -182,6 +190,7 @@ class _Term:
     name: ClassVar[str]
     title: ClassVar[str] = ""
     action: ClassVar[str] = "Look for its cause at that place."
+    whole: ClassVar[str] = "arm"
     needs: ClassVar[tuple[str, ...]] = ()
     geometry: ClassVar[bool] = False
     passing: ClassVar[bool] = False
@@ -260,8 +269,8 @@ class _Term:
 
     @property
     def where(self) -> str:
-        """Its places in words: ``joint 2``, ``joint 3, driver 1``; ``arm`` for the whole arm."""
-        return ", ".join(f"{name} {value}" for name, value in self.places.items()) or "arm"
+        """Its places in words: ``joint 2``, ``joint 3, driver 1``; `whole` without any."""
+        return ", ".join(f"{name} {value}" for name, value in self.places.items()) or self.whole
 
     def advice(self, arm: Arm) -> str:
         """What can be done about it at an arm."""
@@ -294,9 +303,27 @@ class _Term:
         return tuple(v for name, v in self.places.items() if kinds.get(name) is moving_joints)
 
     @classmethod
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
+        """Values of the place fields that an arm has: of an effect without a place one, `{}`.
+
+        None where a place may be any text: then the rows of a session say which there are.
+        """
+        allowed = cls.allowed_places()
+        if len(allowed) < len(_fields(cls, (_PLACE,))):  # type: ignore[arg-type]
+            return []
+        each = itertools.product(*(places(arm) for places in allowed.values()))
+        return [dict(zip(allowed, values, strict=True)) for values in each]
+
+    @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Candidates of a diagnosis, each a group of instances that are fitted together."""
-        return []
+        """Candidates of a diagnosis, each a group of instances that are fitted together.
+
+        By default every site alone, in every form that is tried.
+        """
+        meta = {f.name: f.metadata.get(_TRIED) for f in dataclasses.fields(cls)}
+        tried = {name: values for name, values in meta.items() if values}
+        forms = [dict(zip(tried, v, strict=True)) for v in itertools.product(*tried.values())]
+        return [(cls(**site, **form),) for site in cls.sites(arm) for form in forms]
 
     @classmethod
     def for_arm(cls, arm: Arm) -> tuple[Self, ...]:
@@ -380,13 +407,9 @@ class Bias(_Term, ABC):
             done about it there, where that is not `action`.
     """
 
+    whole: ClassVar[str] = "measuring side"
     sees: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
     instruments: ClassVar[Mapping[Instrument, str]] = {}
-
-    @property
-    def where(self) -> str:
-        """Its places; of most, what measures."""
-        return super().where if self.places else "measuring side"
 
     @classmethod
     def of_instrument(cls, arm: Arm) -> bool:

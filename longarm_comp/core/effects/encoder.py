@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
-
-from typing_extensions import Self
+from typing import Any, ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -41,9 +39,9 @@ class Encoder(Bias):
     scale: float = parameter("1", "extra reading per motion", 0.01)
 
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
         """All commanded joints."""
-        return [tuple(cls(joint=row) for row in arm.commanded)]
+        return [{"joint": row} for row in arm.commanded]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The zero in m for a slide."""

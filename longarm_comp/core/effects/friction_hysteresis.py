@@ -31,6 +31,7 @@ class FrictionHysteresis(JointTerm):
 
     name: ClassVar[str] = "friction_hysteresis"
     title: ClassVar[str] = "friction"
+    types: ClassVar[tuple[str, ...]] = ("revolute", "prismatic")
     action: ClassVar[str] = "Clean and grease the joint; look for dragging seals and cables."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": "Check the cylinder's seals and guides, and the valve's deadband.",
@@ -45,11 +46,6 @@ class FrictionHysteresis(JointTerm):
     width: float = parameter("rad", "full width, from side to side", prior=0.01, lower=0.0)
     inner: float = parameter("rad", "part that winds up over `near`", prior=3e-3, lower=0.0)
     outer: float = parameter("rad", "part that winds up over `far`", prior=3e-3, lower=0.0)
-
-    @classmethod
-    def fits(cls, arm: Arm, row: int) -> bool:
-        """Every commanded joint can stick."""
-        return True
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Priors 10, 3 and 3 mrad, or 0.3, 0.1 and 0.1 mm for a slide."""

@@ -6,10 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import form, parameter
@@ -33,7 +30,7 @@ class GearEccentricity(JointTerm):
     }
     free_levels: ClassVar[int] = 3
 
-    order: int = form(1)
+    order: int = form(1, tried=(1, 2))
     cosine: float = parameter("rad", "cosine amplitude", prior=2e-3)
     sine: float = parameter("rad", "sine amplitude", prior=2e-3)
 
@@ -41,12 +38,6 @@ class GearEccentricity(JointTerm):
     def place(self) -> str:
         """Each order of a joint on its own: real gears have several."""
         return f"{self.where}, order {self.order}"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Each revolute joint, orders 1 and 2."""
-        rows = cls.rows(arm)
-        return [(cls(joint=row, order=order),) for row in rows for order in (1, 2)]
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The periodic rotation."""

@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist, Vec, add, cross
 from longarm_comp.core.effects.effect import Effect, parameter
@@ -23,21 +20,12 @@ class GravityDirection(Effect):
 
     name: ClassVar[str] = "gravity_direction"
     title: ClassVar[str] = "base out of level"
+    whole: ClassVar[str] = "base"
     action: ClassVar[str] = "Level the base, or declare the direction of gravity."
     loaded: ClassVar[bool] = True
 
     about_x: float = parameter("rad", "lean of gravity about base x", prior=0.03)
     about_y: float = parameter("rad", "lean of gravity about base y", prior=0.03)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """One gravity."""
-        return [(cls(),)]
-
-    @property
-    def where(self) -> str:
-        """``base``."""
-        return "base"
 
     def gravity(self, gravity: Vec) -> Vec:
         """The turned gravity (first order)."""

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import parameter
@@ -22,15 +21,11 @@ class GuideCurvature(JointTerm):
 
     name: ClassVar[str] = "guide_curvature"
     title: ClassVar[str] = "curved guide"
+    types: ClassVar[tuple[str, ...]] = ("prismatic",)
     action: ClassVar[str] = "Align the guide rail or replace it."
 
     about_x: float = parameter("rad/m", "turn about x per travel", prior=5e-3)
     about_y: float = parameter("rad/m", "turn about y per travel", prior=5e-3)
-
-    @classmethod
-    def fits(cls, arm: Arm, row: int) -> bool:
-        """Prismatic joints."""
-        return arm.joints[row - 1].type == "prismatic"
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Turn and lateral motion of the row's frame."""

@@ -9,7 +9,7 @@ from typing import ClassVar
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Parameter, parameter
+from longarm_comp.core.effects.effect import Parameter, moving_joints, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, reach, typical_loads, with_prior
 
 
@@ -36,7 +36,7 @@ class JointCompliance(JointTerm):
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:
         """Every joint that moves, passive ones too."""
-        return [j.id for j in arm.joints if j.type != "fixed"]
+        return moving_joints(arm)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: 20 mrad (2 % of the reach) under the arm's typical load."""

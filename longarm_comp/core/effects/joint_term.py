@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from typing_extensions import Self
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -34,17 +33,19 @@ class JointTerm(Effect):
     Attributes:
         joint: row id.
         actions: instead of `action`, by the joint's kind of drive.
+        types: of the commanded joints that may have it, where `fits` does not say otherwise.
     """
 
     actions: ClassVar[Mapping[str, str]] = {}
+    types: ClassVar[tuple[str, ...]] = ("revolute",)
     acts: ClassVar[Drive] = "gear"
 
     joint: int = place(moving_joints)
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Whether the effect applies to a commanded row; revolute joints by default."""
-        return arm.joints[row - 1].type == "revolute"
+        """Whether the effect applies to a commanded row."""
+        return arm.joints[row - 1].type in cls.types
 
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:
@@ -52,9 +53,9 @@ class JointTerm(Effect):
         return [row for row in arm.commanded if cls.fits(arm, row)]
 
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Each joint alone."""
-        return [(cls(joint=row),) for row in cls.rows(arm)]
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
+        """Each of these joints."""
+        return [{"joint": row} for row in cls.rows(arm)]
 
     def advice(self, arm: Arm) -> str:
         """By the joint's kind of drive."""

@@ -20,6 +20,7 @@ class JointZero(JointTerm):
 
     name: ClassVar[str] = "joint_zero"
     title: ClassVar[str] = "zero offset"
+    types: ClassVar[tuple[str, ...]] = ("revolute", "prismatic")
     action: ClassVar[str] = "Set the zero of the servo or encoder again."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": "Set the zero of the joint's angle or length sensor again.",
@@ -30,11 +31,6 @@ class JointZero(JointTerm):
     displaces_joint: ClassVar[bool] = True
 
     offset: float = parameter("rad", "joint value at command zero", prior=4e-3)
-
-    @classmethod
-    def fits(cls, arm: Arm, row: int) -> bool:
-        """Every commanded joint has a zero."""
-        return True
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior from the row's tolerance, else 4 mrad or 1 mm."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
-
-from typing_extensions import Self
+from typing import Any, ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm, Joint
@@ -39,10 +37,10 @@ class LinkBending(Effect):
     torsion: float = parameter("1/(N m^2)", "1 / GJ of the link", prior=1e-4, lower=0.0)
 
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
         """Every row with a length and without a declared beam."""
         declared = {beam.row for beam in arm.links}
-        return [(cls(row=j.id),) for j in arm.joints if j.id not in declared and _long(j)]
+        return [{"row": j.id} for j in arm.joints if j.id not in declared and _long(j)]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: 10 mrad over a quarter of the reach under the arm's typical torque."""

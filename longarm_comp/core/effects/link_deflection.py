@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from longarm_comp.core.arm import stacked
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Element, Posture, abs_, loads
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Effect
@@ -25,6 +26,11 @@ class LinkDeflection(Effect):
     loaded: ClassVar[bool] = True
     bends_beams: ClassVar[bool] = True
     searched: ClassVar[bool] = False
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
+        """None: every model of declared beams has it."""
+        return []
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Cantilever twist of every beam element at its end station."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
-
-from typing_extensions import Self
+from typing import Any, ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Lumped, Posture
@@ -34,11 +32,11 @@ class LinkMass(Effect):
     mass: float = parameter("kg", "mass beyond the declared ones", prior=0.1)
 
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
         """Each frame that beams carry, but for the one where `tip_payload` is."""
         first = min((beam.row for beam in arm.links), default=len(arm.joints))
         tip = (arm.payload or arm.tip).frame
-        return [(cls(frame=row),) for row in rows(arm) if first < row and row != tip]
+        return [{"frame": row} for row in rows(arm) if first < row and row != tip]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: a tenth of the arm's weight."""

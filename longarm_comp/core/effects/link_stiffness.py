@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, beams, parameter, place
@@ -33,12 +30,6 @@ class LinkStiffness(Effect):
         prior=0.5,
         lower=-0.9,
     )
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Each beam alone, and all of them."""
-        each = [cls(beam=b.name) for b in arm.links]
-        return [(e,) for e in each] + ([tuple(each)] if len(each) > 1 else [])
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The declared cantilever twist, times the softness."""

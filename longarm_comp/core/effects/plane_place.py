@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -32,11 +30,6 @@ class PlanePlace(Bias):
     z: float = parameter("m", "height of the plane along its normal", 0.05, unknown=True)
     rx: float = parameter("rad", "turn of the plane", 0.05, unknown=True)
     ry: float = parameter("rad", "turn of the plane", 0.05, unknown=True)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """None: a session's rows say which planes were touched."""
-        return []
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """The tip in axes of the plane, in which its height is z, for the rows that touched it."""

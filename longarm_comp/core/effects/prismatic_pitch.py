@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import parameter
@@ -19,6 +18,7 @@ class PrismaticPitch(JointTerm):
 
     name: ClassVar[str] = "prismatic_pitch"
     title: ClassVar[str] = "pitch error of the slide"
+    types: ClassVar[tuple[str, ...]] = ("prismatic",)
     action: ClassVar[str] = "Check the pitch of the spindle or belt in the servo's settings."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": "Calibrate the cylinder's length sensor again, at both ends of its travel.",
@@ -26,11 +26,6 @@ class PrismaticPitch(JointTerm):
     }
 
     gain: float = parameter("1", "extra travel per commanded travel", prior=0.02)
-
-    @classmethod
-    def fits(cls, arm: Arm, row: int) -> bool:
-        """Prismatic joints."""
-        return arm.joints[row - 1].type == "prismatic"
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Translation ``gain * q``."""

@@ -60,19 +60,21 @@ class Quantity(ABC):
     """
 
     pattern: ClassVar[str]
+    si: ClassVar[str] = "1"
+    """Its SI unit, where it has one on every arm."""
     plain: ClassVar[bool] = True
     """Whether a cause is likely to depend on it as it is."""
 
     numbers: tuple[int, ...] = ()
     axis: int = 0
 
-    @abstractmethod
     def exists(self, arm: Arm) -> bool:
         """Whether the arm has it."""
+        return True
 
-    @abstractmethod
     def unit(self, arm: Arm) -> str:
         """SI unit; ``1`` for none."""
+        return self.si
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -153,9 +155,6 @@ class JointSide(_OfJoint):
 
     pattern: ClassVar[str] = r"side_(\d+)"
 
-    def unit(self, arm: Arm) -> str:
-        return "1"
-
     @property
     def inputs(self) -> tuple[str, ...]:
         return ("approach",)
@@ -173,12 +172,10 @@ class LoadSum(OfPosture):
     """Sum of the absolute torques of the turning commanded joints."""
 
     pattern: ClassVar[str] = r"sum_loads"
+    si: ClassVar[str] = "N m"
 
     def exists(self, arm: Arm) -> bool:
         return bool(_turning(arm))
-
-    def unit(self, arm: Arm) -> str:
-        return "N m"
 
     def read(self, posture: Posture) -> Scalar:
         total: Scalar = 0.0
@@ -192,12 +189,7 @@ class Warmth(OfPosture):
     """Temperature above the arm's reference."""
 
     pattern: ClassVar[str] = r"warmth"
-
-    def exists(self, arm: Arm) -> bool:
-        return True
-
-    def unit(self, arm: Arm) -> str:
-        return "K"
+    si: ClassVar[str] = "K"
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -224,10 +216,8 @@ class Moment(_OfRow):
     """Moment of all that is carried at a bearing, about one of its axes."""
 
     pattern: ClassVar[str] = r"moment_(\d+)_([xyz])"
+    si: ClassVar[str] = "N m"
     plain: ClassVar[bool] = False
-
-    def unit(self, arm: Arm) -> str:
-        return "N m"
 
     def read(self, posture: Posture) -> Scalar:
         return posture.moment(self.station(posture))[self.axis]
@@ -240,9 +230,6 @@ class Gravity(_OfRow):
     pattern: ClassVar[str] = r"gravity_(\d+)_([xyz])"
     plain: ClassVar[bool] = False
 
-    def unit(self, arm: Arm) -> str:
-        return "1"
-
     def read(self, posture: Posture) -> Scalar:
         size = float(np.linalg.norm(posture.arm.gravity_mps2))
         return posture.gravity_in(self.station(posture))[self.axis] * (1.0 / max(size, 1e-9))
@@ -253,15 +240,13 @@ class Span(OfPosture):
     """Distance between two bearings; row 0 is the base."""
 
     pattern: ClassVar[str] = r"distance_(\d+)_(\d+)"
+    si: ClassVar[str] = "m"
     resolution: ClassVar[float] = 1e-3  # the tolerance of a row's lengths (`dh_error`)
     plain: ClassVar[bool] = False
 
     def exists(self, arm: Arm) -> bool:
         first, last = self.numbers
         return 0 <= first < last <= len(arm.joints)
-
-    def unit(self, arm: Arm) -> str:
-        return "m"
 
     def read(self, posture: Posture) -> Scalar:
         first, last = (posture.frames[_bearing(posture, row)].p for row in self.numbers)
@@ -275,12 +260,7 @@ class SeenCoordinate(Quantity):
     """A coordinate of the seen point in the base frame."""
 
     pattern: ClassVar[str] = r"seen_([xyz])"
-
-    def exists(self, arm: Arm) -> bool:
-        return True
-
-    def unit(self, arm: Arm) -> str:
-        return "m"
+    si: ClassVar[str] = "m"
 
     def read(self, seen: SeenPoint) -> Scalar:
         """Its value."""
@@ -294,9 +274,6 @@ class Recorded(Quantity):
     pattern: ClassVar[str] = r"[A-Za-z]\w*"
 
     column: str = ""
-
-    def exists(self, arm: Arm) -> bool:
-        return True
 
     def unit(self, arm: Arm) -> str:
         return _UNITS.get(self.column, f"[{self.column}]")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -30,16 +28,6 @@ class SensorPlace(Bias):
     rx: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
     ry: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
     rz: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
-
-    @property
-    def where(self) -> str:
-        """``sensor left``."""
-        return f"sensor {self.sensor}"
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """None: a session's rows say which sensors there are."""
-        return []
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """The point in the sensor's frame, for its own rows."""

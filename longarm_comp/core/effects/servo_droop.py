@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
@@ -52,15 +50,10 @@ class ServoDroop(JointTerm):
     aliases: ClassVar[tuple[str, ...]] = ("joint_compliance",)  # a sag is a compliance
     limit_aliases: ClassVar[tuple[str, ...]] = ("backlash",)  # without sag
 
-    gate: float = form(0.0, lower=0.0, upper=1.0)
+    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
     blend: float = form(BLEND, lower=0.01, upper=0.5)
     sag: float = parameter("rad/(N m)", "proportional droop per torque", prior=4e-3, lower=0.0)
     deadband: float = parameter("rad", "half-width of the deadband", prior=5e-3, lower=0.0)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Each revolute joint, with several gates."""
-        return [(cls(joint=row, gate=gate),) for row in cls.rows(arm) for gate in GATES]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior of the sag: 20 mrad under the arm's typical torque."""

@@ -37,6 +37,7 @@ class ServoQuantisation(JointTerm):
 
     name: ClassVar[str] = "servo_quantisation"
     title: ClassVar[str] = "servo steps"
+    types: ClassVar[tuple[str, ...]] = ("revolute", "prismatic")
     acts: ClassVar[Drive] = "servo"
     action: ClassVar[str] = (
         "Nothing to repair: declare the steps in arm.yaml; finer ones need another servo."
@@ -47,11 +48,6 @@ class ServoQuantisation(JointTerm):
 
     steps_per_turn: float = form(1000)
     step_m: float = form(0.0)
-
-    @classmethod
-    def fits(cls, arm: Arm, row: int) -> bool:
-        """Every commanded joint may have steps."""
-        return True
 
     @classmethod
     def of_step(cls, arm: Arm, row: int, step: float) -> Self:

@@ -44,6 +44,8 @@ class Shape(ABC):
     word: ClassVar[str]
     power: ClassVar[int] = 0
     """Power of the quantity's unit that a value has."""
+    written: ClassVar[str] = "{of}"
+    """The formula, with its fields."""
 
     of: str
     low: float
@@ -65,9 +67,9 @@ class Shape(ABC):
         """Value at x within the range."""
 
     @property
-    @abstractmethod
     def formula(self) -> str:
         """For people."""
+        return self.written.format(**vars(self))
 
     @property
     def text(self) -> str:
@@ -106,24 +108,17 @@ class Linear(Shape):
     def value(self, x: Scalar) -> Scalar:
         return x
 
-    @property
-    def formula(self) -> str:
-        return self.of
-
 
 @dataclass(frozen=True)
 class Square(Shape):
     """x^2."""
 
     word: ClassVar[str] = "square"
+    written: ClassVar[str] = "{of}^2"
     power: ClassVar[int] = 2
 
     def value(self, x: Scalar) -> Scalar:
         return x * x
-
-    @property
-    def formula(self) -> str:
-        return f"{self.of}^2"
 
 
 @dataclass(frozen=True)
@@ -131,14 +126,11 @@ class SignedSquare(Shape):
     """x |x|."""
 
     word: ClassVar[str] = "signed_square"
+    written: ClassVar[str] = "{of} |{of}|"
     power: ClassVar[int] = 2
 
     def value(self, x: Scalar) -> Scalar:
         return x * spatial.absolute(x)
-
-    @property
-    def formula(self) -> str:
-        return f"{self.of} |{self.of}|"
 
 
 @dataclass(frozen=True)
@@ -146,6 +138,7 @@ class Legendre(Shape):
     """Legendre polynomial over the range."""
 
     word: ClassVar[str] = "legendre"
+    written: ClassVar[str] = "P{order:g}({of})"
 
     order: float = 1.0
 
@@ -159,10 +152,6 @@ class Legendre(Shape):
     def check(self) -> None:
         if self.order not in range(1, MOST_ORDER + 1):
             raise FunctionError(f"{self.word}: order {self.order:g}", f"1, 2, ..., {MOST_ORDER}")
-
-    @property
-    def formula(self) -> str:
-        return f"P{self.order:g}({self.of})"
 
 
 MOST_TURN = 1000.0
@@ -217,6 +206,7 @@ class Switch(Threshold):
     """-1 below the threshold, +1 above it, a ramp within `half` of it."""
 
     word: ClassVar[str] = "switch"
+    written: ClassVar[str] = "sign({of} - {threshold:.4g})"
 
     half: float = 1.0
 
@@ -229,24 +219,17 @@ class Switch(Threshold):
         if not self.half > 1e-9:
             raise FunctionError(f"{self.word}: half {self.half}", "above 1e-9")
 
-    @property
-    def formula(self) -> str:
-        return f"sign({self.of} - {self.threshold:.4g})"
-
 
 @dataclass(frozen=True)
 class Above(Threshold):
     """How far the quantity is above the threshold, else 0: a contact, a taut cable."""
 
     word: ClassVar[str] = "above"
+    written: ClassVar[str] = "max(0, {of} - {threshold:.4g})"
     power: ClassVar[int] = 1
 
     def value(self, x: Scalar) -> Scalar:
         return spatial.maximum(x - self.threshold, 0.0)
-
-    @property
-    def formula(self) -> str:
-        return f"max(0, {self.of} - {self.threshold:.4g})"
 
 
 @dataclass(frozen=True)
@@ -254,28 +237,15 @@ class Below(Threshold):
     """How far the quantity is below the threshold, else 0."""
 
     word: ClassVar[str] = "below"
+    written: ClassVar[str] = "max(0, {threshold:.4g} - {of})"
     power: ClassVar[int] = 1
 
     def value(self, x: Scalar) -> Scalar:
         return spatial.maximum(self.threshold - x, 0.0)
 
-    @property
-    def formula(self) -> str:
-        return f"max(0, {self.threshold:.4g} - {self.of})"
-
 
 SHAPES: dict[str, type[Shape]] = {
     kind.word: kind
-    for kind in (
-        Linear,
-        Square,
-        SignedSquare,
-        Legendre,
-        Cosine,
-        Sine,
-        Switch,
-        Above,
-        Below,
-    )
+    for kind in (Linear, Square, SignedSquare, Legendre, Cosine, Sine, Switch, Above, Below)
 }
 """Shapes by the word that stands for them in a model file."""

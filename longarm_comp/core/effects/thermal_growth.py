@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist, add_twists
 from longarm_comp.core.effects.effect import Effect, parameter
@@ -24,11 +21,6 @@ class ThermalGrowth(Effect):
     needs: ClassVar[tuple[str, ...]] = ("temperature_c",)
 
     expansion: float = parameter("1/K", "expansion coefficient of the links", prior=1e-4)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """One coefficient for the whole arm."""
-        return [(cls(),)]
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Translation along every row's a and d, in proportion to their length."""

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
-
-from typing_extensions import Self
+from typing import Any, ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
@@ -28,9 +26,9 @@ class ThermalSoftening(Effect):
     softening: float = parameter("1/K", "extra sag over the declared one, per kelvin", prior=0.01)
 
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
         """All beams together."""
-        return [(cls(),)] if arm.links else []
+        return [{}] if arm.links else []
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The declared cantilever twist times the extra share."""

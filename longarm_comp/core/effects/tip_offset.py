@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
-
-from typing_extensions import Self
+from typing import Any, ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import three
@@ -39,9 +37,9 @@ class TipOffset(Effect):
         return f"marker {self.marker}" if self.marker else "tip"
 
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
         """Every declared marker, or the tip."""
-        return [tuple(cls(marker=name) for name in arm.markers) or (cls(),)]
+        return [{"marker": name} for name in arm.markers or [""]]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Unknown, or with the priors of the declared tolerance."""

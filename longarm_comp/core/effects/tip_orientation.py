@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
-
-from typing_extensions import Self
+from typing import Any, ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -40,9 +39,9 @@ class TipOrientation(Bias):
         return f"{what} seen by {self.sensor}" if self.sensor else what
 
     @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
         """Every declared marker, or the tip."""
-        return [tuple(cls(marker=name) for name in arm.markers) or (cls(),)]
+        return [{"marker": name} for name in arm.markers or [""]]
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """The point as it is."""

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Lumped, Posture
 from longarm_comp.core.arm.spatial import Twist
@@ -24,20 +22,11 @@ class TipPayload(Effect):
 
     name: ClassVar[str] = "tip_payload"
     title: ClassVar[str] = "load at the tip"
+    whole: ClassVar[str] = "tip"
     action: ClassVar[str] = "Weigh what the tip carries and declare it in arm.yaml."
     loaded: ClassVar[bool] = True
 
     mass: float = parameter("kg", "mass beyond the declared payload", prior=0.1)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """One payload."""
-        return [(cls(),)]
-
-    @property
-    def where(self) -> str:
-        """``tip``."""
-        return "tip"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: a tenth of the arm's weight; the carried mass cannot become negative."""

@@ -6,8 +6,6 @@ import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -39,11 +37,6 @@ class TouchBeside(Bias):
     ry: float = parameter("rad", "direction of the point", 0.05, unknown=True)
     rz: float = parameter("rad", "direction of the point", 0.05, unknown=True)
     stretch: float = parameter("m", "error of the known distance", 1e-4)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """None: a session's rows say which points were touched."""
-        return []
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The distance is known to its tolerance."""

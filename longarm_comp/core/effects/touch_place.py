@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from typing_extensions import Self
-
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -33,11 +31,6 @@ class TouchPlace(Bias):
     x: float = parameter("m", "place of the point", 0.05, unknown=True)
     y: float = parameter("m", "place of the point", 0.05, unknown=True)
     z: float = parameter("m", "place of the point", 0.05, unknown=True)
-
-    @classmethod
-    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """None: a session's rows say which points were touched."""
-        return []
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """The tip less the point, for the rows that touched it or a point that it carries."""
