@@ -26,7 +26,8 @@ from longarm_comp.core.identify.findings import Rival
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.practical import practical
 from longarm_comp.core.identify.structure import SIGNIFICANT
-from longarm_comp.report import Detail, assemble, cards, record, tables, verdict
+from longarm_comp.report import Detail, assemble, cards, record, verdict
+from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.open_questions import open_questions
 from longarm_comp.report.page import page as rendered
 from longarm_comp.report.words import DASH
@@ -337,11 +338,11 @@ def test_the_floor_leaves_room_for_structure(told: list[Told]) -> None:
     """Noise and structure add up to no more than the RMS of the model that leaves it."""
     shown = 0
     for report, _ in told:
-        floor, left = tables.floor_of(report), report.structure_left
+        floor, left = floor_of(report), report.structure_left
         if floor is not None and left.flag:
             assert report.written is not None
             used = next(row for row in report.held_out.rows if row.model == report.written.model)
-            together = sqrt(floor.figures.rms**2 + (left.size_mm or 0.0) ** 2)
+            together = sqrt(floor.figures["rms_mm"] ** 2 + (left.size_mm or 0.0) ** 2)
             assert together <= used.rms_mm + 1e-9
             shown += floor.limited
     assert shown > 5

@@ -20,7 +20,7 @@ from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.drawing import SPLITS, detail
-from longarm_comp.report.noise_floor import ErrorFigures, NoiseFloor, excess, noise_floor
+from longarm_comp.report.noise_floor import excess, noise_floor
 from longarm_comp.report.record import SCHEMA
 from longarm_comp.version import __version__
 
@@ -249,23 +249,19 @@ def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
 
 def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
     """Figures of all stages, and what was gained, as seen and as commanded."""
-    rows = diagnosis.rows
+    rows = {n: _error_row(n, e, diagnosis.commanded[n]) for n, e in diagnosis.rows.items()}
     floor = None
     if sigma is not None:
-        left = (rows[diagnosis.written].rms, diagnosis.structure.size_m)
-        figures = [_figures(errors) for errors in rows.values()]
-        flagged = left if diagnosis.structure.flag else None
-        floor = noise_floor(tuple(map(float, sigma)), len(diagnosis.held_out), figures, flagged)
+        left = 1e3 * diagnosis.structure.size_m if diagnosis.structure.flag else 0.0
+        sigma_mm = [1e3 * float(s) for s in sigma]
+        floor = noise_floor(sigma_mm, len(diagnosis.held_out), rows, diagnosis.written, left)
     before, after = diagnosis.compared
     added = after != "calibrated"
     intervals = (diagnosis.seen_gain.ci95, diagnosis.commanded_gain.ci95)
     seen, commanded = ([1e3 * g for g in gain] if added else None for gain in intervals)
     return {
         "n": len(diagnosis.held_out),
-        "rows": [
-            _error_row(name, errors, diagnosis.commanded[name], floor)
-            for name, errors in rows.items()
-        ],
+        "rows": [row | {"excess_mm": excess(row["rms_mm"], floor)} for row in rows.values()],
         "before": before,
         "after": after,
         "before_after_ci95_mm": seen,
@@ -274,15 +270,7 @@ def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
     }
 
 
-def _figures(errors: Errors) -> ErrorFigures:
-    return ErrorFigures(
-        errors.mean, errors.rms, errors.p95, errors.max, errors.mean_abs_z, errors.variance
-    )
-
-
-def _error_row(
-    name: str, errors: Errors, commanded: np.ndarray, floor: NoiseFloor | None
-) -> dict[str, Any]:
+def _error_row(name: str, errors: Errors, commanded: np.ndarray) -> dict[str, Any]:
     return {
         "model": name,
         "mean_mm": 1e3 * errors.mean,
@@ -292,7 +280,6 @@ def _error_row(
         "max_mm": 1e3 * errors.max,
         "mean_abs_z_mm": 1e3 * errors.mean_abs_z,
         "variance_mm2": 1e6 * errors.variance,
-        "excess_mm": 1e3 * excess(errors.rms, floor),
         "mean_mrad": None if errors.angle is None else 1e3 * errors.angle,
     }
 

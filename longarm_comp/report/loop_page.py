@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.report.at_the_tip import at_the_tip
 from longarm_comp.report.style import rc, svg
-from longarm_comp.report.template import template
+from longarm_comp.report.template import beside, data_uri, template
 
 
 def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
@@ -22,8 +20,5 @@ def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
         errors: by name of the run, (N, 3) tip - target, m.
     """
     with rc():
-        picture = base64.b64encode(svg(at_the_tip(errors))).decode()
-    style = files("longarm_comp.report").joinpath("templates/report.css").read_text("utf-8")
-    return template("loop.html.j2").render(
-        loop=data, picture=f"data:image/svg+xml;base64,{picture}", style=style
-    )
+        picture = data_uri(svg(at_the_tip(errors)))
+    return template("loop.html.j2").render(loop=data, picture=picture, style=beside("report.css"))

@@ -7,7 +7,7 @@ subtracted is limited to what the errors leave room for.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
@@ -15,17 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
+from longarm_comp.report.record import DiagnosisReport
 
-@dataclass(frozen=True)
-class ErrorFigures:
-    """Errors of 3-D lengths and of axes, in one unit and its square."""
-
-    mean: float
-    rms: float
-    p95: float
-    max: float
-    mean_abs_z: float
-    variance: float
+Figures = Mapping[str, float]
+"""Errors of 3-D lengths and of axes, mm and mm^2, by the names of report.json's error rows."""
 
 
 @dataclass(frozen=True)
@@ -33,60 +26,64 @@ class NoiseFloor:
     """What noise alone would show.
 
     Attributes:
-        sigma: (3,) standard deviation per axis; the estimate, or less.
+        sigma_mm: (3,) standard deviation per axis; the estimate, or less.
         limited: whether it is less, as the errors leave room for so much at most.
         figures: of n rows of it, with the mean sigma for all axes; max is the median of the
             largest, or the smallest largest error of a model.
     """
 
-    sigma: tuple[float, float, float]
+    sigma_mm: tuple[float, float, float]
     limited: bool
-    figures: ErrorFigures
+    figures: Figures
+
+
+def floor_of(report: DiagnosisReport) -> NoiseFloor | None:
+    """The floor of a report; None where no noise is known, or the errors leave no room for it."""
+    held, left = report.held_out, report.structure_left
+    if report.noise.sigma_mm is None or not held.n:
+        return None
+    written = "calibrated" if report.written is None else report.written.model
+    size = left.size_mm or 0.0 if left.flag else 0.0
+    rows = {row.model: row.model_dump() for row in held.rows}
+    return noise_floor(report.noise.sigma_mm, held.n, rows, written, size)
 
 
 def noise_floor(
-    sigma: Sequence[float],
-    n: int,
-    rows: Iterable[ErrorFigures],
-    structure: tuple[float, float] | None = None,
+    sigma_mm: Sequence[float], n: int, rows: Mapping[str, Figures], written: str, structure: float
 ) -> NoiseFloor | None:
     """The floor; None where the errors leave no room for noise of that kind.
 
     Args:
-        sigma: (3,) estimated noise per axis.
+        sigma_mm: (3,) estimated noise per axis.
         n: number of held-out rows.
-        rows: figures of every model on them.
-        structure: RMS of the model in use and of the structure that it leaves, where it does.
+        rows: figures of every model on them, by its name.
+        written: name of the model in use.
+        structure: RMS of the structure that it leaves, mm; 0 where it leaves none.
     """
-    whole, models = _gaussian(sigma, n), list(rows)
-    if not whole.rms:
+    whole = _gaussian(sigma_mm, n)
+    if not whole["rms_mm"]:
         return None
     ratios = [
-        found / full
-        for row in models
-        for found, full in (
-            (row.mean, whole.mean),
-            (row.rms, whole.rms),
-            (row.p95, whole.p95),
-            (row.mean_abs_z, whole.mean_abs_z or np.inf),
-            (sqrt(row.variance), sqrt(whole.variance)),
-        )
-        if np.isfinite(full)
+        sqrt(row[name] / full) if name == "variance_mm2" else row[name] / full
+        for row in rows.values()
+        for name, full in whole.items()
+        if name != "max_mm" and full
     ]
-    if structure is not None:
-        ratios.append(sqrt(max(0.0, structure[0] ** 2 - structure[1] ** 2)) / whole.rms)
+    if structure and written in rows:
+        room = rows[written]["rms_mm"] ** 2 - structure**2
+        ratios.append(sqrt(max(0.0, room)) / whole["rms_mm"])
     share = min(1.0, *ratios) if ratios else 1.0
     # Where less of the estimate than this share has room, the noise is not known
     if share < 0.05:
         return None
-    kept = tuple(share * s for s in sigma)
-    figures = _gaussian(kept, n, min((row.max for row in models), default=np.inf))
-    return NoiseFloor((kept[0], kept[1], kept[2]), share < 1.0, figures)
+    x, y, z = (share * s for s in sigma_mm)
+    figures = _gaussian((x, y, z), n, min((row["max_mm"] for row in rows.values()), default=np.inf))
+    return NoiseFloor((x, y, z), share < 1.0, figures)
 
 
-def excess(rms: float, floor: NoiseFloor | None) -> float:
-    """RMS beyond the noise."""
-    return sqrt(max(0.0, rms**2 - (0.0 if floor is None else floor.figures.rms**2)))
+def excess(rms_mm: float, floor: NoiseFloor | None) -> float:
+    """RMS beyond the noise, mm."""
+    return sqrt(max(0.0, rms_mm**2 - (0.0 if floor is None else floor.figures["rms_mm"] ** 2)))
 
 
 def normal_length(share: ArrayLike) -> np.ndarray:
@@ -94,15 +91,15 @@ def normal_length(share: ArrayLike) -> np.ndarray:
     return np.asarray(np.sqrt(2.0 * gammaincinv(1.5, share)))
 
 
-def _gaussian(sigma: Sequence[float], n: int, longest: float = np.inf) -> ErrorFigures:
-    variance = float(np.mean(np.square(sigma)))
+def _gaussian(sigma_mm: Sequence[float], n: int, longest: float = np.inf) -> dict[str, float]:
+    variance = float(np.mean(np.square(sigma_mm)))
     scale = sqrt(variance) or 1.0
     largest = scale * float(normal_length(0.5 ** (1 / max(n, 1))))
-    return ErrorFigures(
-        scale * sqrt(8 / np.pi),
-        sqrt(3 * variance),
-        scale * float(normal_length(0.95)),
-        min(largest, longest),
-        sigma[2] * sqrt(2 / np.pi),
-        variance,
-    )
+    return {
+        "mean_mm": scale * sqrt(8 / np.pi),
+        "rms_mm": sqrt(3 * variance),
+        "p95_mm": scale * float(normal_length(0.95)),
+        "max_mm": min(largest, longest),
+        "mean_abs_z_mm": sigma_mm[2] * sqrt(2 / np.pi),
+        "variance_mm2": variance,
+    }

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Mapping
-from importlib.resources import files
 
 from plotly.offline import get_plotlyjs
 
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, tables, verdict, words
 from longarm_comp.report.detail import Detail
+from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.open_questions import open_questions
 from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.report.scene import MOST, exaggeration, scene_json, stages_of
-from longarm_comp.report.style import LOOKS
-from longarm_comp.report.template import template
+from longarm_comp.report.style import FLOOR, LOOKS
+from longarm_comp.report.template import beside, data_uri, template
 
 _FEW = 20
 """Number of candidates shown; the others are folded."""
@@ -31,7 +30,9 @@ def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) ->
         plots: name -> SVG of the still figures.
     """
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
-    candidates = tables.candidate_lines(report)
+    candidates = tables.best_first(report)
+    stages = stages_of(rows) if rows else ()
+    shown = detail.before if detail.before in stages else next(iter(stages), "")
     return template("report.html.j2").render(
         report=report,
         detail=detail,
@@ -47,14 +48,16 @@ def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) ->
         more_candidates=candidates[_FEW:],
         looks=LOOKS,
         against=against,
-        stages=stages_of(rows) if rows else (),
-        shown=_shown(detail, stages_of(rows) if rows else ()),
+        stages=stages,
+        shown=shown,
+        floor=floor_of(report),
+        floor_label=FLOOR,
         most=MOST,
-        plots={name: _data_uri(content) for name, content in plots.items()},
+        plots={name: data_uri(content) for name, content in plots.items()},
         still_times=exaggeration(rows, still_stages(detail)) if rows else 1.0,
-        scene=scene_json(rows, _shown(detail, stages_of(rows))) if rows else None,
-        style=_own("report.css"),
-        script=_own("report.js"),
+        scene=scene_json(rows, shown) if rows else None,
+        style=beside("report.css"),
+        script=beside("report.js"),
         plotly=get_plotlyjs().replace("</script", "<\\/script") if rows else None,
     )
 
@@ -77,15 +80,3 @@ def place_name(number: int) -> str:
 def against(name: str) -> str:
     """The name of the figure of the errors over an input; a column may be called anything."""
     return "against_" + re.sub(r"\W", "_", name)
-
-
-def _shown(detail: Detail, stages: tuple[str, ...]) -> str:
-    return detail.before if detail.before in stages else next(iter(stages), "")
-
-
-def _own(name: str) -> str:
-    return files("longarm_comp.report").joinpath("templates").joinpath(name).read_text("utf-8")
-
-
-def _data_uri(svg: bytes) -> str:
-    return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from longarm_comp.report.detail import Correlation, Input, Marked, SeenRows
+from longarm_comp.report.record import ReportCandidate
 from longarm_comp.report.scene import arrows, exaggeration, points_of
 from longarm_comp.report.style import GRID, INK, LOOKS, SKY, VERMILLION
 
@@ -147,13 +148,16 @@ def correlations(entry: Correlation) -> Figure:
     return drawn
 
 
-def scores(labels: list[str], values: list[float], accepted: list[bool]) -> Figure:
+def scores(best: Sequence[ReportCandidate]) -> Figure:
     """Log Bayes factors as bars, best first; hatched: accepted."""
-    drawn = Figure(figsize=(9, 0.8 + 0.24 * len(labels)), layout="constrained")
+    drawn = Figure(figsize=(9, 0.8 + 0.24 * len(best)), layout="constrained")
     axes = drawn.subplots()
+    labels = [f"{one.effect}, {one.where}" for one in best]
+    values = [one.log_bayes_factor for one in best]
     bars = axes.barh(range(len(labels)), values, color="white", edgecolor=INK, linewidth=0.8)
-    for bar, chosen in zip(bars, accepted, strict=True):
-        bar.set(facecolor=SKY if chosen else "white", hatch="//" if chosen else "")
+    for bar, one in zip(bars, best, strict=True):
+        if one.state == "accepted":
+            bar.set(facecolor=SKY, hatch="//")
     axes.set_yticks(range(len(labels)), labels, fontsize=8)
     axes.invert_yaxis()
     axes.axvline(0, color=INK, linewidth=0.8)

@@ -31,6 +31,11 @@ def millimetres(value: float) -> str:
     return f"{value:.2f} mm" if abs(value) < 100 else f"{value:.0f} mm"
 
 
+def to_three_places(value: float | None) -> str:
+    """A length in mm of a table; a dash for None."""
+    return DASH if value is None else f"{value:.3f}" if value < 100 else f"{value:.1f}"
+
+
 def odds(log_bayes_factor: float) -> str:
     """A log Bayes factor as odds."""
     power = abs(log_bayes_factor) / np.log(10)

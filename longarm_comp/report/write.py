@@ -9,11 +9,13 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from longarm_comp.core.files import atomic_path, write_text
-from longarm_comp.report import plots, record, style, tables
+from longarm_comp.report import plots, record, style
 from longarm_comp.report.at_the_tip import at_the_tip
 from longarm_comp.report.detail import Detail
+from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.page import against, page, place_name, still_stages
 from longarm_comp.report.scene import stages_of
+from longarm_comp.report.tables import best_first
 
 
 def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLike[str]) -> Path:
@@ -48,8 +50,8 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
     """Name -> SVG of every still figure that this diagnosis has."""
     figures: dict[str, Figure] = {}
     rows = detail.held_out
-    floor = tables.floor_of(report)
-    sigma_mm = None if floor is None else floor.sigma
+    floor = floor_of(report)
+    sigma_mm = None if floor is None else floor.sigma_mm
     with style.rc():
         for number, found in enumerate(detail.marked, 1):
             figures[place_name(number)] = plots.place(found)
@@ -70,12 +72,7 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
                     )
         if detail.correlation is not None and detail.correlation.matrix.size:
             figures["correlation"] = plots.correlations(detail.correlation)
-        scored = [line for line in tables.candidate_lines(report) if line.score is not None]
+        scored = [one for one in best_first(report) if one.log_bayes_factor is not None]
         if scored:
-            best = scored[:15]
-            figures["scores"] = plots.scores(
-                [f"{line.effect}, {line.where}" for line in best],
-                [line.score or 0.0 for line in best],
-                [line.state == "accepted" for line in best],
-            )
+            figures["scores"] = plots.scores(scored[:15])
         return {name: style.svg(figure) for name, figure in figures.items()}
