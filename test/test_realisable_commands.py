@@ -323,7 +323,14 @@ def test_a_line_of_commands_csv_has_what_was_settled_on(model: Model, joints: np
     )  # fmt: skip
     chosen = arrival.outcome.realisable
     assert chosen is not None
+    names = [f"q{j}" for j in range(1, model.arm.n + 1)]
     (line,) = Commands(np.array([4]), (arrival,)).lines()
-    np.testing.assert_array_equal(line.q, arrival.outcome.command)
-    np.testing.assert_array_equal(line.ideal, chosen.ideal)
+    assert list(line) == [
+        *("index", "status", "reason", *names, "target_x", "target_y", "target_z"),
+        *("predicted_error_x", "predicted_error_y", "predicted_error_z", "sigma_mm", "passes"),
+        *("expected_mm", "p90_mm", "frame"),
+        *(f"{what}_{name}" for what in ("approach", "run_up", "ideal") for name in names),
+    ]
+    np.testing.assert_array_equal([line[name] for name in names], arrival.outcome.command)
+    np.testing.assert_array_equal([line[f"ideal_{name}"] for name in names], chosen.ideal)
     assert np.abs(chosen.ideal - arrival.outcome.ideal).max() > 1e-4  # learned error is in it

@@ -18,7 +18,7 @@ from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv, write_csv
-from longarm_comp.sessions.targets import Command, Targets, read_targets, write_commands
+from longarm_comp.sessions.targets import Targets, read_targets
 from studies.real_sessions import declared
 
 HEADER = "index,approach,q1,q2,q3,q4,x,y,z"
@@ -323,22 +323,3 @@ def test_bad_targets(lines: tuple[str, ...], words: str, tmp_path: Path) -> None
 def test_bad_target_on_the_command_line(numbers: list[float]) -> None:
     with pytest.raises(InputError, match="target"):
         Targets.one(numbers)
-
-
-def test_commands_file_has_the_agreed_columns(tmp_path: Path) -> None:
-    good = Command(
-        0, "success", "", np.array([0.1, 0.2]), np.ones(3), np.array([0, 0.001, -0.002]), 5e-4, 2
-    )
-    bad = Command(1, "unreachable", "too far, by 1 m", None, np.array([9.0, 0, 0]))
-    write_commands(tmp_path / "c.csv", 2, [good, bad])
-    with (tmp_path / "c.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert ",".join(rows[0]) == (
-        "index,status,reason,q1,q2,target_x,target_y,target_z,predicted_error_x,"
-        "predicted_error_y,predicted_error_z,sigma_mm,passes,expected_mm,p90_mm,frame,"
-        "approach_q1,approach_q2,run_up_q1,run_up_q2,ideal_q1,ideal_q2"
-    )
-    assert float(rows[0]["q2"]) == 0.2
-    assert float(rows[0]["sigma_mm"]) == 0.5
-    assert rows[1]["reason"] == "too far, by 1 m"
-    assert rows[1]["q1"] == rows[1]["predicted_error_x"] == rows[1]["sigma_mm"] == ""

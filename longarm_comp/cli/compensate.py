@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.sessions.targets import Command
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -144,14 +143,14 @@ def command(
     if as_json:
         placed = {"frames": answers.frames}
         print_json({"output": str(output), "method": chosen.value, **placed, "commands": rows})
-    elif len(rows) == 1 and commands[0].q is not None:
+    elif len(rows) == 1 and commands[0]["q1"] is not None:
         print_rows(f"Command (in {output})", rows)
     for text in answers.frames:
         note(text)
-    failed = [c for c in commands if c.q is None]
+    failed = [c for c in commands if c["q1"] is None]
     if failed:
         raise JobError(
-            f"target {failed[0].index}: {failed[0].status}: {failed[0].reason}",
+            "target {index}: {status}: {reason}".format_map(failed[0]),
             failed=f"{len(failed)} of {len(commands)}",
         )
     note(f"{len(commands)} commands in {output}{answers.promise}")
@@ -177,18 +176,13 @@ def _joints(text: str, arm: Arm) -> np.ndarray:
     return q
 
 
-def _row(c: Command, n: int) -> dict[str, object]:
-    q = [None] * n if c.q is None else list(c.q)
+def _row(line: dict[str, Any], n: int) -> dict[str, object]:
+    """What is printed of a line of commands.csv."""
+    names = ("index", "status", "frame", *(["reason"] if line["reason"] else []))
+    run_up = [line[f"run_up_q{j}"] for j in range(1, n + 1)]
+    figures = ("sigma_mm", "expected_mm", "p90_mm", "passes")
     return {
-        "index": c.index,
-        "status": c.status,
-        "frame": c.frame,
-        **({"reason": c.reason} if c.reason else {}),
-        **{f"q{j}": value for j, value in enumerate(q, 1)},
-        **({} if c.run_up is None else {"run_up": list(c.run_up)}),
-        **{
-            f"{name}_mm": None if value is None else 1e3 * value
-            for name, value in (("sigma", c.sigma_m), ("expected", c.expected_m), ("p90", c.p90_m))
-        },
-        "passes": c.passes,
+        **{name: line[name] for name in (*names, *(f"q{j}" for j in range(1, n + 1)))},
+        **({} if None in run_up else {"run_up": run_up}),
+        **{name: line[name] for name in figures},
     }

@@ -5,12 +5,33 @@ from __future__ import annotations
 import numpy as np
 
 
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) that is nearest to a matrix: its orthogonal part, never a mirror."""
+    u, _, vt = np.linalg.svd(matrix)
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
+
+
 def kabsch(
     points: np.ndarray, seen: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rotation (3, 3) and offset (3,) of (N, 3) points to sightings, weighted (Kabsch 1976)."""
     share = (weights / weights.sum())[:, None]
     a, b = (share * points).sum(0), (share * seen).sum(0)
-    u, _, vt = np.linalg.svd((share * (seen - b)).T @ (points - a))
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    rotation = nearest_rotation((share * (seen - b)).T @ (points - a))
     return rotation, b - rotation @ a
+
+
+def robust_weights(distance: np.ndarray) -> np.ndarray:
+    """(N,) 1 for the closer half of N distances, falling with the square of the distance beyond."""
+    return 1.0 / np.maximum(1.0, distance / max(float(np.median(distance)), 1e-12)) ** 2
+
+
+def robust_kabsch(
+    points: np.ndarray, seen: np.ndarray, rounds: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `kabsch`, the rows weighed again by `robust_weights` after each of so many rounds."""
+    weights = np.ones(len(points))
+    for _ in range(rounds):
+        rotation, offset = kabsch(points, seen, weights)
+        weights = robust_weights(np.linalg.norm(seen - points @ rotation.T - offset, axis=1))
+    return rotation, offset

@@ -20,7 +20,7 @@ from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.drawing import SPLITS, detail
-from longarm_comp.report.noise_floor import excess, noise_floor
+from longarm_comp.report.noise_floor import FIGURES, excess, noise_floor
 from longarm_comp.report.record import SCHEMA
 from longarm_comp.version import __version__
 
@@ -273,13 +273,8 @@ def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
 def _error_row(name: str, errors: Errors, commanded: np.ndarray) -> dict[str, Any]:
     return {
         "model": name,
-        "mean_mm": 1e3 * errors.mean,
+        **{name: errors.mm[name] for name in FIGURES},
         "commanded_mean_mm": 1e3 * float(np.linalg.norm(commanded, axis=1).mean()),
-        "rms_mm": 1e3 * errors.rms,
-        "p95_mm": 1e3 * errors.p95,
-        "max_mm": 1e3 * errors.max,
-        "mean_abs_z_mm": 1e3 * errors.mean_abs_z,
-        "variance_mm2": 1e6 * errors.variance,
         "mean_mrad": None if errors.angle is None else 1e3 * errors.angle,
     }
 

@@ -17,8 +17,9 @@ from scipy.special import gammaincinv
 
 from longarm_comp.report.record import DiagnosisReport
 
+FIGURES = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
+"""Errors of 3-D lengths and of axes, mm and mm^2, as report.json's error rows name them."""
 Figures = Mapping[str, float]
-"""Errors of 3-D lengths and of axes, mm and mm^2, by the names of report.json's error rows."""
 
 
 @dataclass(frozen=True)
@@ -95,11 +96,6 @@ def _gaussian(sigma_mm: Sequence[float], n: int, longest: float = np.inf) -> dic
     variance = float(np.mean(np.square(sigma_mm)))
     scale = sqrt(variance) or 1.0
     largest = scale * float(normal_length(0.5 ** (1 / max(n, 1))))
-    return {
-        "mean_mm": scale * sqrt(8 / np.pi),
-        "rms_mm": sqrt(3 * variance),
-        "p95_mm": scale * float(normal_length(0.95)),
-        "max_mm": min(largest, longest),
-        "mean_abs_z_mm": sigma_mm[2] * sqrt(2 / np.pi),
-        "variance_mm2": variance,
-    }
+    lengths = (scale * sqrt(8 / np.pi), sqrt(3 * variance), scale * float(normal_length(0.95)))
+    along_z = sigma_mm[2] * sqrt(2 / np.pi)
+    return dict(zip(FIGURES, (*lengths, min(largest, longest), along_z, variance), strict=True))

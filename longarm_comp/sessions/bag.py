@@ -20,7 +20,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
 from longarm_comp.core.arm.arm import Arm
@@ -122,10 +121,6 @@ def open_bag(path: str | Path) -> Iterator[Reader]:
         reader.close()
 
 
-def _name(connection: Connection) -> str:
-    return connection.topic.rpartition("/")[2]
-
-
 def _broken(where: str, error: Exception) -> InputError:
     said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     return InputError(where, "bag", said, "a complete rosbag2 (mcap or sqlite3)")
@@ -146,7 +141,7 @@ def _read_messages(
     if not chosen:
         topics = ", ".join(sorted({c.topic for c in reader.connections})) or "no topic"
         raise InputError(where, "topics", topics, ", ".join(TYPES))
-    has_rows = any(_name(c) == "session_row" and c.msgcount for c in chosen.values())
+    has_rows = any(_last(c.topic) == "session_row" and c.msgcount for c in chosen.values())
     buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
     raw = reader.messages(connections=list(chosen.values()))
     recorded = ((c.topic, c.msgtype, stamp, data) for c, stamp, data in raw)
@@ -155,7 +150,7 @@ def _read_messages(
 
 def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
     """The rows of messages of one namespace that are not in a bag yet, as `read_bag` reads them."""
-    known = [m for m in messages if TYPES.get(m[0].rpartition("/")[2]) == m[1]]
+    known = [m for m in messages if TYPES.get(_last(m[0])) == m[1]]
     begin = min((received for _, _, received, _ in known), default=0)
     return _rows(known, MessageBuffer(arm, "recording", begin, every_command=True)).session()
 
@@ -179,7 +174,7 @@ def _decoded(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tupl
     decoders["joint_states"] = JointStates(arm.joint_names, types)
     try:
         for topic, _, stamp, raw in messages:
-            name = topic.rpartition("/")[2]
+            name = _last(topic)
             yield name, stamp, decoders[name](raw)
     except Exception as error:  # as in open_bag; what the caller raises does not come here
         raise _broken(where, error) from error

@@ -23,6 +23,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.sessions.message_buffer import TYPES
 from longarm_comp.sessions.message_types import message_types, offered
 from longarm_comp.sessions.touches import write_touches
 
@@ -90,81 +91,59 @@ class _Recorder:
             self._sighting(int(stamp), session, i)
             self._row(int(stamp) + dwell // 2, session, i)
 
-    def _put(self, topic: str, kind: str, stamp: int, message: Any) -> None:
+    def _put(self, topic: str, stamp: int, **fields: Any) -> None:
+        """Write a message; a mapping is a message in it, by the type that its field has."""
+        kind = TYPES[topic]
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
                 self._prefix + topic, kind, typestore=self._types,
                 offered_qos_profiles=[offered()],
             )  # fmt: skip
-        data = self._types.serialize_cdr(message, kind)
+        data = self._types.serialize_cdr(self._made(kind, fields), kind)
         self._writer.write(self._connections[topic], stamp, data)
 
-    def _make(self, kind: str, **fields: Any) -> Any:
-        return self._types.types[kind](**fields)
-
-    def _header(self, stamp: int, frame: str) -> Any:
-        seconds, rest = divmod(stamp, 10**9)
-        time = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
-        return self._make("std_msgs/msg/Header", stamp=time, frame_id=frame)
+    def _made(self, kind: str, fields: dict[str, Any]) -> Any:
+        inner = {name: told[1] for name, told in self._types.get_msgdef(kind).fields}
+        made = {k: self._made(inner[k], v) if isinstance(v, dict) else v for k, v in fields.items()}
+        return self._types.types[kind](**made)
 
     def _command(self, stamp: int, path: list[np.ndarray]) -> None:
         empty = np.array([])
-        points = []
-        for k, positions in enumerate(path):
-            after = self._make("builtin_interfaces/msg/Duration", sec=k, nanosec=0)
-            points.append(
-                self._make(
-                    "trajectory_msgs/msg/JointTrajectoryPoint",
-                    positions=np.array(positions),
-                    velocities=empty,
-                    accelerations=empty,
-                    effort=empty,
-                    time_from_start=after,
-                )
+        points = [
+            self._made(
+                "trajectory_msgs/msg/JointTrajectoryPoint",
+                {"positions": np.array(positions), "velocities": empty, "accelerations": empty,
+                 "effort": empty, "time_from_start": {"sec": k, "nanosec": 0}},
             )
-        kind = "trajectory_msgs/msg/JointTrajectory"
-        message = self._make(
-            kind,
-            header=self._header(stamp, "base"),
-            joint_names=list(self._arm.joint_names),
-            points=points,
+            for k, positions in enumerate(path)
+        ]  # fmt: skip
+        names = list(self._arm.joint_names)
+        self._put(
+            "joint_trajectory", stamp, header=_header(stamp), joint_names=names, points=points
         )
-        self._put("joint_trajectory", kind, stamp, message)
 
     def _circumstances(self, stamp: int, session: Session, i: int) -> None:
         if session.temperature_c is not None:
-            kind = "sensor_msgs/msg/Temperature"
             value = float(session.temperature_c[i])
-            header = self._header(stamp, "base")
-            message = self._make(kind, header=header, temperature=value, variance=0.0)
-            self._put("temperature", kind, stamp, message)
+            self._put("temperature", stamp, header=_header(stamp), temperature=value, variance=0.0)
         if session.payload_kg is not None:
-            kind = "std_msgs/msg/Float64"
-            message = self._make(kind, data=float(session.payload_kg[i]))
-            self._put("payload", kind, stamp, message)
+            self._put("payload", stamp, data=float(session.payload_kg[i]))
 
     def _sighting(self, stamp: int, session: Session, i: int) -> None:
-        whole = session.xyz[i] if session.located[i] else np.full(3, np.nan)
-        x, y, z = (float(v) for v in whole)
+        xyz = session.xyz[i] if session.located[i] else np.full(3, np.nan)
         covariance = np.zeros(36)
         if session.sigma is not None:
             covariance[[0, 7, 14]] = session.sigma[i] ** 2
-        turn = [0.0, 0.0, 0.0, 1.0]
+        turn = np.array([0.0, 0.0, 0.0, 1.0])
         if _stated(session, i):
-            turn = [float(v) for v in session.readings["orientation"][i]]
+            turn = session.readings["orientation"][i]
             covariance[[21, 28, 35]] = session.sigmas["orientation"][i] ** 2
-        qx, qy, qz, qw = turn
-        kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
-        pose = self._make(
-            "geometry_msgs/msg/Pose",
-            position=self._make("geometry_msgs/msg/Point", x=x, y=y, z=z),
-            orientation=self._make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
-        )
-        with_covariance = self._make(
-            "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance
-        )
-        message = self._make(kind, header=self._header(stamp, "base"), pose=with_covariance)
-        self._put("tip_measured", kind, stamp, message)
+        pose = {
+            "position": dict(zip("xyz", xyz.tolist(), strict=True)),
+            "orientation": dict(zip("xyzw", turn.tolist(), strict=True)),
+        }
+        with_covariance = {"pose": pose, "covariance": covariance}
+        self._put("tip_measured", stamp, header=_header(stamp), pose=with_covariance)
 
     def _row(self, stamp: int, session: Session, i: int) -> None:
         row = {
@@ -189,8 +168,12 @@ class _Recorder:
             row |= {name: held} if held else {}
         if session.told[i].any():
             row["approach"] = session.told[i].tolist()
-        kind = "std_msgs/msg/String"
-        self._put("session_row", kind, stamp, self._make(kind, data=json.dumps(row)))
+        self._put("session_row", stamp, data=json.dumps(row))
+
+
+def _header(stamp: int) -> dict[str, Any]:
+    seconds, rest = divmod(stamp, 10**9)
+    return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": "base"}
 
 
 def _stated(session: Session, i: int) -> bool:

@@ -154,7 +154,8 @@ def write_csv(session: Session, path: str | Path) -> None:
     joints = joint_names(session.n)
     columns: dict[str, Sequence[object] | np.ndarray] = {"index": session.index}
     columns.update({name: session.columns[name] for name in UNITS if name in session.columns})
-    columns.update(_written_approach(session))
+    columns.update(written_approach(session.told))
+    columns.update(_written_run_up(session))
     columns.update({name: session.q[:, j] for j, name in enumerate(joints)})
     columns.update({name: session.xyz[:, j] for j, name in enumerate(XYZ)})
     columns.update(_written_readings(session))
@@ -284,15 +285,15 @@ def _check_sides(table: Table, run_up: np.ndarray) -> None:
         )
 
 
-def _written_approach(session: Session) -> dict[str, Sequence[object] | np.ndarray]:
-    """The sides that were told, in one column where they are alike, and the run-ups."""
-    made: dict[str, Sequence[object] | np.ndarray] = {}
-    names = joint_names(session.n)
-    if (session.told == session.told[:, :1]).all():
-        made["approach"] = [None if side == 0 else side for side in session.told[:, 0]]
-    else:
-        made |= dict(zip(approach_names(session.n), session.told.T, strict=True))
-    if not np.isnan(session.run_up).all():
-        begun = [[None if np.isnan(v) else v for v in row] for row in session.run_up.T]
-        made |= {f"run_up_{name}": begun[j] for j, name in enumerate(names)}
-    return made
+def written_approach(sides: np.ndarray) -> dict[str, Sequence[object] | np.ndarray]:
+    """Sides (N, n) of arrival as `read_approach` reads them: one column where the joints' agree."""
+    if (sides == sides[:, :1]).all():
+        return {"approach": [None if side == 0 else int(side) for side in sides[:, 0]]}
+    return dict(zip(approach_names(sides.shape[1]), sides.T, strict=True))
+
+
+def _written_run_up(session: Session) -> dict[str, Sequence[object] | np.ndarray]:
+    if np.isnan(session.run_up).all():
+        return {}
+    names = (f"run_up_{name}" for name in joint_names(session.n))
+    return dict(zip(names, session.run_up.T, strict=True))

@@ -13,7 +13,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.csv import approach_names, joint_names, read_approach
+from longarm_comp.sessions.csv import approach_names, joint_names, read_approach, written_approach
 from longarm_comp.sessions.names import check_header
 from longarm_comp.sessions.table import WriteTable, read_table, write_table
 
@@ -39,7 +39,7 @@ def write_poses(plan: Plan, path: str | Path, write: WriteTable = write_table) -
     """Write a plan, whole or not at all; ``write`` may give it another form."""
     columns: dict[str, Sequence[object] | np.ndarray] = {
         "index": range(len(plan)),
-        **_written_approach(plan),
+        **written_approach(plan.approach),
         **{name: plan.q[:, j] for j, name in enumerate(joint_names(plan.q.shape[1]))},
     }
     if plan.payload_kg is not None:
@@ -47,13 +47,6 @@ def write_poses(plan: Plan, path: str | Path, write: WriteTable = write_table) -
     if plan.touch is not None:
         columns["touch"] = plan.touch
     write(path, list(columns), zip(*columns.values(), strict=True))
-
-
-def _written_approach(plan: Plan) -> dict[str, Sequence[object] | np.ndarray]:
-    """One column where all joints of every pose arrive from one side, else one per joint."""
-    if (plan.approach == plan.approach[:, :1]).all():
-        return {"approach": [None if side == 0 else int(side) for side in plan.approach[:, 0]]}
-    return dict(zip(approach_names(plan.q.shape[1]), plan.approach.T, strict=True))
 
 
 def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,19 @@ from longarm_comp.sessions.moment import CLOCKS_APART
 from longarm_comp.sessions.settled import Sighting, nowhere, settled, stood
 
 
+class _Row(NamedTuple):
+    """A command, what was seen at it, and what was told of it."""
+
+    index: int
+    q: np.ndarray
+    history: History
+    sides: np.ndarray
+    seen: Sighting
+    read: np.ndarray
+    told: SessionRow
+    held: dict[str, float]
+
+
 class Rows:
     """What the arm did, command by command, taken off a buffer."""
 
@@ -24,15 +37,8 @@ class Rows:
         self._buffer = buffer
         self._at: np.ndarray | None = None  # joints of the command before
         self._history = History.unknown(buffer.arm.n)
-        self._q: list[np.ndarray] = []
-        self._came: list[History] = []
-        self._sides: list[np.ndarray] = []
-        self._made: list[Sighting] = []
-        self._read: list[np.ndarray] = []
-        self._told: list[SessionRow] = []
-        self._index: list[int] = []
+        self._rows: list[_Row] = []
         self._lost: dict[int, str] = {}
-        self._held: list[dict[str, float]] = []
         self._passed = False
 
     def close(self, *, everything: bool = False) -> None:
@@ -59,53 +65,50 @@ class Rows:
         passed = seen is None
         if seen is None and rows:  # a measurement was meant: it is a row, and says why it is blank
             seen = nowhere(rows[0][0])
-        last = self._index[-1] if self._index else -1
+        last = self._rows[-1].index if self._rows else -1
         number = row.index if row.index is not None else last + 1
-        gap = not passed and self._index and not self._passed and not 0 <= number - last <= 1
+        gap = not passed and self._rows and not self._passed and not 0 <= number - last <= 1
         if gap:
             self._at, self._history = None, History.unknown(buffer.arm.n)
         self._history = self._history.after(points, self._at).told(_sides(row, buffer))
         self._at = points[-1]
         self._passed = passed
         if seen is not None:
-            self._q.append(self._at)
-            self._came.append(self._history)
-            self._sides.append(_sides(row, buffer))
-            self._made.append(seen)
-            self._read.append(stood(*states, begin))
-            self._told.append(row)
-            self._index.append(number)
+            held = {name: held.at(seen.t) for name, held in buffer.columns.items()}
+            came, read = self._history, stood(*states, begin)
+            sides = _sides(row, buffer)
+            self._rows.append(_Row(number, self._at, came, sides, seen, read, row, held))
             if why:
                 self._lost[number] = why
-            self._held.append({name: held.at(seen.t) for name, held in buffer.columns.items()})
         buffer.forget(end)
 
     def session(self) -> Session:
         """All rows."""
         buffer = self._buffer
-        if not self._made:
+        if not self._rows:
             allowed = "a sighting per command"
             raise InputError(buffer.where, "tip_measured", "none after a command", allowed)
-        variance = np.array([seen.variance for seen in self._made])
-        blank = np.array([np.isnan(seen.xyz).any() for seen in self._made])
-        columns = {"t_s": np.array([seen.t for seen in self._made])}
+        rows = self._rows
+        variance = np.array([row.seen.variance for row in rows])
+        blank = np.array([np.isnan(row.seen.xyz).any() for row in rows])
+        columns = {"t_s": np.array([row.seen.t for row in rows])}
         for name, held in buffer.columns.items():
-            columns[name] = np.array([row.get(name, held.first) for row in self._held])
-        columns |= _told([row.columns for row in self._told])
+            columns[name] = np.array([row.held.get(name, held.first) for row in rows])
+        columns |= _told([row.told.columns for row in rows])
         readings = self._readings()
         return Session(
-            index=np.array(self._index),
-            q=np.array(self._q),
+            index=np.array([row.index for row in rows]),
+            q=np.array([row.q for row in rows]),
             xyz=readings.pop("position"),
-            approach=np.array([came.approach for came in self._came]),
-            legs=np.array([came.legs for came in self._came]),
-            told=np.array(self._sides),
-            repeat_id=np.array([row.repeat_id for row in self._told]),
+            approach=np.array([row.history.approach for row in rows]),
+            legs=np.array([row.history.legs for row in rows]),
+            told=np.array([row.sides for row in rows]),
+            repeat_id=np.array([row.told.repeat_id for row in rows]),
             sigma=np.sqrt(np.where(blank[:, None] & (variance <= 0), np.nan, variance))
             if (variance[~blank] > 0).all() and not blank.all()
             else None,
             columns=columns,
-            labels=_told([row.labels for row in self._told]),
+            labels=_told([row.told.labels for row in rows]),
             source=buffer.where,
             readings=readings,
             sigmas=self._sigmas(),
@@ -115,25 +118,25 @@ class Rows:
     def _readings(self) -> dict[str, np.ndarray]:
         """What was measured, by kind: what was sighted, and what the rows tell."""
         made = {
-            "position": np.array([seen.xyz for seen in self._made]),
-            "orientation": np.array([seen.quaternion for seen in self._made]),
+            "position": np.array([row.seen.xyz for row in self._rows]),
+            "orientation": np.array([row.seen.quaternion for row in self._rows]),
         }
-        joints = np.array(self._read).T[..., None]
+        joints = np.array([row.read for row in self._rows]).T[..., None]
         made |= {f"read_q{k}": values for k, values in enumerate(joints, 1)}
-        for name in sorted({name for row in self._told for name in row.readings}):
+        for name in sorted({name for row in self._rows for name in row.told.readings}):
             if name not in KINDS:
                 where = "session_row readings"
                 raise InputError(self._buffer.where, where, name, ", ".join(KINDS))
             blank = [math.nan] * len(KINDS[name].cells)
-            told = np.array([row.readings.get(name, blank) for row in self._told], dtype=float)
+            told = np.array([row.told.readings.get(name, blank) for row in self._rows], dtype=float)
             made[name] = np.where(np.isnan(told), made.get(name, told), told)
         return made
 
     def _sigmas(self) -> dict[str, np.ndarray]:
-        spread = np.array([seen.turn_variance for seen in self._made])
+        spread = np.array([row.seen.turn_variance for row in self._rows])
         made = {"orientation": np.where(spread > 0, np.sqrt(spread), np.nan)}
-        for name in sorted({name for row in self._told for name in row.sigmas}):
-            told = np.array([row.sigmas.get(name, math.nan) for row in self._told])
+        for name in sorted({name for row in self._rows for name in row.told.sigmas}):
+            told = np.array([row.told.sigmas.get(name, math.nan) for row in self._rows])
             made[name] = np.where(np.isnan(told), made.get(name, told), told)
         return {name: values for name, values in made.items() if np.isfinite(values).any()}
 

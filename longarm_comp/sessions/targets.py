@@ -1,4 +1,4 @@
-"""Targets (targets.csv) and the joint commands computed for them (commands.csv)."""
+"""Targets (targets.csv)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.target_frame import FRAMES
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.csv import UNITS, XYZ, joint_names, recorded_besides
+from longarm_comp.sessions.csv import UNITS, XYZ, recorded_besides
 from longarm_comp.sessions.names import check_header, check_unknown
-from longarm_comp.sessions.table import FARTHEST, Table, WriteTable, read_table, write_table
+from longarm_comp.sessions.table import FARTHEST, Table, read_table
 
 QUATERNION = ("qx", "qy", "qz", "qw")
 _UNIT_LENGTH = 1e-3  # a quaternion printed with few digits is this far from length 1
@@ -72,43 +72,6 @@ class Targets:
         return dataclasses.replace(single, quaternion=values[None, 3:] / length)
 
 
-@dataclass(frozen=True)
-class Command:
-    """One line of commands.csv.
-
-    Attributes:
-        status: ``success``, or the kind of failure in one word.
-        reason: the failure in one sentence; empty on success.
-        q: commanded joints (n,), rad and m; None without success.
-        target: (3,) requested position, m, in its `frame`, as `predicted_error` is.
-        predicted_error: expected error (3,), m; None where none was predicted.
-        sigma_m: standard deviation of what the command leaves, the largest of the axes, m.
-        passes: pseudo-target passes used.
-        approach: (n,) side that each joint must arrive from for the prediction to hold; 0 any.
-        run_up: (n,) via point from which the last approach begins; None: none needed.
-        ideal: (n,) joints from the physics alone, or the joints before the command was chosen
-            among the servos' steps.
-        frame: ``base`` or ``measured``.
-        expected_m, p90_m: expected distance of the tip from the target, and the one that 90 of
-            100 such commands stay below, m; None where nothing says it.
-    """
-
-    index: int
-    status: str
-    reason: str
-    q: np.ndarray | None
-    target: np.ndarray
-    predicted_error: np.ndarray | None = None
-    sigma_m: float | None = None
-    passes: int = 0
-    approach: np.ndarray | None = None
-    run_up: np.ndarray | None = None
-    ideal: np.ndarray | None = None
-    frame: str = ""
-    expected_m: float | None = None
-    p90_m: float | None = None
-
-
 def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_table) -> Targets:
     """Read ``x,y,z[,qx,qy,qz,qw][,frame][,temperature_c,payload_kg,t_s,approach][,index]``.
 
@@ -145,39 +108,3 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
         if name not in ("", *FRAMES):
             raise table.error(row, "frame", " or ".join(FRAMES))
     return Targets(index, xyz, quaternion, approach, columns, labels, table.where, frame)
-
-
-_OF_THE_MOVE = ("approach", "run_up", "ideal")
-
-
-def _cells(values: np.ndarray | None, n: int) -> list[float | None]:
-    return [None] * n if values is None else list(values)
-
-
-def write_commands(
-    path: str | Path,
-    n: int,
-    commands: Sequence[Command],
-    write: WriteTable = write_table,
-    further: Mapping[str, np.ndarray] | None = None,
-) -> None:
-    """Write commands.csv for an arm of n joints, whole or not at all; ``further`` columns last."""
-    more = further or {}
-    header = [
-        *("index", "status", "reason", *joint_names(n)),
-        *("target_x", "target_y", "target_z"),
-        *("predicted_error_x", "predicted_error_y", "predicted_error_z", "sigma_mm", "passes"),
-        *("expected_mm", "p90_mm", "frame"),
-        *(f"{kind}_{name}" for kind in _OF_THE_MOVE for name in joint_names(n)),
-        *more,
-    ]
-    rows = []
-    for k, c in enumerate(commands):
-        q = [None] * n if c.q is None else list(c.q)
-        lengths = (c.sigma_m, c.expected_m, c.p90_m)
-        error = [None] * 3 if c.predicted_error is None else list(c.predicted_error)
-        sigma_mm, *expected = (None if v is None else 1e3 * v for v in lengths)
-        move = [value for kind in _OF_THE_MOVE for value in _cells(getattr(c, kind), n)]
-        said = [c.index, c.status, c.reason, *q, *c.target, *error, sigma_mm, c.passes]
-        rows.append([*said, *expected, c.frame, *move, *(float(x[k]) for x in more.values())])
-    write(path, header, rows)

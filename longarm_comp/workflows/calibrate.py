@@ -125,13 +125,9 @@ class Calibration:
     seed: int
     kind_of: str = ""
 
-    @property
+    @cached_property
     def model(self) -> Model:
         """The calibrated model, with the record of how good it is."""
-        return self._model
-
-    @cached_property
-    def _model(self) -> Model:
         return with_uncertainty(self.fit)
 
     @property

@@ -26,9 +26,10 @@ from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify.wind_up import as_fitted
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.csv import XYZ, joint_names
 from longarm_comp.sessions.read import read_session
 from longarm_comp.sessions.table import WriteTable, write_table
-from longarm_comp.sessions.targets import Command, Targets, write_commands
+from longarm_comp.sessions.targets import Targets
 from longarm_comp.workflows.error_table import bars
 from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
 
@@ -127,15 +128,19 @@ class Commands(Sequence[Compensation]):
     def __repr__(self) -> str:
         return f"Commands({self.summary}{self.promise})"
 
-    def lines(self) -> list[Command]:
-        """The lines of commands.csv; places are in the frame of the target."""
+    def lines(self) -> list[dict[str, Any]]:
+        """The lines of commands.csv by column; places are in the frame of the target.
+
+        None: not known, or of a target that failed.
+        """
         placements = self.placements or (None,) * len(self)
         rows = zip(self.numbers, self.arrivals, placements, strict=True)
         return [_line(int(k), arrival, placed) for k, arrival, placed in rows]
 
     def save(self, path: FilePath, write: WriteTable = write_table) -> Path:
         """Write commands.csv, or another form with ``write``; the reason where a target failed."""
-        write_commands(path, self.command.shape[1], self.lines(), write)
+        lines = self.lines()
+        write(path, list(lines[0]), [list(line.values()) for line in lines])
         return Path(path)
 
 
@@ -310,27 +315,35 @@ def _goal(targets: Targets, row: int) -> np.ndarray:
     return quaternion.pose(targets.xyz[row], targets.quaternion[row])
 
 
-def _before_steps(found: Compensation) -> np.ndarray:
-    return found.ideal if found.realisable is None else found.realisable.ideal
-
-
-def _line(index: int, arrival: Arrival, placed: Placement | None) -> Command:
+def _line(index: int, arrival: Arrival, placed: Placement | None) -> dict[str, Any]:
     found, move = arrival.outcome, arrival.move
-    sigma = float(np.max(found.sigma))
     error = placed.back(found.predicted_error) if placed else found.predicted_error
-    return Command(
-        index=index,
-        status=str(found.status),
-        reason=found.reason,
-        q=found.command if found.success else None,
-        frame=placed.frame if placed else "",
-        target=placed.asked(found.position) if placed else found.position,
-        predicted_error=error if found.in_domain else None,
-        sigma_m=sigma if np.isfinite(sigma) else None,
-        expected_m=found.expected_m if np.isfinite(sigma) else None,
-        p90_m=found.p90_m if np.isfinite(sigma) else None,
-        passes=found.passes,
-        approach=move.side if found.success else None,
-        run_up=move.run_up if found.success else None,
-        ideal=_before_steps(found) if found.success else None,
-    )
+    target = placed.asked(found.position) if placed else found.position
+    ideal = found.ideal if found.realisable is None else found.realisable.ideal
+    sigma = float(np.max(found.sigma))
+    joints = joint_names(len(found.command))
+
+    def cells(what: str, names: Sequence[str], values: np.ndarray | None, told: bool) -> Any:
+        columns = [f"{what}{name}" for name in names]
+        held = values if told and values is not None else [None] * len(columns)
+        return zip(columns, held, strict=True)
+
+    def millimetres(value: float) -> float | None:
+        return 1e3 * value if np.isfinite(sigma) else None
+
+    return {
+        "index": index,
+        "status": str(found.status),
+        "reason": found.reason,
+        **dict(cells("", joints, found.command, found.success)),
+        **dict(cells("target_", XYZ, target, True)),
+        **dict(cells("predicted_error_", XYZ, error, found.in_domain)),
+        "sigma_mm": millimetres(sigma),
+        "passes": found.passes,
+        "expected_mm": millimetres(found.expected_m),
+        "p90_mm": millimetres(found.p90_m),
+        "frame": placed.frame if placed else "",
+        **dict(cells("approach_", joints, move.side, found.success)),
+        **dict(cells("run_up_", joints, move.run_up, found.success)),
+        **dict(cells("ideal_", joints, ideal, found.success)),
+    }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,10 +21,9 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import joint_names
-from longarm_comp.sessions.table import WriteTable, write_table
-from longarm_comp.sessions.targets import Targets, write_commands
+from longarm_comp.sessions.targets import Targets
 from longarm_comp.workflows import compensate as points
-from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
+from longarm_comp.workflows.inputs import SessionLike, check_predictor
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -45,14 +43,12 @@ class PathCommands(points.Commands):
     def __repr__(self) -> str:
         return f"PathCommands({len(self)} way-points, {self.timed.times[-1]:.3g} s)"
 
-    def save(self, path: FilePath, write: WriteTable = write_table) -> Path:
-        """Write commands.csv, with t_s and velocities v_q1..v_qn besides."""
-        n = self.timed.joints.shape[1]
-        further = {"t_s": self.timed.times}
-        for name, column in zip(joint_names(n), self.timed.velocities.T, strict=True):
-            further[f"v_{name}"] = column
-        write_commands(path, n, self.lines(), write, further)
-        return Path(path)
+    def lines(self) -> list[dict[str, Any]]:
+        """As of `Commands`, with t_s and velocities v_q1..v_qn besides."""
+        further = np.column_stack([self.timed.times, self.timed.velocities])
+        names = ("t_s", *(f"v_{name}" for name in joint_names(further.shape[1] - 1)))
+        rows = zip(super().lines(), further.tolist(), strict=True)
+        return [line | dict(zip(names, row, strict=True)) for line, row in rows]
 
 
 def compensate_path(

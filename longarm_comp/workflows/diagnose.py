@@ -84,13 +84,9 @@ class DiagnosisResult:
         """Effects that were added, strongest first, each with its `name` and `where`."""
         return self.diagnosis.findings
 
-    @property
+    @cached_property
     def model(self) -> Model:
         """The model to use from now on, with the record of how good it is."""
-        return self._model
-
-    @cached_property
-    def _model(self) -> Model:
         known = uncertainty(self.diagnosis.fit)
         return replace(self.diagnosis.model, uncertainty=known)
 

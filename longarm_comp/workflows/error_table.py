@@ -30,10 +30,6 @@ def bars(labels: Sequence[str], heights: Mapping[str, Sequence[float]], what: st
     return figure
 
 
-_ERROR_COLUMNS = (
-    *("mean_mm", "commanded_mean_mm", "median_mm", "rms_mm", "p95_mm", "max_mm"),
-    *("mean_abs_z_mm", "variance_mm2"),
-)
 ANGLE = "mean_mrad"
 """Column of the mean error of the orientation, where it was measured."""
 
@@ -88,8 +84,8 @@ class ErrorTable(Mapping[str, Errors]):
 
 
 def _row(name: str, errors: Errors, commanded: Errors) -> dict[str, Any]:
-    lengths = (errors.mean, commanded.mean, errors.median, errors.rms, errors.p95, errors.max)
-    values = [*(1e3 * v for v in (*lengths, errors.mean_abs_z)), 1e6 * errors.variance]
-    row = {"model": name, "n": errors.n, **dict(zip(_ERROR_COLUMNS, values, strict=True))}
+    mean, *others = errors.mm.items()
+    both = dict([mean, ("commanded_mean_mm", commanded.mm["mean_mm"]), *others])
+    row = {"model": name, "n": errors.n, **both}
     further = {ANGLE: errors.angle, SPREAD: errors.spread}
     return {**row, **{name: 1e3 * v for name, v in further.items() if v is not None}}

@@ -15,7 +15,7 @@ from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.plausible import displaced
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.model.model import Model
-from longarm_comp.sessions.training_rows import fitted_to
+from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.workflows.error_table import ErrorTable
 from longarm_comp.workflows.inputs import (
     FilePath,
@@ -131,5 +131,10 @@ def evaluate(
         }
         for left in (errors, commanded_errors)
     )
-    fitted = tuple(fitted_to(session, file, learned))
+    # A session that shares only some rows with this one has another hash
+    origins = {
+        "model": None if file is None else read_stored(file).provenance.get("session_hash"),
+        "predictor": None if learned is None else learned.provenance.session_hash,
+    }
+    fitted = tuple(name for name, origin in origins.items() if origin == session.hash)
     return Evaluation(seen, commanded, outside, refused, placed, fitted)

@@ -98,15 +98,11 @@ def verification(
 def error_row(name: str, error: np.ndarray) -> dict[str, Any]:
     """Figures of (N, 3) tip - target, m, in mm; ``mean_x_mm`` and so on are signed means."""
     figures = Errors.of(error)
-    row = {
+    told = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")
+    means = zip("xyz", error.mean(axis=0), strict=True)
+    return {
         "run": name,
         "n": figures.n,
-        "mean_mm": _MM * figures.mean,
-        "rms_mm": _MM * figures.rms,
-        "p95_mm": _MM * figures.p95,
-        "max_mm": _MM * figures.max,
-        "mean_abs_z_mm": _MM * figures.mean_abs_z,
+        **{key: figures.mm[key] for key in told},
+        **{f"mean_{axis}_mm": _MM * float(mean) for axis, mean in means},
     }
-    for axis, mean in zip("xyz", error.mean(axis=0), strict=True):
-        row[f"mean_{axis}_mm"] = _MM * float(mean)
-    return row

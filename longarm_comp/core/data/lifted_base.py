@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.kinds import across, by_name, matrices
 from longarm_comp.core.data.session import Session
-from longarm_comp.math.points import kabsch
+from longarm_comp.math.points import nearest_rotation, robust_kabsch, robust_weights
 
 ENOUGH = 4
 """Distances to an anchor, or equations of a base, at least, to solve for it."""
@@ -165,11 +165,7 @@ def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     if told.sum() < 2:
         return None
     of, to = np.concatenate([of[told], -of[told]]), np.concatenate([to[told], -to[told]])
-    weights = np.ones(len(of))
-    for _ in range(ROUNDS):
-        turn, _ = kabsch(of, to, weights)
-        weights = _share(np.linalg.norm(to - of @ turn.T, axis=1))
-    return turn
+    return robust_kabsch(of, to, ROUNDS)[0]  # each turn is there both ways, so the offset is 0
 
 
 def _rotation(found: _LinearEquations) -> np.ndarray:
@@ -186,13 +182,11 @@ def _rotation(found: _LinearEquations) -> np.ndarray:
     else:  # one camera: its rays fit at any scale
         free = np.linalg.svd(design)[2][-1][:9].reshape(3, 3)
         free = free * np.sign(np.linalg.det(free))
-    u, s, vt = np.linalg.svd(free)
+    u, s, _ = np.linalg.svd(free)
     if s[0] < _EXACT:
         return np.eye(3)
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    if s[1] > SEEN * s[0]:
-        return np.asarray(turn)
-    return _least_turned(turn, u[:, 0])
+    turn = nearest_rotation(free)
+    return turn if s[1] > SEEN * s[0] else _least_turned(turn, u[:, 0])
 
 
 def _least_turned(turn: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -209,10 +203,5 @@ def _robust(design: np.ndarray, right: np.ndarray) -> np.ndarray:
     for _ in range(ROUNDS):
         root = np.sqrt(weights)
         x = np.linalg.lstsq(design * root[:, None], right * root, rcond=_RANK)[0]
-        weights = _share(np.abs(right - design @ x))
+        weights = robust_weights(np.abs(right - design @ x))
     return np.asarray(x)
-
-
-def _share(miss: np.ndarray) -> np.ndarray:
-    """1 for the closer half, falling with the square of the misfit beyond."""
-    return 1.0 / np.maximum(1.0, miss / max(float(np.median(miss)), 1e-12)) ** 2

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model, unstack
-from longarm_comp.math.points import kabsch
+from longarm_comp.math.points import kabsch, nearest_rotation, robust_kabsch, robust_weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,9 +183,7 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
 
 
 def _weights(residual: np.ndarray) -> np.ndarray:
-    """(N,) 1 for the closer half of the rows, falling with the square of the distance beyond."""
-    distance = np.linalg.norm(residual, axis=1)
-    return 1.0 / np.maximum(1.0, distance / max(float(np.median(distance)), 1e-12)) ** 2
+    return robust_weights(np.linalg.norm(residual, axis=1))
 
 
 def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
@@ -215,11 +213,7 @@ def _base(point: np.ndarray, seen: np.ndarray, like: np.ndarray) -> tuple[np.nda
     """One base, its worst rows counted less; with too few rows it is turned `like` another."""
     if len(point) < ENOUGH:
         return like, np.median(seen - point @ like.T, axis=0)
-    weights = np.ones(len(point))
-    for _ in range(TURNS):
-        rotation, offset = kabsch(point, seen, weights)
-        weights = _weights(seen - point @ rotation.T - offset)
-    return rotation, offset
+    return robust_kabsch(point, seen, TURNS)
 
 
 def _look(
@@ -274,8 +268,7 @@ def _linear_tips(rows: Sightings, weights: np.ndarray) -> np.ndarray | None:
         x, _, rank, _ = np.linalg.lstsq(known * root, rows.seen[mine] * root, rcond=1e-6)
         if rank < 13:
             continue
-        u, _, vt = np.linalg.svd(x[:3].T)
-        rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        rotation = nearest_rotation(x[:3].T)
         products = x[3:12].reshape(3, 3, 3)  # row i of B, column j of B, axis of the sighting
         local = np.einsum("ijk,kl->ijl", products, rotation)
         tip[marker] = np.einsum("iji->j", local) / 3

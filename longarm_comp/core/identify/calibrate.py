@@ -52,6 +52,13 @@ class Errors:
     spread: float | None = None
 
     @property
+    def mm(self) -> dict[str, float]:
+        """Its figures in mm (mm^2), by the names of report.json."""
+        names = ("mean", "median", "rms", "p95", "max", "mean_abs_z")
+        lengths = {f"{name}_mm": 1e3 * getattr(self, name) for name in names}
+        return lengths | {"variance_mm2": 1e6 * self.variance}
+
+    @property
     def said(self) -> str:
         """The mean with its unit: mm, or mrad where only orientations were measured."""
         if self.n or self.angle is None:

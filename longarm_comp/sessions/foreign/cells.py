@@ -16,7 +16,7 @@ from pathlib import Path
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import check_unpacked
-from longarm_comp.sessions.foreign.units import unit_of
+from longarm_comp.sessions.foreign.units import split_name, unit_of
 
 MOST_CELLS = 20_000_000
 _SEPARATORS = (r"\t", ";", ",", r"\|", r"\s{2,}|\t", r"\s+")
@@ -51,6 +51,26 @@ class Cells:
     def column(self, place: int) -> list[str]:
         """The texts of one column."""
         return [row[place] for _, row in self.rows]
+
+    def place(self, key: str, field: str) -> int:
+        """Place of the column that the user calls so: whole, without its unit, or without a title.
+
+        Raises:
+            InputError: about the option ``field``; there is none, or more than one.
+        """
+        stems = [split_name(name)[0] for name in self.names]
+        for called in (
+            lambda name, stem: name == key,
+            lambda name, stem: stem == key,
+            lambda name, stem: f" {name}".endswith(f" {key}") or f" {stem}".endswith(f" {key}"),
+        ):
+            pairs = enumerate(zip(self.names, stems, strict=True))
+            found = [k for k, pair in pairs if called(*pair)]
+            if found:
+                break
+        if len(found) != 1:
+            raise InputError(self.where, field, key, f"one column of {', '.join(self.names)}")
+        return found[0]
 
     def number(self, text: str) -> float | None:
         """The number in a cell; None where the cell holds no number. Raises nothing."""

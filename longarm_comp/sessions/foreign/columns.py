@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import LABELS, UNITS, XYZ
+from longarm_comp.sessions.foreign.cells import Cells
 from longarm_comp.sessions.foreign.units import (
     ANGLE,
     LENGTH,
@@ -16,6 +17,7 @@ from longarm_comp.sessions.foreign.units import (
     TEMPERATURE,
     TIME,
     Unit,
+    seconds,
     split_name,
 )
 from longarm_comp.sessions.foreign.units import UNITS as KNOWN
@@ -101,13 +103,11 @@ def turned(name: str) -> bool:
 
 
 def understand(
-    where: str,
-    names: Sequence[str],
+    cells: Cells,
     given: Mapping[str, str],
     defaults: Mapping[str, Unit],
     arm: Arm | None,
     apart: Collection[str] = (),
-    is_clock: Callable[[int], bool] = lambda place: False,
 ) -> list[Column]:
     """The columns of the session that a file holds.
 
@@ -117,13 +117,13 @@ def understand(
         defaults: by kind, the unit of columns that name none.
         arm: names its joints and says which slide; None: joints without a unit turn.
         apart: columns that are read otherwise (an orientation).
-        is_clock: whether the column at a place holds wall-clock times, which have no unit.
     """
-    told = {_place(where, names, key): key for key in given}
+    where = cells.where
+    told = {cells.place(key, "--map"): key for key in given}
     meant = [given[key].partition(":")[0] for key in told.values()]
     found: dict[str, Column] = {}
     rank: dict[str, int] = {}
-    for place, source in sorted(enumerate(names), key=lambda item: item[0] not in told):
+    for place, source in sorted(enumerate(cells.names), key=lambda item: item[0] not in told):
         if source in apart and place not in told:
             continue
         stem, unit = split_name(source)
@@ -149,26 +149,10 @@ def understand(
         if name in found and rank[name] < by:
             continue
         rank[name] = by
-        timed = name == "t_s" and is_clock(place)
+        timed = name == "t_s" and seconds(cells.column(place)) is not None  # it has no unit
         fits = None if timed else _fitting(where, name, source, unit, defaults, arm)
         found[name] = Column(name, source, place, fits)
     return sorted(found.values(), key=lambda c: _order(c.name))
-
-
-def _place(where: str, names: Sequence[str], key: str) -> int:
-    """Place of the column that the user calls so: whole, without its unit, or without a title."""
-    stems = [split_name(name)[0] for name in names]
-    for found in (
-        [k for k, name in enumerate(names) if name == key],
-        [k for k, stem in enumerate(stems) if stem == key],
-        [k for k, name in enumerate(names) if f" {key}" in (f" {name}"[-len(key) - 1 :],
-                                                             f" {stems[k]}"[-len(key) - 1 :])],
-    ):  # fmt: skip
-        if len(found) == 1:
-            return found[0]
-        if found:
-            break
-    raise InputError(where, "--map", key, f"one column: {', '.join(names)}")
 
 
 def _unit(where: str, text: str, field: str) -> Unit:

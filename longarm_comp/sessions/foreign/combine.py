@@ -19,15 +19,6 @@ _AXIS = re.compile(r"(?i)(.*?)[ _.:-]*([xyz])")
 _COUNTED = re.compile(r"\d+|\b[A-Za-z]\b")
 
 
-def _place_of(cells: Cells, name: str, field: str) -> int:
-    """Place of the column that is called so, with or without its unit."""
-    found = [k for k, n in enumerate(cells.names) if name == n]
-    found = found or [k for k, n in enumerate(cells.names) if name == split_name(n)[0]]
-    if len(found) != 1:
-        raise InputError(cells.where, field, name, f"one column of {', '.join(cells.names)}")
-    return found[0]
-
-
 def appended(tables: Sequence[Cells]) -> Cells:
     """The rows of tables of the same columns one after the other."""
     first, *others = map(_pointed, tables)
@@ -53,7 +44,7 @@ def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]
     made, *others = map(_pointed, tables)
     lonely: list[str] = []
     for table in others:
-        here, there = (_place_of(t, column, "--join") for t in (made, table))
+        here, there = (t.place(column, "--join") for t in (made, table))
         one, two = ([row[k] for _, row in t.rows] for t, k in ((made, here), (table, there)))
         partner = _partners(one, two, table, column)
         left = sorted(set(range(len(two))) - set(partner))
@@ -78,7 +69,7 @@ def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]
 
 def ordered(cells: Cells, column: str) -> Cells:
     """The rows in the order of a column: of numbers, of times, else of the texts."""
-    place = _place_of(cells, column, "--sort")
+    place = cells.place(column, "--sort")
     texts = [row[place] for _, row in cells.rows]
     numbers = [cells.number(text) for text in texts]
     clock = seconds(texts)

@@ -182,11 +182,8 @@ def import_table(
     rotation = _rotation(where, cells, options)
     apart = () if rotation is None else rotation.columns
     defaults = _defaults(where, options.units)
-    sources = understand(
-        where, cells.names, options.given, defaults, options.arm,
-        (*apart, *_unit_quaternion(cells)),
-        lambda place: seconds(cells.column(place)) is not None,
-    )  # fmt: skip
+    apart_too = (*apart, *_unit_quaternion(cells))
+    sources = understand(cells, options.given, defaults, options.arm, apart_too)
     _complete(where, cells, sources, options.arm)
     columns: dict[str, np.ndarray] = {c.name: _values(cells, c) for c in sources}
     if cells.index and "index" not in columns:
@@ -249,7 +246,8 @@ def _rotation(where: str, cells: Cells, options: Options) -> Rotation | None:
     if options.rotation not in (None, "none"):
         assert options.rotation is not None
         rotation = Rotation.parse(options.rotation, where)
-        named = tuple(_named(where, cells, name) for name in rotation.columns)
+        places = (cells.place(name, "--rotation") for name in rotation.columns)
+        named = tuple(cells.names[place] for place in places)
         return Rotation(rotation.convention, named, rotation.inverse)
     told = {*options.given, *(name for name in QUATERNION if set(QUATERNION) <= set(cells.names))}
     known = _unit_quaternion(cells)
@@ -263,13 +261,6 @@ def _rotation(where: str, cells: Cells, options: Options) -> Rotation | None:
             where, "--rotation", f"missing for {', '.join(looks)}", f"{ALLOWED}; or none"
         )
     return None
-
-
-def _named(where: str, cells: Cells, name: str) -> str:
-    found = [n for n in cells.names if name in (n, split_name(n)[0])]
-    if len(found) != 1:
-        raise InputError(where, "--rotation", name, f"a column: {', '.join(cells.names)}")
-    return found[0]
 
 
 def _complete(where: str, cells: Cells, sources: list[Column], arm: Arm | None) -> None:
