@@ -34,6 +34,7 @@ RUNTIME = [
     "pyyaml>=6.0",
     "rich>=13.7",
     "rosbags>=0.10",
+    "ruamel.yaml>=0.17.21",
     "scipy>=1.12",
     "typing-extensions>=4.6",
     "urdf-parser-py>=0.0.4",

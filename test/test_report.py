@@ -161,7 +161,7 @@ def test_verdict_and_tables_tell_the_record(verdict: str, folders: dict[str, Pat
         "candidates": report["candidates"],
         "outliers": report["outliers"],
         "detectable": detail.detectable,
-        "sets": [pose for split in detail.splits for pose in split.poses],
+        "sets": [pose for split in detail.splits for pose in split.q],
     }
     for section, entries in bodies.items():
         body = [line for line in page.tables.get(section, []) if not is_head(line)]
@@ -186,10 +186,16 @@ def test_noise_floor_is_that_of_gaussian_noise(rng: np.random.Generator) -> None
     assert list(floor.figures.values()) == pytest.approx(found, abs=4e-3)
 
 
-def test_unproven_gain_and_failed_checks_are_said(folders: dict[str, Path]) -> None:
+def test_unproven_gain_probabilities_and_doubts_are_said(folders: dict[str, Path]) -> None:
     assert "the gain is not proven" in page_of(folders["unknown"]).words()
     assert "the gain is not proven" not in page_of(folders["named"]).words()
-    assert "✗ no gap falls to 0.0059 rad" in page_of(folders["named"]).words()
+    table = page_of(folders["named"]).tables["parameters"]
+    assert table[-1] == [
+        "backlash",
+        "100.0 %",
+        "backlash 100 %",
+        "servo_droop could stand for its deadband",
+    ]
     assert "Structure is left" in page_of(folders["partly"]).words()
 
 

@@ -14,7 +14,6 @@ from longarm_comp.arm_folder.yaml_edit import edited, ros_path
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
-from longarm_comp.core.strict_yaml import parse_yaml
 
 BRIDGE, SIMULATED = "stereo_bridge.yaml", "simulated_arm.yaml"
 _NAMES = ("hand_eye.xyz", "hand_eye.quaternion")
@@ -91,6 +90,5 @@ def _numbers(pose: np.ndarray) -> tuple[list[float], list[float]]:
 
 def _edit(file: Path, values: Mapping[str, Sequence[float]]) -> None:
     text = file.read_text("utf-8")
-    parse_yaml(text, str(file))
     root = ros_path(text)
     write_text(file, edited(text, {(*root, *k.split(".")): v for k, v in values.items()}, file))

@@ -1,23 +1,20 @@
 """ROS parameter files: read flat, and written from the package's own with other values.
 
-A written file keeps the comment of every parameter, because it is the package's file with values
-replaced line by line.
+A written file keeps the comment of every parameter, because it is the package's with other values.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from longarm_comp.arm_folder.yaml_edit import edited, ros_path
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import parse_yaml, read_yaml
 from longarm_comp.share import folder
-
-_LINE = re.compile(r"^(?P<indent> *)(?P<key>\w+):(?P<value>[^#]*)(?P<comment>#.*)?$")
 
 
 def own_text(node: str) -> str:
@@ -79,32 +76,15 @@ def with_values(node: str, values: Mapping[str, Any], head: str) -> str:
         values: by dotted name. A mapping replaces a whole section.
         head: comment on top, instead of the file's own.
     """
-    lines = own_text(node).splitlines()
-    first = next(k for k, line in enumerate(lines) if not line.startswith("#"))
-    made = [f"# {line}".rstrip() for line in head.splitlines()] + lines[first : first + 2]
-    path: list[str] = []
-    left = dict(values)
-    for line in lines[first + 2 :]:
-        found = _LINE.match(line)
-        if found is None:
-            raise ValueError(f"{node}.yaml: {line!r} is no line of one parameter")
-        path = [*path[: len(found["indent"]) // 2 - 2], found["key"]]
-        if any(".".join(path[:k]) in values for k in range(1, len(path))):
-            continue  # within a section that is replaced
-        name = ".".join(path)
-        made += _written(found, left.pop(name)) if name in values else [line]
-    if left:
-        raise ValueError(f"{node}.yaml has no {', '.join(left)}")
-    return "\n".join(made) + "\n"
-
-
-def _written(line: re.Match[str], value: Any) -> list[str]:
-    indent = line["indent"]
-    if isinstance(value, Mapping):
-        inner = [f"{indent}  {key}: {one_line(item)}" for key, item in value.items()]
-        return [f"{indent}{line['key']}:", *inner]
-    comment = f"  {line['comment']}" if line["comment"] else ""
-    return [f"{indent}{line['key']}: {one_line(value)}{comment}"]
+    text = own_text(node)
+    first = next(line for line in text.splitlines() if not line.startswith("#"))
+    own = text[text.index(first) :]
+    root, known = ros_path(own), own_parameters(node)
+    lacking = [name for name in values if not any(f"{k}.".startswith(f"{name}.") for k in known)]
+    if lacking:
+        raise ValueError(f"{node}.yaml has no {', '.join(lacking)}")
+    made = edited(own, {(*root, *name.split(".")): v for name, v in values.items()}, node)
+    return "".join(f"# {line}".rstrip() + "\n" for line in head.splitlines()) + made
 
 
 def one_line(value: Any) -> str:

@@ -1,7 +1,6 @@
 """Files of a diagnosis: report.json for programs, report.html and plots for people."""
 
 from longarm_comp.report.detail import (
-    Check,
     Correlation,
     Detail,
     Detectable,
@@ -9,13 +8,11 @@ from longarm_comp.report.detail import (
     Marked,
     SeenRows,
     SetSplit,
-    SplitPose,
 )
 from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.report.write import write_report
 
 __all__ = [
-    "Check",
     "Correlation",
     "Detail",
     "Detectable",
@@ -24,6 +21,5 @@ __all__ = [
     "Marked",
     "SeenRows",
     "SetSplit",
-    "SplitPose",
     "write_report",
 ]

@@ -91,44 +91,23 @@ class Detectable:
     size_mm: float | None
 
 
-@dataclass(frozen=True)
-class SplitPose:
-    """A pose to measure next: joints (rad, m), from below (+1), above (-1) or anywhere (0)."""
-
-    q: tuple[float, ...]
-    approach: int = 0
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SetSplit:
     """Effects that these data cannot distinguish, and poses that would.
 
     Attributes:
         members: the names in the set, as the finding lists them.
         reason: why they look alike in these data.
-        poses: poses to measure; empty if no pose distinguishes them.
+        q: (M, n) poses to measure, rad and m; none if no pose distinguishes them.
+        sides: (M,) from below (+1), above (-1) or anywhere (0).
         expected_log_bayes_factor: between the two closest members after measuring the poses.
     """
 
     members: tuple[str, ...]
     reason: str = ""
-    poses: tuple[SplitPose, ...] = ()
+    q: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    sides: tuple[int, ...] = ()
     expected_log_bayes_factor: float | None = None
-
-
-@dataclass(frozen=True)
-class Check:
-    """One test of the robustness of a finding.
-
-    Attributes:
-        name: the test (``block bootstrap, 200 draws``, ``priors x5``).
-        passed: whether the finding persisted.
-        result: the outcome in words.
-    """
-
-    name: str
-    passed: bool
-    result: str
 
 
 @dataclass(frozen=True)
@@ -179,7 +158,6 @@ class Detail:
         correlation: of the accepted parameters with geometry.
         detectable: smallest visible size per effect.
         splits: sets with the poses that split them.
-        checks: tests of the robustness of the findings.
         encoders: of the joints that were read.
         marked: where each finding is on the arm, in the order of the cards.
         provenance: further facts, name -> value, shown after those of report.json.
@@ -195,7 +173,6 @@ class Detail:
     correlation: Correlation | None = None
     detectable: tuple[Detectable, ...] = ()
     splits: tuple[SetSplit, ...] = ()
-    checks: tuple[Check, ...] = ()
     encoders: tuple[EncoderError, ...] = ()
     marked: tuple[Marked, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Data of the page from a diagnosis: rows, correlations, smallest sizes, splits, checks."""
+"""Data of the page from a diagnosis: rows, correlations, smallest sizes, splits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.report.candidate_states import best_forms
 from longarm_comp.report.detail import (
-    Check,
     Correlation,
     Detail,
     Detectable,
@@ -29,7 +28,6 @@ from longarm_comp.report.detail import (
     Marked,
     SeenRows,
     SetSplit,
-    SplitPose,
 )
 
 
@@ -95,7 +93,6 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
         correlation=_correlation(diagnosis),
         detectable=_detectable(diagnosis, tried),
         splits=tuple(split(diagnosis, s) for s in diagnosis.split_by),
-        checks=_checks(diagnosis),
         encoders=_encoders(diagnosis, units),
         marked=marked(diagnosis),
         provenance=facts,
@@ -205,13 +202,9 @@ def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
             reason += f" What the encoders say does ({', '.join(deciding)})."
         if any({"temperature_c", "t_s"} & set(t.needs) for t in (*found.terms, *others)):
             reason += " Measure again after a pause, at another temperature."
-        return SetSplit(found.names, reason, (), by.log_bayes_factor)
-    poses = tuple(
-        SplitPose(tuple(map(float, q)), int(side))
-        for q, side in zip(by.q, by.approach, strict=True)
-    )
-    reason = f"These poses do not tell {pair} apart."
-    return SetSplit(found.names, reason, poses, by.log_bayes_factor)
+        return SetSplit(found.names, reason, expected_log_bayes_factor=by.log_bayes_factor)
+    reason, sides = f"These poses do not tell {pair} apart.", tuple(map(int, by.approach))
+    return SetSplit(found.names, reason, by.q, sides, by.log_bayes_factor)
 
 
 def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> tuple[EncoderError, ...]:
@@ -229,17 +222,3 @@ def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> tuple[EncoderError,
         noise = 1e3 * fit.sigma[channel]
         made.append(EncoderError(names[k], f"m{units[k]}", *map(float, (*figures, left, noise))))
     return tuple(made)
-
-
-def _checks(diagnosis: Diagnosis) -> tuple[Check, ...]:
-    """How probable each finding and each name of its set is."""
-    checks = []
-    for found in diagnosis.findings:
-        said = ", ".join(f"{n} {100 * p:.0f} %" for n, p in found.chances if n in found.names)
-        sure = f"there with {100 * found.probability:.1f} %; {said}"
-        checks.append(Check(f"{found.name}: probability", not found.open, sure))
-        checks += [
-            Check(f"{found.name}: doubt", False, f"{p.name} could stand for its {p.part}")
-            for p in found.partial_aliases
-        ]
-    return tuple(checks)

@@ -28,7 +28,7 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
         if len(f.set) > 1 and tuple(f.set) not in split
     ]
     doubts = dict.fromkeys(d for found in report.discovered if found.kept for d in found.doubts)
-    more = len(report.next_poses) - sum(len(split.poses) for split in detail.splits)
+    more = len(report.next_poses) - sum(len(split.q) for split in detail.splits)
     if doubts:
         poses = f": {more} poses in next_poses.csv would tell" if more > 0 else ""
         made.append(Open(f"What was found without a name is in doubt{poses}:", tuple(doubts)))
@@ -47,8 +47,8 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
 def _split(split: SetSplit) -> str:
     """A set, and what would split it."""
     said = f"Whether it is {listed(list(split.members))}"
-    if not split.poses:
+    if not len(split.q):
         return f"{said}. {split.reason or 'No pose of this arm tells them apart.'}"
     expected = split.expected_log_bayes_factor
     figure = "" if expected is None else f" (expected odds {odds(expected)})"
-    return f"{said}: {len(split.poses)} poses in next_poses.csv would tell{figure}."
+    return f"{said}: {len(split.q)} poses in next_poses.csv would tell{figure}."
