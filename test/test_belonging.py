@@ -13,7 +13,7 @@ from small_arm import ARM as SMALL
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.admission import admit
-from longarm_comp.core.data.belonging import ENOUGH, believe, mistakes
+from longarm_comp.core.data.belonging import MIN_POSES, believe, mistakes
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
@@ -160,8 +160,8 @@ def test_no_mistake_explains_real_or_simulated_rows_better(data_dir: Path) -> No
 
 
 def test_few_rows_are_not_asked(session: Session, demo: Arm) -> None:
-    assert believe(Model(demo), session.take(np.arange(ENOUGH - 1))) is None
-    assert believe(Model(demo), session.take(np.arange(ENOUGH))) is not None
+    assert believe(Model(demo), session.take(np.arange(MIN_POSES - 1))) is None
+    assert believe(Model(demo), session.take(np.arange(MIN_POSES))) is not None
 
 
 def test_joints_beyond_their_limits_are_told_what_fits(rng: np.random.Generator) -> None:

@@ -163,6 +163,7 @@ def _standing(section: Rect, fell: np.ndarray, gravity: float) -> str:
 
 
 _REACH_M = (0.05, 20.0)
+"""Reach of arms that there are; outside of it lengths are most likely in another unit."""
 _SESSIONS = ("samples.csv", "session", "session_1")
 
 

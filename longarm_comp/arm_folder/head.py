@@ -17,8 +17,9 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.sim.cameras import CameraPair
 
 FOCAL_PX, SIZE = 640.0, (640, 480)
-_POSES = 256
-_DIRECTIONS = 16
+"""Of a webcam: 53 degrees across."""
+_POSES, _DIRECTIONS = 256, 16
+"""Poses of the tip that are looked at, and level directions of looking that are tried."""
 _BASELINE = 0.18
 """Distance of the two cameras as a share of their distance to the marker."""
 

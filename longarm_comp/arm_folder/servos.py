@@ -64,6 +64,7 @@ DEFAULT_MODEL = "sts3215"
 ZERO_TICKS = 2048.0
 """What stands there until it is measured: the middle of the first turn."""
 _GEAR, _PINION_M = 10.0, 0.008
+"""The demonstration's gearing, assumed until it is told."""
 _SPEED = 0.85 * 3000.0
 """Velocity of a joint as ticks a second of its servo: 85 % of a small servo without load."""
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from longarm_comp.devices.stereo import CameraInfoLike
 
 _TAG_PX = 12.5
-"""Nor is one that looks smaller: geometric mean of its seen sides, px."""
+"""A tag that looks smaller is not found: geometric mean of its seen sides, px."""
 
 
 @dataclass(frozen=True)

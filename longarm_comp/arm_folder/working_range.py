@@ -14,6 +14,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 
 _RANGES = (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0)
+"""Ranges of turning joints that are tried, deg, the largest first."""
 
 
 def narrowed(

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
-
-mpl.use("Agg")
 from matplotlib.figure import Figure
 
-from longarm_comp.report.style import BLUE, GREEN, ORANGE, RC, save
+from longarm_comp.report.style import BLUE, GREEN, ORANGE, rc, save
 
 _COLORS = (ORANGE, BLUE, GREEN)
 
@@ -25,7 +22,7 @@ def draw(names: Sequence[str], left: Mapping[str, Sequence[float | None]], path:
         path: file to write.
     """
     shown = {k: v for k, v in left.items() if any(value is not None for value in v)}
-    with mpl.rc_context(RC):
+    with rc():
         figure = Figure(figsize=(7.6, 1.2 + 0.5 * len(names)), layout="constrained")
         axes = figure.subplots()
         place = np.arange(len(names))

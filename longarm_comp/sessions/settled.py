@@ -12,6 +12,7 @@ from longarm_comp.core.data.rest import AFTER_S, JOINT_REST, REST_S, TIP_REST_M
 NO_REST = f"the joints did not rest for {REST_S} s"
 """Why there is no position, where that is not the cameras' matter."""
 _LAST = 5
+"""Sightings whose median is the final position: two of them may be wrong."""
 
 
 class Sighting(NamedTuple):

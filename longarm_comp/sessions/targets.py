@@ -12,7 +12,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.target_frame import FRAMES
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.csv import UNITS, XYZ, recorded_besides
+from longarm_comp.sessions.csv import UNITS, XYZ, read_approach, recorded_besides
 from longarm_comp.sessions.names import check_header, check_unknown
 from longarm_comp.sessions.table import FARTHEST, Table, read_table
 
@@ -97,10 +97,8 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
             if blanks not in (0, 4) or abs(length[row] - 1) > _UNIT_LENGTH:
                 raise table.error(row, "qx", "a quaternion of length 1, or four blanks")
         quaternion = quaternion / length[:, None]
-    approach = np.zeros(len(table))
-    if "approach" in table.cells:
-        sides = table.numbers("approach", "+1 or -1", True, lambda v: v in (-1.0, 0.0, 1.0))
-        approach = np.nan_to_num(sides)
+    sides = read_approach(table, 0)
+    approach = np.zeros(len(table)) if sides is None else np.nan_to_num(sides)
     columns, labels = recorded_besides(table, set(known))
     index = table.integers("index") if "index" in table.cells else np.arange(len(table))
     frame = tuple(cell.strip() for cell in table.cells.get("frame", ()))

@@ -15,6 +15,7 @@ from longarm_comp.nodes.interfaces import Service
 
 DRIVER = "servo_driver"
 _AGAIN_S, _PATIENCE_S = 1.0, 5.0
+"""A call is sent again, and given up."""
 
 
 @dataclass(frozen=True)

@@ -42,11 +42,12 @@ from longarm_comp.workflows.inputs import (
     ModelLike,
     Note,
     SessionLike,
+    Telling,
     admitted,
     file_hash,
     log_note,
+    teller,
 )
-from longarm_comp.workflows.telling import Telling, teller
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -36,19 +36,17 @@ from longarm_comp.workflows.inputs import (
     ModelLike,
     Note,
     SessionLike,
+    Telling,
     admitted,
     file_hash,
     log_note,
     physics,
+    teller,
 )
-from longarm_comp.workflows.telling import Telling, teller
 from longarm_comp.workflows.train import training_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -210,7 +208,7 @@ def diagnose_files(
     kind_of: Sequence[Path] = (),
     network: bool = True,
     seed: int = 0,
-    progress: Say = lambda _: None,
+    progress: Telling = False,
 ) -> DiagnosisResult:
     """Diagnose files and write everything to a folder; arguments as in `diagnose`."""
     for path in (session, test, model, *kind_of):
@@ -232,7 +230,7 @@ def diagnose_files(
     except InputError as error:
         write_report(*refused(error, seed, session.name, file_hash(session)), folder)
         raise
-    progress("report")
+    teller(progress)("report")
     found.save(folder)
     return found
 

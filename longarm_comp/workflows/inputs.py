@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import logging
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +39,29 @@ DIGEST = "model_digest"
 
 log_note: Note = logging.getLogger("longarm_comp").info
 """Default for notes: the log of the package, level INFO."""
+
+
+Telling = bool | Callable[..., None]
+"""True: a line a step on standard error, which notebooks show; a function: called instead."""
+
+
+def teller(progress: Telling) -> Callable[..., None]:
+    """What is called with each step, and perhaps with the share that is done."""
+    if callable(progress):
+        return progress
+    if not progress:
+        return lambda *_: None
+    begun, last = time.monotonic(), ""
+
+    def tell(step: str, share: float | None = None) -> None:
+        nonlocal last
+        if step != last:
+            done = "" if share is None else f"{100 * share:3.0f} % "
+            sys.stderr.write(f"{time.monotonic() - begun:5.0f} s {done}{step}\n")
+            sys.stderr.flush()
+        last = step
+
+    return tell
 
 
 def silent(text: str, share: float) -> None:

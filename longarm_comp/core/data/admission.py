@@ -16,8 +16,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import Frame, roll_pitch_yaw
-from longarm_comp.core.data.admission_finding import AdmissionFinding
-from longarm_comp.core.data.belonging import STRAYS, believe
+from longarm_comp.core.data.belonging import MOST_STRAYS, believe
 from longarm_comp.core.data.registration import (
     Alignment,
     align,
@@ -25,11 +24,25 @@ from longarm_comp.core.data.registration import (
     best_rotation,
 )
 from longarm_comp.core.data.session import INCLINATION, Session
-from longarm_comp.core.data.touch_checks import check_touches
+from longarm_comp.core.data.touched import check_touches
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
 FEW_POSES = 4
+"""Distinct poses, at least: three points place a frame, one more contradicts."""
+
+
+@dataclass(frozen=True)
+class AdmissionFinding:
+    """A limitation of a session that is admitted."""
+
+    check: str
+    field: str
+    message: str
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"{self.field}: {self.message}"
 
 
 @dataclass(frozen=True)
@@ -250,8 +263,9 @@ def _constant(case: _Case) -> Iterator[AdmissionFinding]:
             yield AdmissionFinding("constant", name, "never changed: what it causes cannot be told")
 
 
-def _touches(case: _Case) -> Iterable[AdmissionFinding]:
-    return check_touches(case.session, case.arm)
+def _touches(case: _Case) -> Iterator[AdmissionFinding]:
+    for field, message in check_touches(case.session, case.arm):
+        yield AdmissionFinding("touch", field, message)
 
 
 def _copies(case: _Case) -> Iterator[AdmissionFinding]:
@@ -348,7 +362,7 @@ def _belongs(case: _Case, judge: bool) -> Iterator[AdmissionFinding]:
     field, value = "rows", f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
     if belief.mistake:
         value = f"{belief.mistake}: {1e3 * belief.misfit:.3g} -> {1e3 * belief.undone:.3g} mm"
-    elif belief.stray >= STRAYS:
+    elif belief.stray >= MOST_STRAYS:
         field, value = "x, y, z", f"{belief.stray:.0%} of the rows are far off the others"
     else:
         value += ", as if shuffled"

@@ -19,16 +19,18 @@ from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model
 
-ENOUGH = 20
-"""Rows, at least, of which it is asked."""
-BAD = 0.015
-"""Misfit, as a share of the sightings' spread, from which on the mistakes are tried."""
-MUCH = 0.7
-"""A mistake that leaves less of the misfit than this is told."""
-ALIKE = 1.02
+MIN_POSES = 20
+"""Poses of which it is asked, at least: two for each of the nine unknowns of a base and a marker."""
+SUSPECT_SHARE = 0.015
+"""Misfit, as a share of the sightings' spread, from which on the mistakes are tried: an arm that is
+not calibrated errs by less, a mistake by more."""
+TELLING_SHARE = 0.7
+"""A mistake that leaves less of the misfit than this (half of its square) is told."""
+ALIKE_RATIO = 1.02
 """Mistakes whose misfits differ by less than this cannot be told apart; the first is told."""
-FAR, STRAYS = 8.0, 0.3
-"""Rows so many times farther off than the closest quarter stray; so many may."""
+STRAY_RATIO, MOST_STRAYS = 8.0, 0.3
+"""Rows so many times farther off than the closest quarter stray (of normal errors one in 1e9 does);
+this share of them may: the median of the others still fits."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class _Belief:
     def belong(self) -> bool:
         """Whether the rows may be this arm's."""
         # Misfit, as a share of the sightings' spread, of rows that are not this arm's
-        return not self.mistake and self.misfit < 0.25 * self.spread and self.stray < STRAYS
+        return not self.mistake and self.misfit < 0.25 * self.spread and self.stray < MOST_STRAYS
 
 
 def believe(model: Model, session: Session) -> _Belief | None:
@@ -73,19 +75,19 @@ def believe(model: Model, session: Session) -> _Belief | None:
     The mistakes are tried only where the rows fit badly.
 
     Returns:
-        None for fewer than `ENOUGH` rows with a position.
+        None for fewer than `MIN_POSES` rows with a position.
     """
     seen = session.take(session.located)
-    if len(np.unique(seen.pose_id)) < ENOUGH:
+    if len(np.unique(seen.pose_id)) < MIN_POSES:
         return None
     found = register(Sightings.of(model, session))
     distance = np.linalg.norm(found.residual, axis=1)
     spread = float(np.median(np.linalg.norm(seen.xyz - np.median(seen.xyz, axis=0), axis=1)))
-    least = max(FAR * float(np.quantile(distance, 0.25)), BAD * spread)
+    least = max(STRAY_RATIO * float(np.quantile(distance, 0.25)), SUSPECT_SHARE * spread)
     belief = _Belief(found.misfit, spread, float((distance > least).mean()))
     # Rows that the mistakes are tried on, spread over the session
     rows = np.unique(np.linspace(0, len(session) - 1, 100).astype(int))
-    if found.misfit < BAD * spread:
+    if found.misfit < SUSPECT_SHARE * spread:
         signs = _signs(model, seen.take(np.unique(rows * len(seen) // len(session))), found.misfit)
         return dataclasses.replace(belief, signs=signs)
     own = register(Sightings.of(model, session.take(rows))).misfit
@@ -94,9 +96,9 @@ def believe(model: Model, session: Session) -> _Belief | None:
         for m in mistakes(model.arm, session)
     ]
     best = min(misfit for misfit, _ in tried)
-    if best > MUCH * own:
+    if best > TELLING_SHARE * own:
         return belief
-    first = next(m for misfit, m in tried if misfit <= ALIKE * best)
+    first = next(m for misfit, m in tried if misfit <= ALIKE_RATIO * best)
     undone = register(Sightings.of(model, first.rows)).misfit
     return dataclasses.replace(belief, mistake=first.what, undone=undone)
 

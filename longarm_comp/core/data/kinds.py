@@ -271,15 +271,11 @@ def across(directions: np.ndarray) -> np.ndarray:
 
 def matrices(quaternions: np.ndarray) -> np.ndarray:
     """Rotation matrices (N, 3, 3) of x, y, z, w (N, 4); the identity where one is NaN."""
+    from scipy.spatial.transform import Rotation  # not for a control program
+
     known = np.isfinite(quaternions).all(axis=1, keepdims=True)
     q = np.where(known, quaternions, np.array([0.0, 0.0, 0.0, 1.0]))
-    x, y, z, w = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    return np.asarray(Rotation.from_quat(q).as_matrix())
 
 
 def by_name(declared: Callable[[str], Any], names: np.ndarray) -> np.ndarray:

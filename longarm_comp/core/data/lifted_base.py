@@ -19,16 +19,18 @@ from longarm_comp.core.data.kinds import across, by_name, matrices
 from longarm_comp.core.data.session import Session
 from longarm_comp.math.points import nearest_rotation, robust_kabsch, robust_weights
 
-ENOUGH = 4
-"""Distances to an anchor, or equations of a base, at least, to solve for it."""
+MIN_EQUATIONS = 4
+"""Distances to an anchor, or equations of a base, at least: three leave a mirror image."""
 ROUNDS = 6
-"""Times that outlying equations are weighed down."""
-SEEN = 0.1
-"""Singular value of R, in the largest, below which its direction was not measured."""
-FAR = 6.0
-"""Misfit of a distance, in their median, from which it is left out."""
-SHORT, LONG = 0.05, 2.8
-"""Turns between two rows (rad) that tell the axis of the turn."""
+"""Times that outlying equations are weighed down: the weights change no more after it."""
+SEEN_SHARE = 0.1
+"""Singular value of R, in the largest, below which its direction was not measured; of a rotation
+all are 1."""
+FAR_MEDIANS = 6.0
+"""Misfit of a distance, in their median, from which it is left out: four standard deviations."""
+LEAST_TURN_RAD, MOST_TURN_RAD = 0.05, 2.8
+"""Turns between two rows that tell the axis of the turn: of smaller ones noise tilts it, near pi its
+sign is not known."""
 _RANK, _EXACT = 1e-6, 1e-9
 
 
@@ -64,7 +66,7 @@ def lifted_base(
     found = _linear(arm, points, rows)
     turn = _by_axes(axes, rows)
     if turn is None:
-        turn = _rotation(found) if len(found.value) >= ENOUGH else np.eye(3)
+        turn = _rotation(found) if len(found.value) >= MIN_EQUATIONS else np.eye(3)
     right = found.value - np.einsum("mi,ij,mj->m", found.direction, turn, found.point)
     return turn, _robust(found.direction, right) if len(right) else np.zeros(3)
 
@@ -75,8 +77,8 @@ def multilaterated(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     for _ in range(ROUNDS):
         place = _anchor(points[kept], length[kept])
         miss = np.abs(np.linalg.norm(points - place, axis=1) - length)
-        closer = miss <= max(FAR * float(np.median(miss)), _EXACT)
-        if closer.sum() < ENOUGH or (closer == kept).all():
+        closer = miss <= max(FAR_MEDIANS * float(np.median(miss)), _EXACT)
+        if closer.sum() < MIN_EQUATIONS or (closer == kept).all():
             break
         kept = closer
     return place
@@ -139,7 +141,7 @@ def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEqu
     length = rows.readings["distance"][:, 0]
     for name, anchor in arm.anchors.items():
         held = np.isfinite(length) & (rows.labels["anchor"] == name)
-        if anchor.xyz_m is None or held.sum() < ENOUGH:
+        if anchor.xyz_m is None or held.sum() < MIN_EQUATIONS:
             continue
         place = multilaterated(points[held], length[held])
         count = int(held.sum())  # as many equations as distances
@@ -153,7 +155,7 @@ def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEqu
 def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     """R from axes ``A = R B X`` of any body X: turns between rows, ``A_i A_j' = R B_i B_j' R'``."""
     turned = rows.take(rows.turned)
-    if len(turned) < ENOUGH:
+    if len(turned) < MIN_EQUATIONS:
         return None
     blank = np.full(len(turned), "")
     body = np.char.add(turned.labels.get("marker", blank), turned.labels.get("sensor", blank))
@@ -161,7 +163,7 @@ def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     pairs = (np.roll(a, 1, axis=0) @ np.swapaxes(a, 1, 2) for a in (seen, mine))
     to, of = (Rotation.from_matrix(pair).as_rotvec() for pair in pairs)
     angle = np.linalg.norm(of, axis=1)
-    told = (angle > SHORT) & (angle < LONG) & (np.roll(body, 1) == body)
+    told = (angle > LEAST_TURN_RAD) & (angle < MOST_TURN_RAD) & (np.roll(body, 1) == body)
     if told.sum() < 2:
         return None
     of, to = np.concatenate([of[told], -of[told]]), np.concatenate([to[told], -to[told]])
@@ -186,7 +188,7 @@ def _rotation(found: _LinearEquations) -> np.ndarray:
     if s[0] < _EXACT:
         return np.eye(3)
     turn = nearest_rotation(free)
-    return turn if s[1] > SEEN * s[0] else _least_turned(turn, u[:, 0])
+    return turn if s[1] > SEEN_SHARE * s[0] else _least_turned(turn, u[:, 0])
 
 
 def _least_turned(turn: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -80,8 +80,8 @@ def _misfit(residual: np.ndarray) -> float:
 
 TURNS, STEPS = 6, 20
 """Times that the rows are weighed again: with the markers still, and with all free."""
-ENOUGH = 3
-"""Rows of a group, at least, to find its rotation from them alone."""
+MIN_ROWS = 3
+"""Rows of a group that fix its rotation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +211,7 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
 
 def _base(point: np.ndarray, seen: np.ndarray, like: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """One base, its worst rows counted less; with too few rows it is turned `like` another."""
-    if len(point) < ENOUGH:
+    if len(point) < MIN_ROWS:
         return like, np.median(seen - point @ like.T, axis=0)
     return robust_kabsch(point, seen, TURNS)
 

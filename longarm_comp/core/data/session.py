@@ -13,6 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -283,21 +284,12 @@ class Session(MeasuredRows):
 
     def take(self, rows: Rows) -> Session:
         """Some of the rows: a mask (N,), indices or a slice."""
-        return dataclasses.replace(
-            self,
-            index=self.index[rows],
-            q=self.q[rows],
-            xyz=self.xyz[rows],
-            approach=self.approach[rows],
-            legs=self.legs[rows],
-            told=self.told[rows],
-            repeat_id=self.repeat_id[rows],
-            sigma=None if self.sigma is None else self.sigma[rows],
-            columns={name: values[rows] for name, values in self.columns.items()},
-            labels={name: values[rows] for name, values in self.labels.items()},
-            readings={name: values[rows] for name, values in self.readings.items()},
-            sigmas={name: values[rows] for name, values in self.sigmas.items()},
-        )
+        arrays = ("index", "q", "xyz", "approach", "legs", "told", "repeat_id")
+        taken: dict[str, Any] = {name: getattr(self, name)[rows] for name in arrays}
+        for kind in ("columns", "labels", "readings", "sigmas"):
+            taken[kind] = {name: held[rows] for name, held in getattr(self, kind).items()}
+        sigma = None if self.sigma is None else self.sigma[rows]
+        return dataclasses.replace(self, sigma=sigma, **taken)
 
     def where(self, label: str, value: str) -> Session:
         """The rows whose text column `label` holds `value`."""

@@ -6,7 +6,7 @@ anywhere (`touch_place`); every other is beside one that is placed before it (`t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -71,6 +71,36 @@ def _ordered(
     while left:
         grown(left[0], None)
     return made
+
+
+def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
+    """What the touches of a session cannot tell: field and message. Raises InputError."""
+    stood = [kind for kind in KINDS.values() if not kind.cells and kind.label in session.labels]
+    for kind in stood:
+        texts = session.labels[kind.label]
+        lost = (texts != "") & np.isnan(session.reading(kind)[:, 0])
+        few = [str(name) for name in np.unique(texts[lost])]
+        if few:
+            rows = f"{kind.takes + 1} rows or more"
+            if not session.seen.any():
+                allowed = f"{rows} of one name"
+                raise InputError(session.source, kind.label, "each in too few rows", allowed)
+            text = f"{', '.join(few)}: in fewer than {rows}, which tells nothing"
+            yield kind.label, text
+    stood = [kind for kind in session.kinds if not kind.cells]
+    if not stood:
+        return
+    unknowns(arm, session)
+    if len(np.unique(session.labels.get("group", np.array([""])))) > 1 and not any(
+        kind.framed(arm) for kind in session.kinds
+    ):
+        allowed = "one base placement where all is touched: nothing shows how the bases stand"
+        raise InputError(session.source, "group", "several", allowed)
+    points = {name for kind in stood for name in session.named(kind)}
+    for one, other, *_ in session.touch_distances:
+        if (one in points) != (other in points):
+            text = f"{other if one in points else one} was not touched"
+            yield "touch_distances", text
 
 
 def started(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:

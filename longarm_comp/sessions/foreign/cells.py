@@ -19,6 +19,7 @@ from longarm_comp.core.files import check_unpacked
 from longarm_comp.sessions.foreign.units import split_name, unit_of
 
 MOST_CELLS = 20_000_000
+"""As text these take some 2 GB."""
 _SEPARATORS = (r"\t", ";", ",", r"\|", r"\s{2,}|\t", r"\s+")
 _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")

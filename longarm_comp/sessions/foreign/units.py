@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,6 +49,7 @@ ALLOWED = (
 )
 _EULER = re.compile(r"(?!.*(.)\1)([xyzXYZ])([xyzXYZ])([xyzXYZ])")
 UNIT_LENGTH = 1e-2
+"""A quaternion printed with three digits is so far from length 1."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ class Unit:
     offset: float = 0.0
 
 
-_DEGREE = 0.017453292519943295
+_DEGREE = math.pi / 180
 UNITS = {
     unit.name: unit
     for unit in (
