@@ -18,7 +18,7 @@ from longarm_comp.report.style import rc, save
 LEAST = 2
 """Fewer targets seen in both runs give no interval."""
 RESAMPLES = 5000
-"""Drawings of the bootstrap: an end of the interval then moves by 2 % of its width."""
+"""Drawings of the bootstrap: an end of the interval then moves by 1 % of its width."""
 _MM = 1e3
 
 

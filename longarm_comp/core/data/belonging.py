@@ -20,7 +20,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model
 
 MIN_POSES = 20
-"""Poses of which it is asked, at least: two for each of the nine unknowns of a base and a marker."""
+"""Poses of which it is asked, at least: two for each unknown of a base and a marker."""
 SUSPECT_SHARE = 0.015
 """Misfit, as a share of the sightings' spread, from which on the mistakes are tried: an arm that is
 not calibrated errs by less, a mistake by more."""
@@ -29,7 +29,7 @@ TELLING_SHARE = 0.7
 ALIKE_RATIO = 1.02
 """Mistakes whose misfits differ by less than this cannot be told apart; the first is told."""
 STRAY_RATIO, MOST_STRAYS = 8.0, 0.3
-"""Rows so many times farther off than the closest quarter stray (of normal errors one in 1e9 does);
+"""Rows so many times farther off than the closest quarter stray (of normal errors none does);
 this share of them may: the median of the others still fits."""
 
 
