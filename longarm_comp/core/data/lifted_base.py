@@ -29,8 +29,8 @@ all are 1."""
 FAR_MEDIANS = 6.0
 """Misfit of a distance, in their median, from which it is left out: four standard deviations."""
 LEAST_TURN_RAD, MOST_TURN_RAD = 0.05, 2.8
-"""Turns between two rows that tell the axis of the turn: of smaller ones noise tilts it, near pi its
-sign is not known."""
+"""Turns between two rows that tell the axis of the turn: noise tilts that of smaller ones, and near
+pi its sign is not known."""
 _RANK, _EXACT = 1e-6, 1e-9
 
 
