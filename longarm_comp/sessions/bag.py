@@ -1,14 +1,7 @@
-"""Reads a session from a rosbag2 folder (mcap or sqlite3).
+"""Reads a session from a rosbag2 folder (mcap or sqlite3); docs/sessions.md has its topics.
 
 A row is a command and the mean of the sightings after the arm has settled, up to the next command.
-A command without a sighting, or at which the measured joints did not rest, gives no row, unless a
-`session_row` says that it was a measurement: then the row is blank, and `Session.lost` says why.
-Like the via points of a trajectory, it determines from which side the joints arrive.  A sighting
-at NaN is a lost marker.  Temperature and payload hold until the next message.  Recorded
-`session_row` messages add index, repeats, labels and further columns.
-
-Topics are found by the last part of their name, so any namespace will do.  Other topics and
-unknown types are ignored.
+Topics are found by the last part of their name; others and unknown types are ignored.
 """
 
 from __future__ import annotations

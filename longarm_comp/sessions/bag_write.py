@@ -1,10 +1,7 @@
 """A session as a rosbag2 of the robot's own topics, whole or not at all.
 
-Per row: a `joint_trajectory` command, the circumstances (`temperature`, `payload`), one
-`tip_measured` sighting, and a `session_row` with what no topic of the robot says (index,
-repeat, labels, further columns and readings, sides of arrival that were recorded without a
-length).  A run-up is a via point that the trajectory passes first.  A lost marker is a sighting
-at NaN.
+Per row: a command, the circumstances, one sighting, and a `session_row` with what no topic of the
+robot says. A run-up is a via point that the trajectory passes first.
 """
 
 from __future__ import annotations

@@ -1,12 +1,4 @@
-"""A session as a CSV file (samples.csv, test.csv).
-
-Required: ``q1..qn`` (rad, m, the commanded joints in the order of the arm) and something
-measured: ``x,y,z`` (m), ``qx,qy,qz,qw``, ``distance`` (m, with ``anchor``), ``touch`` or ``plane``
-(names of what the tip touched); blank is not measured (`sessions/csv.py`).  Known besides:
-``index, t_s, temperature_c, payload_kg, approach, repeat_id, sigma_x..z, cov_xx..zz, role, group,
-marker, incl_<frame>_x/_y`` and ``approach_q1..qn`` (the direction per joint, where one for all
-joints does not do), ``run_up_q1..qn`` (where each joint came from last), ``read_q1..qn`` (where its
-encoder says that it stands).
+"""A session as a CSV file; docs/sessions.md has its columns.
 
 A further column is kept as context, numbers as numbers and text as labels, unless its name
 comes close to a known one: then it is an error that says which.

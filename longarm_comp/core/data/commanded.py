@@ -1,10 +1,8 @@
 """Errors as a command would have them: what the tip would miss a target by, with this model.
 
-A measurement holds more than a command can use.  A cause on the measuring side moves what is seen,
-not the tip, so no command compensates it.  A command knows its own way, and what the joints did
-before it where their moves are followed, as in a running graph; of rows that only say from which
-side a joint came, nobody does.  And it is told the circumstances in `_TOLD` only.  `errors` of a
-model uses all of that and therefore flatters it; the errors here use what a command has.
+A measurement holds more than a command can use, and `errors` of a model uses all of it: causes on
+the measuring side, moves before the last that only a side was recorded of, circumstances that no
+command is told (docs/report.md, "As seen and as commanded").
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Kinds of measurement: what a sensor's reading says of the tip, as scalar equations.
 
-A kind turns readings and the predicted tip into residuals, and the motion of the tip into the
-columns of these residuals.  Fit, diagnosis and report know channels and equations only, so a
-further kind is one class here.
+Fit, diagnosis and report know channels and equations only, so a further kind is one class here.
 """
 
 from __future__ import annotations

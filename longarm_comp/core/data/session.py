@@ -1,8 +1,7 @@
 """A session: commanded joints, measured tips and their circumstances.
 
-Rows keep the order in which they were recorded.  Quantities that depend on that order (the side
-from which a joint arrived) are derived once, here, so that any subset may be taken afterwards.
-See `core/data/holdout.py` for splits and the sealed hold-out.
+Quantities that depend on the order of recording (the side from which a joint arrived) are derived
+once, here, so that any subset may be taken afterwards.
 """
 
 from __future__ import annotations
