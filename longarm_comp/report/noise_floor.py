@@ -45,7 +45,7 @@ def floor_of(report: DiagnosisReport) -> NoiseFloor | None:
         return None
     written = "calibrated" if report.written is None else report.written.model
     size = left.size_mm or 0.0 if left.flag else 0.0
-    rows = {row.model: row.model_dump() for row in held.rows}
+    rows = {str(row.model): row.model_dump() for row in held.rows}
     return noise_floor(report.noise.sigma_mm, held.n, rows, written, size)
 
 

@@ -153,7 +153,7 @@ def scores(best: Sequence[ReportCandidate]) -> Figure:
     drawn = Figure(figsize=(9, 0.8 + 0.24 * len(best)), layout="constrained")
     axes = drawn.subplots()
     labels = [f"{one.effect}, {one.where}" for one in best]
-    values = [one.log_bayes_factor for one in best]
+    values = [one.log_bayes_factor or 0.0 for one in best]
     bars = axes.barh(range(len(labels)), values, color="white", edgecolor=INK, linewidth=0.8)
     for bar, one in zip(bars, best, strict=True):
         if one.state == "accepted":

@@ -24,7 +24,7 @@ def template(name: str) -> jinja2.Template:
 
 def beside(name: str) -> str:
     """Text of a style or script that lies beside the templates."""
-    return files("longarm_comp.report").joinpath("templates", name).read_text("utf-8")
+    return files("longarm_comp.report").joinpath(f"templates/{name}").read_text("utf-8")
 
 
 def data_uri(svg: bytes) -> str:

@@ -99,7 +99,7 @@ class _Recorder:
         data = self._types.serialize_cdr(self._made(kind, fields), kind)
         self._writer.write(self._connections[topic], stamp, data)
 
-    def _made(self, kind: str, fields: dict[str, Any]) -> Any:
+    def _made(self, kind: Any, fields: dict[str, Any]) -> Any:
         inner = {name: told[1] for name, told in self._types.get_msgdef(kind).fields}
         made = {k: self._made(inner[k], v) if isinstance(v, dict) else v for k, v in fields.items()}
         return self._types.types[kind](**made)

@@ -20,7 +20,7 @@ from longarm_comp.sessions.settled import Sighting, nowhere, settled, stood
 class _Row(NamedTuple):
     """A command, what was seen at it, and what was told of it."""
 
-    index: int
+    number: int
     q: np.ndarray
     history: History
     sides: np.ndarray
@@ -65,7 +65,7 @@ class Rows:
         passed = seen is None
         if seen is None and rows:  # a measurement was meant: it is a row, and says why it is blank
             seen = nowhere(rows[0][0])
-        last = self._rows[-1].index if self._rows else -1
+        last = self._rows[-1].number if self._rows else -1
         number = row.index if row.index is not None else last + 1
         gap = not passed and self._rows and not self._passed and not 0 <= number - last <= 1
         if gap:
@@ -97,7 +97,7 @@ class Rows:
         columns |= _told([row.told.columns for row in rows])
         readings = self._readings()
         return Session(
-            index=np.array([row.index for row in rows]),
+            index=np.array([row.number for row in rows]),
             q=np.array([row.q for row in rows]),
             xyz=readings.pop("position"),
             approach=np.array([row.history.approach for row in rows]),
