@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -278,7 +279,8 @@ def read_report(folder: str | Path) -> DiagnosisReport:
 def text(report: DiagnosisReport) -> str:
     """report.json: keys in the order of the schema, numbers to `DIGITS` digits."""
     plain = report.model_dump(mode="json", by_alias=True)
-    return json.dumps(_rounded(plain), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    short = rounded(plain, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)  # + 0.0: no negative zero
+    return json.dumps(short, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def schema_text() -> str:
@@ -290,13 +292,14 @@ def schema_text() -> str:
     return json.dumps(schema, indent=2) + "\n"
 
 
-def _rounded(value: Any) -> Any:
+def rounded(value: Any, to: Callable[[float], float]) -> Any:
+    """Lists and mappings with every float rounded by `to`."""
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") + 0.0  # + 0.0: no negative zero
+        return to(value)
     if isinstance(value, list):
-        return [_rounded(entry) for entry in value]
+        return [rounded(entry, to) for entry in value]
     if isinstance(value, dict):
-        return {key: _rounded(entry) for key, entry in value.items()}
+        return {key: rounded(entry, to) for key, entry in value.items()}
     return value
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.report.detail import STAGES, SeenRows
+from longarm_comp.report.record import rounded
 from longarm_comp.report.style import LOOKS
 
 MOST = 150
@@ -96,7 +97,8 @@ def scene_json(rows: SeenRows, shown: str) -> str:
             meta = {"stage": stage, "scale": scale, "times": times}
             visible = stage == shown and scale == "own"
             traces.append(_arrow_lines(arrows(rows, stage, times), meta, visible, head))
-    plain = _short({"data": traces, "layout": _layout()})
+    # To a hundredth of a millimetre, to keep the file small
+    plain = rounded({"data": traces, "layout": _layout()}, lambda v: round(v, 5))
     return json.dumps(plain, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
@@ -177,14 +179,3 @@ def _layout() -> dict[str, Any]:
             },
         },
     }
-
-
-def _short(value: Any) -> Any:
-    """Numbers rounded to a hundredth of a millimetre, to keep the file small."""
-    if isinstance(value, float):
-        return round(value, 5)
-    if isinstance(value, list):
-        return [_short(entry) for entry in value]
-    if isinstance(value, dict):
-        return {key: _short(entry) for key, entry in value.items()}
-    return value

@@ -55,18 +55,16 @@ def target(state: PageState) -> str:
 
 def tip_at_target(state: PageState, now: float) -> str:
     """tip - target, or why there is none."""
-    missed = state.missed(now)
-    if missed is not None:
-        return f"tip − target: {millimetres(missed)}"
-    return f"tip − target: {_no_error(state, now)}"
+    return _error("tip − target", state.missed(now), state, now)
 
 
 def tip_as_predicted(state: PageState, now: float) -> str:
     """tip - predicted tip, or why there is none."""
-    beside = state.unpredicted(now)
-    if beside is not None:
-        return f"tip − predicted: {millimetres(beside)}"
-    return f"tip − predicted: {_no_error(state, now)}"
+    return _error("tip − predicted", state.unpredicted(now), state, now)
+
+
+def _error(what: str, found: np.ndarray | None, state: PageState, now: float) -> str:
+    return f"{what}: {_no_error(state, now) if found is None else millimetres(found)}"
 
 
 def _no_error(state: PageState, now: float) -> str:
