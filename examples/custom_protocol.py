@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 READ, WRITE = 1, 2
-TOO_HOT, TOO_HEAVY = 1, 2
 
 
 class MakerServo(Dialect):
@@ -24,16 +24,16 @@ class MakerServo(Dialect):
 
     name = "maker"
     models = (ServoModel("maker-12bit", "maker", 7, 4096, (0, 4095), (-30000, 30000), 1000.0),)
+    header = b"\x55"
     overhead = 5
+    alarm_bits: ClassVar = {0: ServoAlarm.OVERHEAT, 1: ServoAlarm.OVERLOAD}
     model = Block(0, 2)
     firmware = Block(2, 1)
     baudrates = (115_200,)
     turns = Block(3, 1)
-    turns_lock = None
     torque = Block(4, 1)
     goal = Block(5, 4)
     state = Block(9, 9)
-    alarm = None
 
     def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
         """Each servo answers when those before it in the list have answered."""
@@ -44,32 +44,13 @@ class MakerServo(Dialect):
         data = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
         return _request(WRITE, block, len(values), data)
 
-    def decode(self, buffer: bytearray, final: bool) -> list[Reply]:
-        """Replies from the front of the buffer; what begins none of them is thrown away."""
-        replies: list[Reply] = []
-        while (start := buffer.find(b"\x55")) >= 0:
-            del buffer[:start]
-            end = buffer[3] + self.overhead if len(buffer) > 3 else self.overhead
-            if len(buffer) < end:
-                break
-            frame = bytes(buffer[:end])
-            intact = sum(frame[:-1]) & 0xFF == frame[-1]
-            replies.append(Reply(frame[1], frame[2], frame[4:-1] if intact else b"", intact))
-            del buffer[: end if intact else 1]
-        return replies
+    def frame_length(self, start: bytearray) -> int:
+        """Bytes of a reply."""
+        return start[3] + self.overhead
 
-    def refusal(self, error: int) -> int:
-        """This servo refuses nothing."""
-        return 0
-
-    def alarms(self, error: int) -> ServoAlarm:
-        """Every reply has them."""
-        return self.alarm_flags(error)
-
-    def alarm_flags(self, value: int) -> ServoAlarm:
-        """Two bits are in use."""
-        hot = ServoAlarm.OVERHEAT if value & TOO_HOT else ServoAlarm.NONE
-        return hot | (ServoAlarm.OVERLOAD if value & TOO_HEAVY else ServoAlarm.NONE)
+    def reply(self, frame: bytes) -> Reply:
+        """Id, alarms and data, with the sum of all bytes at the end."""
+        return Reply(frame[1], frame[2], frame[4:-1], sum(frame[:-1]) & 0xFF == frame[-1])
 
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         """Position, and speed with 0 for as fast as it can."""

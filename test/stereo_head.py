@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from longarm_comp.devices.stereo import StereoEye, StereoRig, TagBoard
+from longarm_comp.math.points import kabsch
 from longarm_comp.sim.cameras import CameraPair, Conditions, render
 from longarm_comp.sim.marker_images import tag_plate
 
@@ -45,3 +46,9 @@ def pair(
 ) -> tuple[Any, Any]:
     """Left and right picture of the tag in front of the head."""
     return render(marker_pose(HEAD, depth), plate, HEAD, np.random.default_rng(3), conditions)
+
+
+def rigid_rms(points: np.ndarray, seen: np.ndarray) -> float:
+    """Rms distance of points (N, 3) from sightings after the best rigid motion."""
+    turn, move = kabsch(points, seen, np.ones(len(points)))
+    return float(np.sqrt(np.mean(np.sum((seen - points @ turn.T - move) ** 2, axis=1))))

@@ -49,7 +49,11 @@ ROOMS = {
     "math": Room((*ROS, *IO, "scipy"), only=()),
     "core": Room((*ROS, *IO), only=("math",)),
     "devices": Room(
-        ROS, only=("core.entry_points", "core.errors", "core.files", "core.strict_yaml", "math")
+        ROS,
+        only=(
+            *("core.entry_points", "core.errors", "core.files", "core.strict_yaml"),
+            *("core.yaml_file", "math"),
+        ),
     ),
     "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "core.strict_yaml", "devices")),
     "arm_folder": Room((*ROS, "click", "rich"), only=("core", "devices", "sim", "share")),

@@ -79,7 +79,7 @@ def test_switching_on_never_moves_a_servo(rig: Rig) -> None:
 
 def test_one_silent_servo_is_named_and_the_others_are_not_lost(rig: Rig) -> None:
     emulator, bus = rig
-    emulator.faults.silence(3)
+    emulator.faults.silent.add(3)
     with pytest.raises(ServoTimeout) as caught:
         bus.read(IDS)
     assert caught.value.silent == caught.value.ids == (3,)
@@ -92,16 +92,16 @@ def test_one_silent_servo_is_named_and_the_others_are_not_lost(rig: Rig) -> None
 
 def test_a_lost_or_damaged_or_cut_reply_is_asked_for_again(rig: Rig) -> None:
     emulator, bus = rig
-    emulator.faults.drop(1)
-    emulator.faults.corrupt(2)
-    emulator.faults.cut(3)
+    emulator.faults.drops[1] += 1
+    emulator.faults.corrupt[2] += 1
+    emulator.faults.cuts[3] += 1
     assert sorted(bus.read(IDS)) == IDS
     assert bus.counters.checksum_errors >= 1 and bus.counters.retries >= 1
 
 
 def test_lasting_damage_is_a_checksum_error(rig: Rig) -> None:
     emulator, bus = rig
-    emulator.faults.corrupt(2, count=100)
+    emulator.faults.corrupt[2] += 100
     with pytest.raises(ServoChecksum) as caught:
         bus.read(IDS)
     assert caught.value.corrupt == (2,) and caught.value.silent == ()
@@ -110,13 +110,13 @@ def test_lasting_damage_is_a_checksum_error(rig: Rig) -> None:
 
 def test_noise_and_a_late_reply_do_not_become_an_answer(rig: Rig) -> None:
     emulator, bus = rig
-    emulator.faults.before_next(b"\xff\xff\x00\xff\xff\xfd\x13\xff\xff\x01")
+    emulator.faults.noise += b"\xff\xff\x00\xff\xff\xfd\x13\xff\xff\x01"
     assert bus.read([1])[1].position_ticks == 2048
-    emulator.faults.delay(1, 0.3)  # after the 0.15 s time-out: it arrives in the next exchange
+    emulator.faults.delays_s[1] = 0.3  # after the 0.15 s time-out: it arrives in the next exchange
     late = _open_one_try(emulator, bus)
     with pytest.raises(ServoTimeout):
         late.read([1])
-    emulator.faults.delay(1, 0.0)
+    emulator.faults.delays_s[1] = 0.0
     time.sleep(0.3)
     emulator.push(1, 555.0)
     assert late.read([1])[1].position_ticks == 555
@@ -128,7 +128,7 @@ def test_an_answer_of_another_servo_is_not_taken(rig: Rig) -> None:
     dialect = protocols()[emulator.protocol]()
     (frame,) = emulator._wire.take(bytearray(dialect.sync_read([4], dialect.state)))
     ((_, stray),) = emulator._wire.answer(frame, emulator._devices)
-    emulator.faults.before_next(stray)
+    emulator.faults.noise += stray
     assert {i: s.position_ticks for i, s in bus.read([1]).items()} == {1: 2048}
     assert bus.counters.stray_frames == 1
 
@@ -207,7 +207,7 @@ def test_an_adapter_that_hears_itself_changes_nothing(rig: Rig) -> None:
 def test_torque_off_reaches_the_others_although_one_is_silent(rig: Rig) -> None:
     emulator, bus = rig
     bus.torque(IDS, on=True)
-    emulator.faults.silence(1)
+    emulator.faults.silent.add(1)
     with pytest.raises(ServoTimeout) as caught:
         bus.torque(IDS, on=False)
     assert caught.value.ids == (1,)

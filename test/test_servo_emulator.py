@@ -87,13 +87,13 @@ def test_feetech_library_sync_writes_and_sync_reads(feetech) -> None:
 
 def test_feetech_library_sees_the_faults(feetech, monkeypatch) -> None:
     emulator, servo = feetech
-    emulator.faults.corrupt(1)
+    emulator.faults.corrupt[1] += 1
     assert servo.ReadPos(1)[1] == scs.COMM_RX_CORRUPT
     _patience(monkeypatch, 30)
-    emulator.faults.silence(1)
+    emulator.faults.silent.add(1)
     assert servo.ReadPos(1)[1] == scs.COMM_RX_TIMEOUT
     _patience(monkeypatch, 2000)
-    emulator.faults.speak(1)
+    emulator.faults.silent.discard(1)
     emulator.heat(1, 95.0)
     assert _until(lambda: servo.ReadPos(1)[2] == 4)
 
@@ -143,7 +143,7 @@ def test_dynamixel_library_reads_a_byte_stuffed_value(dynamixel) -> None:
 
 def test_dynamixel_library_sees_the_faults(dynamixel) -> None:
     emulator, port, packet = dynamixel
-    emulator.faults.corrupt(1)
+    emulator.faults.corrupt[1] += 1
     assert packet.read4ByteTxRx(port, 1, 132)[1] == dxl.COMM_RX_CORRUPT
     emulator.heat(1, 95.0)
     assert _until(lambda: packet.read1ByteTxRx(port, 1, 70)[0] == 4)

@@ -122,8 +122,8 @@ def test_the_arm_goes_where_it_is_told_and_arrives_from_both_sides(loop: Loop) -
 def test_lost_and_damaged_replies_on_the_way_do_not_matter(loop: Loop) -> None:
     loop.send(shoulder=0.6)
     for k in range(30):
-        loop.emulator.faults.drop(1 + k % 2)
-        loop.emulator.faults.corrupt(2 - k % 2)
+        loop.emulator.faults.drops[1 + k % 2] += 1
+        loop.emulator.faults.corrupt[2 - k % 2] += 1
         loop.cycle()
     assert loop.until(_holding(loop))
     loop.until(lambda: abs(loop.joints()["shoulder"] - 0.6) < 6e-4)
@@ -135,12 +135,12 @@ def test_lost_and_damaged_replies_on_the_way_do_not_matter(loop: Loop) -> None:
 def test_a_servo_that_falls_silent_stops_the_arm(loop: Loop) -> None:
     loop.send(shoulder=1.0, boom=0.1)
     loop.until(lambda: loop.joints()["shoulder"] > 0.4)
-    loop.emulator.faults.silence(2)
+    loop.emulator.faults.silent.add(2)
     assert loop.until(lambda: loop.state() is FollowerState.FAULT)
     assert loop.troubles == [(ServoTrouble.SILENT, "boom")]
     time.sleep(0.3)
     assert loop.joints()["shoulder"] < 0.95
-    loop.emulator.faults.speak(2)
+    loop.emulator.faults.silent.discard(2)
     loop.cycle()
     loop.follower.reset(time.monotonic())
     loop.send(shoulder=0.3)

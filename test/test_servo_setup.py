@@ -193,7 +193,7 @@ def test_an_arm_that_moves_and_torque_that_stays_on_are_told(
         assert "joint2 moves: hold the arm still" in untouched(mine, shell, *words)
 
         def unplugged(setup: ServoSetup) -> object:
-            emulator.faults.silence(2)
+            emulator.faults.silent.add(2)
             return original(setup)
 
         monkeypatch.setattr(ServoSetup, "rest", unplugged)

@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 import pytest
 from cli_shell import Shell
-from stereo_head import HEAD, marker_pose
+from stereo_head import HEAD, marker_pose, rigid_rms
 
 from longarm_comp.arm_folder.camera_files import camera_path
 from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.marker_sheet import sheet
 from longarm_comp.arm_folder.measured import read_measured
-from longarm_comp.devices.stereo import CharucoTarget, StereoEye, StereoRig, TagBoard, fit_rigid
+from longarm_comp.devices.stereo import CharucoTarget, StereoEye, StereoRig, TagBoard
 from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.views import BoardView, gaps, view_of
 from longarm_comp.sim.cameras import Conditions, render
@@ -96,7 +96,7 @@ def test_the_written_files_measure_the_tip_where_it_is(shell: Shell, pictures: P
         true.append((np.linalg.inv(TRUE.left_in_base) @ truth)[:3, 3])
     assert np.linalg.norm(np.subtract(seen, true), axis=1).max() < 1.5e-3
     # Where the head stands is found by hand-eye: what is left is what the tip is measured to.
-    assert fit_rigid(np.array(seen), np.array(true)).rms_m < 0.2e-3
+    assert rigid_rms(np.array(seen), np.array(true)) < 0.2e-3
     assert [f.level for f in of_record(Path("mine"))] == ["measured"]
     left = camera_path(Path("mine"), "left")
     left.write_text(

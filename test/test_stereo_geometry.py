@@ -17,7 +17,6 @@ from longarm_comp.devices.stereo import (
     StereoEye,
     StereoRig,
     calibrate_stereo,
-    fit_rigid,
     hand_eye,
     triangulate,
 )
@@ -64,25 +63,6 @@ def test_triangulation_is_exact_and_its_covariance_is_what_noise_does() -> None:
         np.sqrt(np.diag(noisy.covariances.mean(axis=0))),
         rtol=0.05,
     )
-
-
-def test_rigid_fit_recovers_a_motion_and_knows_its_error() -> None:
-    rng = np.random.default_rng(10)
-    truth = np.eye(4)
-    truth[:3, :3] = cv2.Rodrigues(np.array([2.0, -1.0, 0.4]))[0]
-    truth[:3, 3] = [0.75, -1.7, 0.3]
-    source = rng.uniform(-0.4, 0.4, (30, 3))
-    covariance = np.broadcast_to(np.diag([1e-4, 1e-4, 1e-3]) ** 2, (30, 3, 3))
-    normalised = []
-    for _ in range(60):
-        noise = rng.normal(0.0, [1e-4, 1e-4, 1e-3], (30, 3))
-        fit = fit_rigid(source, source @ truth[:3, :3].T + truth[:3, 3] + noise, covariance)
-        turn = cv2.Rodrigues(fit.transform[:3, :3] @ truth[:3, :3].T)[0].ravel()
-        error = np.concatenate([fit.transform[:3, 3] - truth[:3, 3], turn])
-        normalised.append(error @ np.linalg.solve(fit.covariance, error))
-    assert 4.5 < np.mean(normalised) < 7.5  # chi-square with 6 degrees of freedom, 60 draws
-    with pytest.raises(InputError, match="line"):
-        fit_rigid(np.outer(np.arange(4.0), [1, 2, 3]), np.outer(np.arange(4.0), [1, 2, 3]))
 
 
 # ---- hand-eye -----------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from stereo_head import rigid_rms
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo import (
@@ -20,7 +21,6 @@ from longarm_comp.devices.stereo import (
     StereoCalibration,
     calibrate_stereo,
     epipolar_px,
-    fit_rigid,
     triangulate,
 )
 
@@ -76,7 +76,7 @@ def test_held_out_square_lengths(views: Views, calibration: StereoCalibration) -
         grid = seen.points.reshape(6, 9, 3)
         sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).ravel() for axis in (0, 1)]
         errors.append(np.concatenate(sides) - 1.0)
-        shape.append(fit_rigid(BOARD.points(left.ids), seen.points).rms_m)
+        shape.append(rigid_rms(BOARD.points(left.ids), seen.points))
         off.append(epipolar_px(calibration.rig, left.pixels, right.pixels))
     error = np.concatenate(errors)
     assert error.size == 12 * 93

@@ -13,7 +13,7 @@ from longarm_comp.arm_folder.parameter_file import parameters_of
 from longarm_comp.core.arm import quaternion
 
 if TYPE_CHECKING:
-    from longarm_comp.devices.stereo import CameraInfoLike
+    from longarm_comp.devices.camera_info import CameraInfo
 
 _TAG_PX = 12.5
 """A tag that looks smaller is not found: geometric mean of its seen sides, px."""
@@ -29,7 +29,7 @@ class Lens:
     baseline_m: float
 
     @classmethod
-    def of(cls, left: CameraInfoLike, right: CameraInfoLike) -> Lens | None:
+    def of(cls, left: CameraInfo, right: CameraInfo) -> Lens | None:
         """From a calibrated pair; None where it is not calibrated."""
         p, across = left.p, right.p
         if not p[0] > 0.0 or not across[0] > 0.0:

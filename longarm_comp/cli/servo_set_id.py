@@ -27,7 +27,7 @@ def command(
     from longarm_comp.cli.dialogue import Dialogue
     from longarm_comp.cli.output import note
     from longarm_comp.cli.servo_scan import asked_port, scanned
-    from longarm_comp.devices.servo_bus.renumber import renumber
+    from longarm_comp.devices.servo_bus.scan import renumber
 
     found = scanned(asked_port(Dialogue("servo set-id"), port, None), protocol, baud, ids)
     old = renumber(found, servo_id)

@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.core.yaml_file import Misdeclared, parse_declared, read_yaml
 from longarm_comp.devices.servo_bus import SerialServoBus, ServoModel, models, open_bus, protocols
 from longarm_comp.devices.servo_joint import JointConfig, Positive, ServoSettings
 
@@ -81,10 +81,12 @@ class ServoConfig(ServoSettings):
             where = f"joints.{name}"
             other = owner.setdefault(joint.servo_id, name)
             if other != name:
-                _refuse(f"{where}.servo_id", joint.servo_id, f"an id that {other} does not use")
+                raise Misdeclared(
+                    f"{where}.servo_id", joint.servo_id, f"an id that {other} does not use"
+                )
             if joint.servo.protocol != self.bus.protocol:
                 known = [m.name for m in models().values() if m.protocol == self.bus.protocol]
-                _refuse(f"{where}.model", joint.model, "one of " + ", ".join(known))
+                raise Misdeclared(f"{where}.model", joint.model, "one of " + ", ".join(known))
             low, high = joint.goal_range
             for field, limit in (("lower", joint.lower), ("upper", joint.upper)):
                 ticks = joint.zero_ticks + joint.direction * limit / joint.si_per_tick
@@ -92,9 +94,11 @@ class ServoConfig(ServoSettings):
                     ends = sorted((joint.to_si(low), joint.to_si(high)))
                     hint = "" if joint.multi_turn else "; multi_turn: true gives more turns"
                     allowed = f"{ends[0]:.6g} to {ends[1]:.6g} {joint.unit} in its turns{hint}"
-                    _refuse(f"{where}.{field}", limit, allowed)
+                    raise Misdeclared(f"{where}.{field}", limit, allowed)
             if joint.tick_limits[0] > joint.tick_limits[1]:
-                _refuse(f"{where}.upper", joint.upper, "at least one encoder tick above lower")
+                raise Misdeclared(
+                    f"{where}.upper", joint.upper, "at least one encoder tick above lower"
+                )
         return self
 
     def check_steps(self, steps: Mapping[str, float], where: str) -> None:
@@ -138,36 +142,7 @@ class ServoConfig(ServoSettings):
     @classmethod
     def parse(cls, data: Any, where: str) -> ServoConfig:
         """From nested mappings; ``where`` names the source. Raises InputError naming the field."""
-        data = _without_ros(data)
-        if not isinstance(data, Mapping):
-            raise InputError(where, "document", type(data).__name__, "a mapping of keys")
-        try:
-            return cls.model_validate(dict(data))
-        except InputError as error:
-            raise InputError(where, error.field, error.value, error.allowed) from error
-        except ValidationError as error:
-            fault = error.errors(include_url=False)[0]
-            field = ".".join(str(part) for part in fault["loc"])
-            allowed = fault["msg"].removeprefix("Value error, ")
-            if fault["type"] == "extra_forbidden":
-                allowed = "known keys: " + ", ".join(_known_keys(fault["loc"]))
-            value = "missing" if fault["type"] == "missing" else fault["input"]
-            raise InputError(where, field, value, allowed) from error
-
-
-def _refuse(field: str, value: object, allowed: str) -> None:
-    raise InputError("servo configuration", field, value, allowed)
-
-
-def _known_keys(loc: tuple[int | str, ...]) -> list[str]:
-    """Keys allowed where an unknown one was found."""
-    sections: dict[object, type[BaseModel]] = {
-        "bus": BusConfig,
-        "joints": JointConfig,
-        "follower": FollowerConfig,
-    }
-    owner = ServoConfig if len(loc) == 1 else sections[loc[0]]
-    return list(owner.model_fields)
+        return parse_declared(cls, _without_ros(data), where)
 
 
 def _without_ros(data: Any) -> Any:

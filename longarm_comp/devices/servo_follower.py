@@ -211,8 +211,8 @@ class TrajectoryFollower:
     ) -> Step:
         """Process one read-back, by servo id without silent servos, and return goals to send.
 
-        ``driven``, given now and then, is the result of ``ServoBus.driven``. It reveals a servo
-        that lost power for a moment: it answers as before, but its torque is off.
+        ``driven``, given now and then, is the result of ``SerialServoBus.driven``. It reveals a
+        servo that lost power for a moment: it answers as before, but its torque is off.
         """
         if not math.isfinite(now):
             raise InputError("servo follower", "now", now, "finite seconds")

@@ -6,23 +6,21 @@ import math
 from functools import cached_property
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.yaml_file import Declared, Misdeclared
 from longarm_comp.devices.servo_bus import ServoModel, models
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
-
-
+Positive = Annotated[float, Field(gt=0.0)]
 Transmission = Annotated[float, Field(ge=1e-6, le=1e6)]
 """Ratio, or travel per turn in m, of any gear, screw or pinion: beyond it the unit is wrong."""
 
 
-class ServoSettings(BaseModel):
-    """Base of the configuration records: frozen. Unknown keys and true for 1 are errors."""
+class ServoSettings(Declared):
+    """Base of the configuration records; a number in quotes is an error too."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(strict=True)
 
 
 class JointConfig(ServoSettings):
@@ -31,7 +29,7 @@ class JointConfig(ServoSettings):
     servo_id: int = Field(ge=0, le=252, description="on the bus")
     model: str = Field(description="of the servo")
     type: Literal["revolute", "prismatic"] = Field(description="revolute or prismatic")
-    zero_ticks: _Finite = Field(description="encoder reading at joint value 0")
+    zero_ticks: float = Field(description="encoder reading at joint value 0")
     direction: Literal[1, -1] = Field(1, description="+1 when ticks grow with the joint value")
     gear_ratio: Transmission = Field(
         1.0, description="servo turns for one turn of the joint, of the screw or of the pinion"
@@ -40,15 +38,15 @@ class JointConfig(ServoSettings):
         None, description="travel of a prismatic joint by a turn of its screw, m"
     )
     pinion_radius_m: Transmission | None = Field(
-        None, validate_default=True, description="of a prismatic joint's pinion instead, m"
+        None, description="of a prismatic joint's pinion instead, m"
     )
     multi_turn: bool = Field(
         False,
         description="the servo turns more than once over the range. It loses its turn count "
         "without power, so the joint must be within the turn of its zero at power-on",
     )
-    lower: _Finite = Field(description="limit, rad or m")
-    upper: _Finite = Field(description="limit, rad or m")
+    lower: float = Field(description="limit, rad or m")
+    upper: float = Field(description="limit, rad or m")
     max_velocity: Positive = Field(description="rad/s or m/s")
     max_temperature_c: float = Field(
         65.0, ge=30.0, le=100.0, description="a hotter servo is a fault, degC"
@@ -74,25 +72,24 @@ class JointConfig(ServoSettings):
             raise ValueError("one of " + ", ".join(models()))
         return value
 
-    @field_validator("pinion_radius_m")
-    @classmethod
-    def _one_transmission(cls, value: float | None, info: ValidationInfo) -> float | None:
-        given = (value is not None) + (info.data.get("screw_lead_m") is not None)
-        needed = int(info.data.get("type") == "prismatic")
-        if "type" in info.data and given != needed:
-            raise ValueError(
-                "exactly one of screw_lead_m and pinion_radius_m"
-                if needed
-                else "no screw_lead_m or pinion_radius_m at a revolute joint"
-            )
-        return value
-
     @field_validator("upper")
     @classmethod
     def _ordered(cls, value: float, info: ValidationInfo) -> float:
         if value <= info.data.get("lower", -math.inf):
             raise ValueError(f"above lower ({info.data['lower']})")
         return value
+
+    @model_validator(mode="after")
+    def _one_transmission(self) -> JointConfig:
+        given = (self.pinion_radius_m is not None) + (self.screw_lead_m is not None)
+        if given != (self.type == "prismatic"):
+            allowed = (
+                "exactly one of screw_lead_m and pinion_radius_m"
+                if self.type == "prismatic"
+                else "no screw_lead_m or pinion_radius_m at a revolute joint"
+            )
+            raise Misdeclared("pinion_radius_m", self.pinion_radius_m, allowed)
+        return self
 
     @property
     def servo(self) -> ServoModel:

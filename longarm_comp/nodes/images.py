@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from longarm_comp.devices.stereo import CameraInfoLike, RefusalReason, StereoRefusal
+from longarm_comp.devices.camera_info import CameraInfo as Calibration
+from longarm_comp.devices.stereo import RefusalReason, StereoRefusal
 from longarm_comp.nodes.stamps import stamp_of
 
 Grey = NDArray[np.uint8]
@@ -126,7 +127,7 @@ def image_message(grey: Grey, ns: int, frame: str) -> Image:
     return message
 
 
-def info_message(info: CameraInfoLike, ns: int, frame: str) -> CameraInfo:
+def info_message(info: Calibration, ns: int, frame: str) -> CameraInfo:
     """Message of a camera's calibration."""
     message = CameraInfo(
         width=info.width, height=info.height, distortion_model=info.distortion_model,
@@ -136,7 +137,7 @@ def info_message(info: CameraInfoLike, ns: int, frame: str) -> CameraInfo:
     return message
 
 
-def same_camera(a: CameraInfoLike, b: CameraInfoLike) -> bool:
+def same_camera(a: Calibration, b: Calibration) -> bool:
     """Whether two messages or files hold the same calibration."""
     keys = ("width", "height", "distortion_model", "d", "k", "r", "p")
     return all(np.array_equal(getattr(a, key), getattr(b, key)) for key in keys)

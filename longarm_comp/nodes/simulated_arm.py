@@ -235,9 +235,9 @@ class _SimulatedArm(Node):
     def _spoil(self) -> None:
         """Make the next reply of one servo get lost, damaged or cut."""
         faults = self._plant.emulator.faults
-        ways = (faults.drop, faults.corrupt, faults.cut)
+        ways = (faults.drops, faults.corrupt, faults.cuts)
         servos = [joint.servo_id for joint in self._plant.config.servos.joints]
-        ways[int(self._chance.integers(len(ways)))](int(self._chance.choice(servos)))
+        ways[int(self._chance.integers(len(ways)))][int(self._chance.choice(servos))] += 1
 
     def _tell(self) -> None:
         now = self.get_clock().now().nanoseconds

@@ -18,8 +18,8 @@ from sensor_msgs.msg import CameraInfo
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.link_frames import Placed
+from longarm_comp.devices.camera_info import CameraInfo as Calibration
 from longarm_comp.devices.stereo import (
-    CameraInfoLike,
     Limits,
     Pair,
     Side,
@@ -85,11 +85,11 @@ PARAMS = (
 )
 
 
-def _file(folder: str, side: Side) -> CameraInfoLike:
+def _file(folder: str, side: Side) -> Calibration:
     return read_camera(Path(folder) / f"{side.name.lower()}.yaml")
 
 
-def _other(info: CameraInfo, file: CameraInfoLike) -> bool:
+def _other(info: CameraInfo, file: Calibration) -> bool:
     """Whether a message holds a calibration, and not that of the file."""
     return bool(info.k[0]) and not same_camera(info, file)
 
@@ -170,7 +170,7 @@ class _StereoBridge(Node):
         except LongarmError as error:
             self._refuse(error, None)
 
-    def _calibrate(self, cameras: Mapping[Side, CameraInfoLike]) -> None:
+    def _calibrate(self, cameras: Mapping[Side, Calibration]) -> None:
         """Measure with this calibration from now on.
 
         Raises:

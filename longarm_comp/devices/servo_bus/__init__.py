@@ -1,6 +1,6 @@
 """Serial buses of smart servos: one file a protocol, one interface, typed faults."""
 
-from longarm_comp.devices.servo_bus.bus import SerialServoBus, ServoBus
+from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.errors import (
     BusUnplugged,
     IncompleteReply,
@@ -21,7 +21,6 @@ __all__ = [
     "Scan",
     "SerialServoBus",
     "ServoAlarm",
-    "ServoBus",
     "ServoBusError",
     "ServoChecksum",
     "ServoFault",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
 from longarm_comp.devices.servo_bus.errors import (
@@ -13,35 +15,30 @@ from longarm_comp.devices.servo_bus.errors import (
     ServoRejected,
     ServoTimeout,
 )
-from longarm_comp.devices.servo_bus.exchange import Answers, BusCounters, ask
 from longarm_comp.devices.servo_bus.port import SerialPort
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 
-class ServoBus(Protocol):
-    """Interface of a servo bus to the driver. :class:`SerialServoBus` implements it."""
+@dataclass(slots=True)
+class BusCounters:
+    """Counters of the bus since it was opened, for diagnostics."""
 
-    counters: BusCounters
+    requests: int = 0
+    retries: int = 0
+    timeouts: int = 0
+    checksum_errors: int = 0
+    stray_frames: int = 0
+    stale_bytes: int = 0
 
-    def ping(self, servo_id: int) -> int:
-        """The servo's model number."""
 
-    def read(self, ids: Sequence[int]) -> dict[int, ServoState]:
-        """The state of every servo, by id, from one bulk read."""
+@dataclass(slots=True)
+class Answers:
+    """Replies by id, and the ids that sent none or a damaged one."""
 
-    def write_goal(
-        self, goals: Mapping[int, int], speeds_ticks_s: Mapping[int, float] | None = None
-    ) -> None:
-        """Send goal positions (ticks), all at once; speed 0 or left out: the servo's maximum."""
-
-    def torque(self, ids: Sequence[int], on: bool) -> None:
-        """Switch the drives; switching on holds the servos where they are."""
-
-    def driven(self, ids: Sequence[int]) -> dict[int, bool]:
-        """Whether each servo's drive is on."""
-
-    def close(self) -> None:
-        """Release the port; torque stays as it is."""
+    replies: dict[int, Reply] = field(default_factory=dict)
+    silent: tuple[int, ...] = ()
+    corrupt: tuple[int, ...] = ()
+    attempts: int = 0
 
 
 class SerialServoBus:
@@ -79,7 +76,7 @@ class SerialServoBus:
             ServoTimeout, ServoChecksum: ``answered`` holds the states of those that did answer.
             ServoRejected: a servo refused the read.
         """
-        answers = self._ask(ids, self._dialect.state)
+        answers = self.ask(ids, self._dialect.state)
         states = self._states(answers.replies)
         if len(states) < len(set(ids)):
             raise _incomplete(answers, states)
@@ -88,7 +85,10 @@ class SerialServoBus:
     def write_goal(
         self, goals: Mapping[int, int], speeds_ticks_s: Mapping[int, float] | None = None
     ) -> None:
-        """Send goal positions in one sync write. It is not acknowledged, so it can be lost."""
+        """Send goal positions (ticks) in one sync write; no speed, or 0: the servo's maximum.
+
+        It is not acknowledged, so it can be lost.
+        """
         speeds = speeds_ticks_s or {}
         values = {i: self._dialect.goal_bytes(t, speeds.get(i, 0.0)) for i, t in goals.items()}
         self._write(self._dialect.goal, values)
@@ -121,40 +121,76 @@ class SerialServoBus:
         Only servos set otherwise are written (their memory wears); their torque goes off. Returns
         the ids that were changed.
         """
-        dialect = self._dialect
-        wanted = {i: dialect.turns_bytes(flag) for i, flag in many.items()}
-        found = self._fetch(list(many), dialect.turns)
+        wanted = {i: self._dialect.turns_bytes(flag) for i, flag in many.items()}
+        found = self._fetch(list(many), self._dialect.turns)
         changed = {i: value for i, value in wanted.items() if found[i].data != value}
-        if not changed:
-            return []
-        self.torque(list(changed), on=False)
-        lock = dialect.turns_lock
+        if changed:
+            self.torque(list(changed), on=False)
+            with self._unlocked(changed):
+                self._write_checked(self._dialect.turns, changed)
+        return sorted(changed)
+
+    @contextmanager
+    def _unlocked(self, ids: Iterable[int]) -> Iterator[None]:
+        """The memory of servos may be changed permanently."""
+        lock = self._dialect.turns_lock
         if lock is not None:
-            self._write_checked(lock, dict.fromkeys(changed, b"\0"))
+            self._write_checked(lock, dict.fromkeys(ids, b"\0"))
         try:
-            self._write_checked(dialect.turns, changed)
+            yield
         finally:
             if lock is not None:
-                self._write_checked(lock, dict.fromkeys(changed, b"\1"))
-        return sorted(changed)
+                self._write_checked(lock, dict.fromkeys(ids, b"\1"))
 
     def close(self) -> None:
         """Release the port; torque stays as it is."""
         self._port.close()
 
-    def _ask(self, ids: Sequence[int], block: Block, retries: int | None = None) -> Answers:
-        return ask(
-            self._port,
-            self._dialect,
-            lambda missing: self._dialect.sync_read(missing, block),
-            ids,
-            block.length,
-            self._retries if retries is None else retries,
-            self.counters,
-        )
+    def ask(self, ids: Sequence[int], block: Block, retries: int | None = None) -> Answers:
+        """Ask for a block; again, ``retries`` times at most, where no good answer came."""
+        answers = Answers()
+        missing = tuple(ids)
+        while missing and answers.attempts <= (self._retries if retries is None else retries):
+            self.counters.requests += 1
+            self.counters.retries += answers.attempts > 0
+            answers.attempts += 1
+            self._send(self._dialect.sync_read(missing, block))
+            damaged = self._collect(missing, block.length, answers.replies)
+            missing = tuple(i for i in missing if i not in answers.replies)
+            answers.corrupt = tuple(i for i in missing if i in damaged)
+            answers.silent = tuple(i for i in missing if i not in damaged)
+            self.counters.timeouts += len(answers.silent)
+        return answers
+
+    def _collect(self, ids: Sequence[int], data_length: int, replies: dict[int, Reply]) -> set[int]:
+        """Read until every id has answered or time is up; returns ids with a damaged answer."""
+        frame_length = self._dialect.overhead + data_length
+        deadline = self._port.deadline(frame_length * len(ids))
+        wanted = set(ids)
+        damaged: set[int] = set()
+        buffer = bytearray()
+        final = False
+        while wanted and not final:
+            chunk = self._port.receive(max(1, frame_length * len(wanted) - len(buffer)))
+            buffer += chunk
+            final = not chunk or time.monotonic() > deadline
+            for reply in self._dialect.decode(buffer, final):
+                if not reply.intact:
+                    damaged.add(reply.servo_id)
+                    self.counters.checksum_errors += 1
+                # An instruction that is refused is answered without data
+                elif reply.servo_id in wanted and (len(reply.data) == data_length or reply.error):
+                    wanted.discard(reply.servo_id)
+                    replies[reply.servo_id] = reply
+                else:
+                    self.counters.stray_frames += 1
+        return damaged
+
+    def _send(self, frame: bytes) -> None:
+        self.counters.stale_bytes += self._port.send(frame)
 
     def _fetch(self, ids: Sequence[int], block: Block) -> dict[int, Reply]:
-        answers = self._ask(ids, block)
+        answers = self.ask(ids, block)
         self._refuse(answers.replies)
         if answers.silent or answers.corrupt:
             raise _incomplete(answers, {})
@@ -181,14 +217,14 @@ class SerialServoBus:
         unread = [i for i, flags in known.items() if flags is None]
         block = self._dialect.alarm
         if unread and block is not None:
-            more = self._ask(unread, block).replies
+            more = self.ask(unread, block).replies
             for i in unread:
                 flags = self._dialect.alarm_flags(more[i].data[0]) if i in more else ServoAlarm.NONE
                 known[i] = flags or ServoAlarm.OTHER
         return {i: flags for i, flags in known.items() if flags is not None}
 
     def _write(self, block: Block, values: Mapping[int, bytes]) -> None:
-        self.counters.stale_bytes += self._port.send(self._dialect.sync_write(block, values))
+        self._send(self._dialect.sync_write(block, values))
 
     def _write_checked(
         self, block: Block, values: Mapping[int, bytes], harmless: bool = False
@@ -197,20 +233,17 @@ class SerialServoBus:
         wanted = dict(values)
         for _ in range(self._retries + 1):
             self._write(block, wanted)
-            answers = self._ask(list(wanted), block, retries=0)
+            answers = self.ask(list(wanted), block, retries=0)
             taken = [i for i, reply in answers.replies.items() if reply.data == wanted[i]]
             for servo_id in taken:
                 del wanted[servo_id]
             if not wanted:
                 return
         if not harmless:
-            self._raise_alarm(answers.replies)
+            for servo_id, flags in self._alarms(answers.replies).items():
+                if flags:
+                    raise ServoFault(servo_id, flags)
         raise _incomplete(answers, {}, unconfirmed=wanted)
-
-    def _raise_alarm(self, replies: Mapping[int, Reply]) -> None:
-        for servo_id, flags in self._alarms(replies).items():
-            if flags:
-                raise ServoFault(servo_id, flags)
 
 
 def _incomplete(

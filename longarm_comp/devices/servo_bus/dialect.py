@@ -41,7 +41,9 @@ class Dialect(ABC):
     Attributes:
         name: as written in the configuration.
         models: the servos that speak it.
+        header: bytes that every status frame begins with.
         overhead: bytes of a status frame besides its data.
+        alarm_bits: alarm of each bit of the servo's alarm byte; any other bit is OTHER.
         model: the servo's model number.
         firmware: its version.
         baudrates: rates that servos of this protocol are used at, the factory's first.
@@ -57,7 +59,9 @@ class Dialect(ABC):
 
     name: ClassVar[str]
     models: ClassVar[tuple[ServoModel, ...]]
+    header: ClassVar[bytes]
     overhead: ClassVar[int]
+    alarm_bits: ClassVar[Mapping[int, ServoAlarm]]
     model: ClassVar[Block]
     firmware: ClassVar[Block]
     baudrates: ClassVar[tuple[int, ...]]
@@ -65,13 +69,38 @@ class Dialect(ABC):
     goal: ClassVar[Block]
     torque: ClassVar[Block]
     turns: ClassVar[Block]
-    turns_lock: ClassVar[Block | None]
+    turns_lock: ClassVar[Block | None] = None
     identity: ClassVar[Block | None] = None
-    alarm: ClassVar[Block | None]
+    alarm: ClassVar[Block | None] = None
+
+    def decode(self, buffer: bytearray, final: bool) -> list[Reply]:
+        """Take every status frame off the front of ``buffer``; ``final``: no more bytes come.
+
+        Of a damaged frame only the first byte is taken: its length may be what is damaged.
+        """
+        replies: list[Reply] = []
+        while (start := buffer.find(self.header)) >= 0:
+            del buffer[:start]
+            if len(buffer) < self.overhead:
+                break
+            end = self.frame_length(buffer)
+            if end and len(buffer) < end and not final:
+                break
+            intact = False
+            if end:
+                reply = self.reply(bytes(buffer[:end]))
+                intact = reply.intact and len(buffer) >= end
+                replies.append(reply if intact else Reply(reply.servo_id, 0, b"", intact=False))
+            del buffer[: end if intact else 1]
+        return replies
 
     @abstractmethod
-    def decode(self, buffer: bytearray, final: bool) -> list[Reply]:
-        """Take every status frame off the front of ``buffer``; ``final``: no more bytes come."""
+    def frame_length(self, start: bytearray) -> int:
+        """Bytes of the status frame that begins with ``start`` (``overhead`` or more); 0: none."""
+
+    @abstractmethod
+    def reply(self, frame: bytes) -> Reply:
+        """A status frame; not intact where its checksum is wrong."""
 
     @abstractmethod
     def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
@@ -81,17 +110,21 @@ class Dialect(ABC):
     def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
         """The frame that writes ``block`` of every id at once; nobody answers."""
 
-    @abstractmethod
     def refusal(self, error: int) -> int:
         """The refusal code in a status byte; 0 if the instruction was not refused."""
+        return 0
 
-    @abstractmethod
     def alarms(self, error: int) -> ServoAlarm | None:
         """Alarms in a status byte; None: there are some, and ``alarm`` must be read."""
+        return self.alarm_flags(error)
 
-    @abstractmethod
     def alarm_flags(self, value: int) -> ServoAlarm:
         """The servo's alarm bits as ``ServoAlarm``."""
+        flags = ServoAlarm.NONE
+        for bit in range(8):
+            if value >> bit & 1:
+                flags |= self.alarm_bits.get(bit, ServoAlarm.OTHER)
+        return flags
 
     @abstractmethod
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:

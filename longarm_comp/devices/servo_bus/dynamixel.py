@@ -7,6 +7,7 @@ complement, low byte first; CRC-16 with polynomial 0x8005, initial value 0, not 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
@@ -19,13 +20,6 @@ _LONGEST = 1024
 _ALERT = 0x80
 _VELOCITY_TICKS_S = 0.229 / 60.0 * 4096
 """One unit of velocity is 0.229 turns a minute."""
-_ALARM_BITS = {
-    0: ServoAlarm.VOLTAGE,
-    2: ServoAlarm.OVERHEAT,
-    3: ServoAlarm.SENSOR,
-    4: ServoAlarm.CURRENT,
-    5: ServoAlarm.OVERLOAD,
-}
 
 
 def _x(name: str, number: int, full_load: float, friction: float | None = None) -> ServoModel:
@@ -57,13 +51,20 @@ class DynamixelX(Dialect):
         _x("xm430-w350", 1020, 1193.0, 0.13 / 3.21),  # present current, 2.69 mA a unit
         _x("xm540-w270", 1120, 2047.0),
     )
+    header = _HEADER
     overhead = 11
+    alarm_bits: ClassVar = {
+        0: ServoAlarm.VOLTAGE,
+        2: ServoAlarm.OVERHEAT,
+        3: ServoAlarm.SENSOR,
+        4: ServoAlarm.CURRENT,
+        5: ServoAlarm.OVERLOAD,
+    }
     model = Block(0, 2)
     firmware = Block(6, 1)
     baudrates = (57_600, 1_000_000, 115_200, 2_000_000, 3_000_000, 4_000_000)
     identity = Block(7, 1)
     turns = Block(11, 1)
-    turns_lock = None
     torque = Block(64, 1)
     alarm = Block(70, 1)
     goal = Block(108, 12)
@@ -82,42 +83,21 @@ class DynamixelX(Dialect):
         params = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
         return self.encode(_BROADCAST, _SYNC_WRITE, _range(block) + params)
 
-    def decode(self, buffer: bytearray, final: bool) -> list[Reply]:
-        replies: list[Reply] = []
-        while (start := buffer.find(_HEADER)) >= 0:
-            del buffer[:start]
-            if len(buffer) < self.overhead:
-                break
-            servo_id, length, kind = buffer[4], buffer[5] | buffer[6] << 8, buffer[7]
-            if kind != _STATUS or servo_id >= _BROADCAST or not 4 <= length <= _LONGEST:
-                del buffer[0]
-                continue
-            end = length + 7
-            if len(buffer) < end and not final:
-                return replies
-            crc = int.from_bytes(buffer[end - 2 : end], "little")
-            if len(buffer) >= end and _crc(buffer[: end - 2]) == crc:
-                body = bytes(buffer[8 : end - 2]).replace(_STUFFED, _PLAIN)
-                replies.append(Reply(servo_id, body[0], body[1:]))
-                del buffer[:end]
-            else:
-                # The length itself may be what is damaged, so only the header is given up.
-                replies.append(Reply(servo_id, 0, b"", intact=False))
-                del buffer[:4]
-        return replies
+    def frame_length(self, start: bytearray) -> int:
+        servo_id, length, kind = start[4], start[5] | start[6] << 8, start[7]
+        known = kind == _STATUS and servo_id < _BROADCAST and 4 <= length <= _LONGEST
+        return length + 7 if known else 0
+
+    def reply(self, frame: bytes) -> Reply:
+        body = frame[8:-2].replace(_STUFFED, _PLAIN)
+        intact = _crc(frame[:-2]) == int.from_bytes(frame[-2:], "little")
+        return Reply(frame[4], body[0], body[1:], intact)
 
     def refusal(self, error: int) -> int:
         return error & ~_ALERT
 
     def alarms(self, error: int) -> ServoAlarm | None:
         return None if error & _ALERT else ServoAlarm.NONE
-
-    def alarm_flags(self, value: int) -> ServoAlarm:
-        flags = ServoAlarm.NONE
-        for bit in range(8):
-            if value >> bit & 1:
-                flags |= _ALARM_BITS.get(bit, ServoAlarm.OTHER)
-        return flags
 
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         # profile acceleration 0 (none), profile velocity, goal position
@@ -139,7 +119,7 @@ class DynamixelX(Dialect):
         )
 
 
-def _crc(frame: bytes | bytearray) -> int:
+def _crc(frame: bytes) -> int:
     crc = 0
     for byte in frame:
         crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]

@@ -7,6 +7,7 @@ are sign and magnitude, low byte first.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
@@ -15,13 +16,6 @@ _HEADER = b"\xff\xff"
 _BROADCAST = 0xFE
 _SYNC_READ, _SYNC_WRITE = 0x82, 0x83
 _LONGEST = 250
-_ALARM_BITS = {
-    0: ServoAlarm.VOLTAGE,
-    1: ServoAlarm.SENSOR,
-    2: ServoAlarm.OVERHEAT,
-    3: ServoAlarm.CURRENT,
-    5: ServoAlarm.OVERLOAD,
-}
 
 
 def _sts(name: str, number: int, friction: float | None = None) -> ServoModel:
@@ -33,7 +27,15 @@ class FeetechSts(Dialect):
 
     name = "feetech"
     models = (_sts("sts3215", 777, 0.18 / 2.7), _sts("sts3250", 2825))
+    header = _HEADER
     overhead = 6
+    alarm_bits: ClassVar = {
+        0: ServoAlarm.VOLTAGE,
+        1: ServoAlarm.SENSOR,
+        2: ServoAlarm.OVERHEAT,
+        3: ServoAlarm.CURRENT,
+        5: ServoAlarm.OVERLOAD,
+    }
     model = Block(3, 2)
     firmware = Block(0, 2)
     baudrates = (1_000_000, 500_000, 115_200, 57_600, 38_400)
@@ -43,7 +45,6 @@ class FeetechSts(Dialect):
     goal = Block(41, 7)
     turns_lock = Block(55, 1)
     state = Block(56, 11)
-    alarm = None
 
     def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:
         """The instruction frame."""
@@ -59,41 +60,12 @@ class FeetechSts(Dialect):
         params = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
         return self.encode(_BROADCAST, _SYNC_WRITE, bytes((block.address, block.length)) + params)
 
-    def decode(self, buffer: bytearray, final: bool) -> list[Reply]:
-        replies: list[Reply] = []
-        while (start := buffer.find(_HEADER)) >= 0:
-            del buffer[:start]
-            if len(buffer) < self.overhead:
-                break
-            servo_id, length = buffer[2], buffer[3]
-            if servo_id >= _BROADCAST or not 2 <= length <= _LONGEST:
-                del buffer[0]
-                continue
-            end = length + 4
-            if len(buffer) < end and not final:
-                return replies
-            intact = len(buffer) >= end and _checksum(buffer[2 : end - 1]) == buffer[end - 1]
-            if intact:
-                replies.append(Reply(servo_id, buffer[4], bytes(buffer[5 : end - 1])))
-                del buffer[:end]
-            else:
-                # The length itself may be what is damaged, so only the header is given up.
-                replies.append(Reply(servo_id, 0, b"", intact=False))
-                del buffer[:2]
-        return replies
+    def frame_length(self, start: bytearray) -> int:
+        servo_id, length = start[2], start[3]
+        return length + 4 if servo_id < _BROADCAST and 2 <= length <= _LONGEST else 0
 
-    def refusal(self, error: int) -> int:
-        return 0
-
-    def alarms(self, error: int) -> ServoAlarm:
-        return self.alarm_flags(error)
-
-    def alarm_flags(self, value: int) -> ServoAlarm:
-        flags = ServoAlarm.NONE
-        for bit in range(8):
-            if value >> bit & 1:
-                flags |= _ALARM_BITS.get(bit, ServoAlarm.OTHER)
-        return flags
+    def reply(self, frame: bytes) -> Reply:
+        return Reply(frame[2], frame[4], frame[5:-1], _checksum(frame[2:-1]) == frame[-1])
 
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         speed = min(round(speed_ticks_s), 0x7FFF) if speed_ticks_s else 0
@@ -116,7 +88,7 @@ class FeetechSts(Dialect):
         )
 
 
-def _checksum(body: bytes | bytearray) -> int:
+def _checksum(body: bytes) -> int:
     return ~sum(body) & 0xFF
 
 

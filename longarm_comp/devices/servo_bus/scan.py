@@ -1,15 +1,16 @@
-"""Which servos are on a line: every id is asked alone, at one protocol and rate after the other."""
+"""Which servos are on a line, each id asked alone, and a new id for a servo that is alone there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
+from contextlib import closing
 from dataclasses import dataclass
 
-from longarm_comp.core.errors import InputError
-from longarm_comp.devices.servo_bus.dialect import Block, Dialect
-from longarm_comp.devices.servo_bus.exchange import Answers, BusCounters, ask
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.dialect import Dialect
 from longarm_comp.devices.servo_bus.port import SerialPort
-from longarm_comp.devices.servo_bus.registry import models, protocols
+from longarm_comp.devices.servo_bus.registry import protocols
 
 ALL_IDS = range(253)
 _LOOKS, _DAMAGED = 5, 2
@@ -79,15 +80,12 @@ def scan_line(
         for rate in ([baudrate] if baudrate else protocols()[name].baudrates)
     ]
     for k, (name, rate) in enumerate(tries):
-        line = SerialPort(port, rate, reply_timeout_s)
-        try:
+        with closing(SerialPort(port, rate, reply_timeout_s)) as line:
             servos = []
             for n, servo_id in enumerate(asked):
                 tell(f"{name}, {rate} bit/s, id {servo_id}", (k + n / len(asked)) / len(tries))
-                servo = look(line, protocols()[name](), name, servo_id)
+                servo = look(line, protocols()[name](), servo_id)
                 servos += [servo] if servo else []
-        finally:
-            line.close()
         if servos:
             return Scan(port, name, rate, tuple(servos))
     return None
@@ -101,34 +99,54 @@ def usable_ports() -> list[tuple[str, str]]:
     return [(p.device, p.description or "") for p in found if p.vid is not None]
 
 
-def look(line: SerialPort, dialect: Dialect, protocol: str, servo_id: int) -> FoundServo | None:
+def look(line: SerialPort, dialect: Dialect, servo_id: int) -> FoundServo | None:
     """One id. A twin's model number is the same and its state is not, so both are read."""
-    counters = BusCounters()
-
-    def read(block: Block, retries: int = 1) -> Answers:
-        def request(missing: Sequence[int]) -> bytes:
-            return dialect.sync_read(missing, block)
-
-        return ask(line, dialect, request, [servo_id], block.length, retries, counters)
-
-    first = read(dialect.model)
+    bus = SerialServoBus(line, dialect, {}, retries=1)
+    first = bus.ask([servo_id], dialect.model)
     if first.silent:
         return None
-    states = [read(dialect.state, retries=0) for _ in range(_LOOKS)]
+    states = [bus.ask([servo_id], dialect.state, retries=0) for _ in range(_LOOKS)]
     damaged = sum(servo_id not in answers.replies for answers in [first, *states])
+    counters = bus.counters
     doubled = counters.stray_frames + counters.stale_bytes > 0 and not counters.timeouts
-    number = _number(first, servo_id)
-    version = read(dialect.firmware).replies.get(servo_id)
+    reply = first.replies.get(servo_id)
+    number = int.from_bytes(reply.data, "little") if reply else 0
+    version = bus.ask([servo_id], dialect.firmware).replies.get(servo_id)
     return FoundServo(
         servo_id,
         number,
-        next((m.name for m in models().values() if (m.protocol, m.model_number) ==
-              (protocol, number)), ""),
+        next((model.name for model in dialect.models if model.model_number == number), ""),
         ".".join(map(str, version.data)) if version else "",
         damaged >= _DAMAGED or doubled,
-    )  # fmt: skip
+    )
 
 
-def _number(answers: Answers, servo_id: int) -> int:
-    reply = answers.replies.get(servo_id)
-    return int.from_bytes(reply.data, "little") if reply else 0
+def renumber(found: Scan, servo_id: int, reply_timeout_s: float = 0.05) -> int:
+    """Write an id into the memory of the only servo of a scan; its torque goes off.
+
+    Returns:
+        The id that it had.
+
+    Raises:
+        InputError: no id of a servo.
+        JobError: several servos are on the line, or it does not answer to its new id.
+    """
+    if servo_id not in ALL_IDS:
+        raise InputError("servo set-id", "ID", servo_id, f"0 to {ALL_IDS[-1]}")
+    ids = [servo.servo_id for servo in found.servos]
+    if len(ids) != 1 or found.clashes:
+        raise JobError("connect one servo alone, or several get the same id", ids=ids)
+    dialect, old = protocols()[found.protocol](), ids[0]
+    if dialect.identity is None:
+        raise JobError(f"ids of {found.protocol} are set with its maker's tool")
+    with closing(SerialPort(found.port, found.baudrate, reply_timeout_s)) as line:
+        line.send(dialect.sync_write(dialect.torque, {old: b"\0"}))
+        if dialect.turns_lock is not None:
+            line.send(dialect.sync_write(dialect.turns_lock, {old: b"\0"}))
+        line.send(dialect.sync_write(dialect.identity, {old: bytes((servo_id,))}))
+        if dialect.turns_lock is not None:
+            line.send(dialect.sync_write(dialect.turns_lock, {servo_id: b"\1"}))
+        for _ in range(3):
+            if look(line, dialect, servo_id) is not None:
+                return old
+    raise JobError("the servo does not answer to its new id: scan again", id=servo_id, before=old)

@@ -1,13 +1,12 @@
 """Stereo measurement of a marker, without ROS: two images in, a point with covariance out."""
 
 from longarm_comp.devices.stereo.calibrate import StereoCalibration, calibrate_stereo
-from longarm_comp.devices.stereo.camera import Camera, CameraInfoLike, StereoRig
+from longarm_comp.devices.stereo.camera import Camera, StereoRig
 from longarm_comp.devices.stereo.eye import StereoEye, StereoSighting
 from longarm_comp.devices.stereo.hand_eye import HandEye, hand_eye
 from longarm_comp.devices.stereo.limits import Limits
 from longarm_comp.devices.stereo.pairing import Drop, Pair, Side, StereoPairer
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
-from longarm_comp.devices.stereo.rigid import RigidFit, fit_rigid
 from longarm_comp.devices.stereo.target import (
     CharucoTarget,
     Chessboard,
@@ -24,7 +23,6 @@ from longarm_comp.devices.stereo.triangulate import (
 
 __all__ = [
     "Camera",
-    "CameraInfoLike",
     "CharucoTarget",
     "Chessboard",
     "Corners",
@@ -34,7 +32,6 @@ __all__ = [
     "Pair",
     "PixelNoise",
     "RefusalReason",
-    "RigidFit",
     "Side",
     "StereoCalibration",
     "StereoEye",
@@ -47,7 +44,6 @@ __all__ = [
     "Triangulation",
     "calibrate_stereo",
     "epipolar_px",
-    "fit_rigid",
     "hand_eye",
     "triangulate",
 ]

@@ -10,10 +10,10 @@ import numpy as np
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.stereo.calibrate import StereoCalibration, calibrate_stereo
 from longarm_comp.devices.stereo.camera import StereoRig
-from longarm_comp.devices.stereo.rigid import fit_rigid
 from longarm_comp.devices.stereo.target import Corners, Target
 from longarm_comp.devices.stereo.triangulate import triangulate
 from longarm_comp.devices.stereo.views import BoardView, gaps
+from longarm_comp.math.points import kabsch
 
 _HELD_OUT_EVERY = 4
 
@@ -63,7 +63,8 @@ def _points(rig: StereoRig, left: Corners, right: Corners) -> tuple[np.ndarray, 
 def _off(board: Target, rig: StereoRig, left: Corners, right: Corners) -> np.ndarray:
     """Squared distances (N,) m^2 of triangulated corners from the declared board."""
     ids, points = _points(rig, left, right)
-    return np.sum(fit_rigid(board.points(ids), points).residuals ** 2, axis=1)
+    turn, move = kabsch(board.points(ids), points, np.ones(len(ids)))
+    return np.sum((points - board.points(ids) @ turn.T - move) ** 2, axis=1)
 
 
 def _depth(rig: StereoRig, left: Corners, right: Corners) -> float:

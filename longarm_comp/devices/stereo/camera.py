@@ -7,39 +7,18 @@ a raw image it is the *rectified* left frame, because there K, D, R and P share 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.devices.camera_info import CameraInfo
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 
 Array = NDArray[np.float64]
 _MODELS = {"": 8, "plumb_bob": 5, "rational_polynomial": 8}  # distortion model -> coefficients
-
-
-class CameraInfoLike(Protocol):
-    """The fields that are used of a sensor_msgs/CameraInfo; any object with them will do."""
-
-    @property
-    def width(self) -> int: ...
-    @property
-    def height(self) -> int: ...
-    @property
-    def distortion_model(self) -> str: ...
-    @property
-    def d(self) -> Sequence[float]: ...
-    @property
-    def k(self) -> Any: ...
-    @property
-    def r(self) -> Any: ...
-    @property
-    def p(self) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -94,21 +73,9 @@ class Camera:
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Pixels (N, 2) of rig points (N, 3) and their Jacobian (N, 2, 3), px/m."""
-        x, y, z = (points @ self.rotation.T + self.translation).T
-        u, v = x / z, y / z
-        if self._pinhole:
-            ud, vd, uu, uv, vu, vv = u, v, 1.0, 0.0, 0.0, 1.0
-        else:
-            (ud, vd), ((uu, uv), (vu, vv)) = _distorted(u, v, self.d)
-        fx, skew, fy = self.k[0, 0], self.k[0, 1], self.k[1, 1]
-        pixels = np.stack([fx * ud + skew * vd + self.k[0, 2], fy * vd + self.k[1, 2]], axis=-1)
-        by_ray = np.empty((*z.shape, 2, 2))  # d pixel / d (u, v)
-        by_ray[:, 0, 0], by_ray[:, 0, 1] = fx * uu + skew * vu, fx * uv + skew * vv
-        by_ray[:, 1, 0], by_ray[:, 1, 1] = fy * vu, fy * vv
-        by_point = np.zeros((*z.shape, 2, 3))  # d (u, v) / d X_camera
-        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / z
-        by_point[:, 0, 2], by_point[:, 1, 2] = -u / z, -v / z
-        return pixels, by_ray @ (by_point @ self.rotation)
+        pixels, by_all = cv2.projectPoints(points, self.rotation, self.translation, self.k, self.d)
+        by_camera = by_all[:, 3:6].reshape(-1, 2, 3)  # OpenCV's is by the translation
+        return pixels.reshape(-1, 2), by_camera @ self.rotation
 
     @property
     def pose(self) -> Array:
@@ -117,10 +84,6 @@ class Camera:
         made[:3, :3] = self.rotation.T
         made[:3, 3] = -self.rotation.T @ self.translation
         return made
-
-    @cached_property
-    def _pinhole(self) -> bool:
-        return not np.any(self.d)
 
     def rays(self, pixels: Array) -> Array:
         """Undistorted directions (N, 3), z = 1, in this camera's own frame, of pixels (N, 2)."""
@@ -132,23 +95,6 @@ class Camera:
     def depth(self, points: Array) -> Array:
         """Distance (N,) m of rig points (N, 3) along this camera's optical axis."""
         return points @ self.rotation[2] + self.translation[2]
-
-
-def _distorted(x: Array, y: Array, d: Array) -> tuple[Any, Any]:
-    """Distorted normalised coordinates and their 2x2 derivative (OpenCV's camera model)."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = d
-    s = x * x + y * y
-    over, under = 1 + s * (k1 + s * (k2 + s * k3)), 1 + s * (k4 + s * (k5 + s * k6))
-    radial = over / under
-    slope = (k1 + s * (2 * k2 + s * 3 * k3) - radial * (k4 + s * (2 * k5 + s * 3 * k6))) / under
-    mixed = 2 * (x * y * slope + p1 * x + p2 * y)
-    point = (
-        x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x),
-        y * radial + 2 * p2 * x * y + p1 * (s + 2 * y * y),
-    )
-    across = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-    down = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-    return point, ((across, mixed), (mixed, down))
 
 
 @dataclass(frozen=True)
@@ -172,9 +118,7 @@ class StereoRig:
         return float(np.linalg.norm((self.right.pose - self.left.pose)[:3, 3]))
 
     @classmethod
-    def from_camera_info(
-        cls, left: CameraInfoLike, right: CameraInfoLike, *, rectified: bool
-    ) -> StereoRig:
+    def from_camera_info(cls, left: CameraInfo, right: CameraInfo, *, rectified: bool) -> StereoRig:
         """The rig that a pair of CameraInfo messages describes.
 
         Args:
@@ -201,7 +145,7 @@ class StereoRig:
         )
 
 
-def _from_info(info: CameraInfoLike, rectified: bool) -> Camera:
+def _from_info(info: CameraInfo, rectified: bool) -> Camera:
     size = (int(info.width), int(info.height))
     p = np.asarray(info.p, dtype=float).reshape(3, 4)
     if not (np.all(np.isfinite(p)) and p[0, 0] > 0.0 and p[1, 1] > 0.0):

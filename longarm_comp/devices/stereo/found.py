@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -16,26 +14,6 @@ from longarm_comp.devices.stereo.target import Corners, Grey, Target
 _PRESMOOTH_PX = 1.0
 
 
-@dataclass(frozen=True)
-class _ImageQuality:
-    """Grey levels that 1 % and 99 % of the pixels stay below, and the sharpest edge's sigma, px."""
-
-    dark: float
-    bright: float
-    edge_px: float
-
-
-def _image_quality(grey: NDArray[np.uint8]) -> _ImageQuality:
-    """Exposure and sharpness of an image (H, W).
-
-    A step of height H blurred by a Gaussian of s px has the steepest slope ``H / (s sqrt(2 pi))``;
-    read backwards, the image's steepest slopes and its range of grey give s. The image is smoothed
-    by 1 px first, against noise, which is taken out again.
-    """
-    dark, bright = np.percentile(grey[::2, ::2], [1.0, 99.0])
-    return _ImageQuality(float(dark), float(bright), _edge_px(grey, float(bright - dark)))
-
-
 def _edge_sigma_px(grey: NDArray[np.uint8], pixels: Array) -> float:
     """Sigma (px) of the sharpest edges inside the box around a marker's corners (N, 2)."""
     low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - 4, 0)
@@ -46,6 +24,12 @@ def _edge_sigma_px(grey: NDArray[np.uint8], pixels: Array) -> float:
 
 
 def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
+    """Sigma (px) of the sharpest edges of an image (H, W), its range of grey being `height`.
+
+    A step of that height blurred by a Gaussian of s px has the steepest slope
+    ``height / (s sqrt(2 pi))``; read backwards, the steepest slopes give s. The image is smoothed
+    by 1 px first, against noise, which is taken out again.
+    """
     smooth = cv2.GaussianBlur(grey, (0, 0), _PRESMOOTH_PX).astype(np.float32)
     slope = cv2.magnitude(
         cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8),
@@ -79,14 +63,13 @@ def found_corners(target: Target, grey: Grey, side: str, limits: Limits) -> Corn
 
 
 def _unseen(grey: Grey, side: str, limits: Limits) -> StereoRefusal:
-    look = _image_quality(grey)
-    facts: dict[str, object] = {
-        "image": side, "bright": round(look.bright), "dark": round(look.dark)
-    }  # fmt: skip
-    if not look.bright >= limits.bright:
+    dark, bright = np.percentile(grey[::2, ::2], [1.0, 99.0])
+    facts: dict[str, object] = {"image": side, "bright": round(bright), "dark": round(dark)}
+    if not bright >= limits.bright:
         return StereoRefusal(RefusalReason.TOO_DARK, **facts)
-    if not look.dark <= limits.dark:
+    if not dark <= limits.dark:
         return StereoRefusal(RefusalReason.TOO_BRIGHT, **facts)
-    facts["edge_px"] = round(look.edge_px, 2)
-    blurred = not look.edge_px <= limits.edge_px
+    edge_px = _edge_px(grey, float(bright - dark))
+    facts["edge_px"] = round(edge_px, 2)
+    blurred = not edge_px <= limits.edge_px
     return StereoRefusal(RefusalReason.BLURRED if blurred else _MISSING[side], **facts)

@@ -3,7 +3,7 @@
 Both the camera's pose Z and the marker's place p on the tip may be unknown: for every posture i
 ``base_T_tip_i p = Z m_i`` with m_i the marker seen by the camera. It is the translational half of
 the robot-world calibration AX = ZB (Zhuang, Roth & Sudhakar, IEEE T-RA 10(4), 1994), which is all
-that a point measurement supports; Gauss-Newton on 9 unknowns, or 6 where p is known.
+that a point measurement supports; least squares on 9 unknowns, or 6 where p is known.
 
 An arm that sags by centimetres moves its predicted tips: the camera then takes part of the error
 as its own pose. `covariance` covers noise, not that; calibrate arm and camera together for it.
@@ -15,10 +15,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.stereo.camera import Array
-from longarm_comp.devices.stereo.rigid import cross_matrices, fit_rigid
+from longarm_comp.math.points import kabsch
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,8 @@ class HandEye:
     """Pose (4, 4) of the camera in the base frame and the marker's place (3,) m on the tip frame.
 
     `covariance` is (6, 6) of the pose (``[d; delta]``, base axes) or (9, 9) with the place after
-    it where that was unknown; `residuals` (N, 3) m are seen - predicted; `outliers` are the indices
-    that were left out.
+    it where that was unknown; `residuals` (N, 3) m are seen - predicted, in camera axes; `outliers`
+    are the indices that were left out.
     """
 
     camera_in_base: Array
@@ -48,7 +49,6 @@ def hand_eye(
     seen: Array,
     covariances: Array,
     marker_in_tip: Array | None = None,
-    arm_sigma_m: float = 0.0,
 ) -> HandEye:
     """Fit the camera's pose, and the marker's place where it is not given.
 
@@ -58,7 +58,6 @@ def hand_eye(
         covariances: (N, 3, 3) m^2 of `seen`, camera frame.
         marker_in_tip: (3,) m if known, else it is estimated too: the tip must then turn about
             two axes at least.
-        arm_sigma_m: error of a predicted tip, 1 sigma per axis.
     """
     base_T_tip, seen = np.asarray(base_T_tip, dtype=float), np.asarray(seen, dtype=float)
     count = len(seen)
@@ -69,33 +68,27 @@ def hand_eye(
     if 3 * count <= free:
         raise InputError("hand-eye", "postures", count, f"more than {free // 3}")
     place = np.zeros(3) if marker_in_tip is None else np.asarray(marker_in_tip, dtype=float)
-    turns = base_T_tip[:, :3, :3]
-    start = fit_rigid(seen, turns @ place + base_T_tip[:, :3, 3]).transform
-    rotation, translation = start[:3, :3], start[:3, 3]
+    turns, moves = base_T_tip[:, :3, :3], base_T_tip[:, :3, 3]
+    turn, move = kabsch(seen, turns @ place + moves, np.ones(count))
+
+    def off(unknown: Array) -> Array:
+        """Seen - predicted (N, 3) m, camera axes, of place and turn of the camera, and the mark."""
+        marker = turns @ (place + unknown[6:] if free == 9 else place) + moves
+        return seen - (marker - unknown[:3]) @ cv2.Rodrigues(unknown[3:6])[0] @ turn
+
+    def weighed(unknown: Array) -> Array:
+        return np.einsum("nij,nj->ni", white, off(unknown))
+
+    white = np.linalg.inv(np.linalg.cholesky(covariances))
+    unknown = np.concatenate([move, np.zeros(free - 3)])
     kept = np.arange(count)
     for _ in range(3):
-        for _ in range(20):
-            arm = seen @ rotation.T
-            residuals = arm + translation - turns @ place - base_T_tip[:, :3, 3]
-            spread = rotation @ covariances @ rotation.T + arm_sigma_m**2 * np.eye(3)
-            weights = np.linalg.inv(spread)
-            by_unknown = np.concatenate(
-                [np.broadcast_to(np.eye(3), turns.shape), -cross_matrices(arm), -turns], axis=2
-            )[kept, :, :free]
-            weighted = by_unknown.transpose(0, 2, 1) @ weights[kept]
-            normal = np.sum(weighted @ by_unknown, axis=0)
-            _check_condition(normal)
-            step = -np.linalg.solve(normal, np.einsum("nij,nj->i", weighted, residuals[kept]))
-            translation = translation + step[:3]
-            rotation = cv2.Rodrigues(step[3:6])[0] @ rotation
-            if free == 9:
-                place = place + step[6:]
-            if np.max(np.abs(step)) < 1e-11:
-                break
-        else:
-            if np.max(np.abs(step)) > 1e-6:
-                raise JobError("hand-eye did not settle", last_step=float(np.max(np.abs(step))))
-        distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, weights, residuals))
+        fit = least_squares(
+            lambda x, rows: weighed(x)[rows].ravel(), unknown, args=(kept,), x_scale="jac"
+        )
+        unknown, normal = fit.x, fit.jac.T @ fit.jac
+        _check_condition(normal)
+        distance = np.linalg.norm(weighed(unknown), axis=1)
         # times the median normalised distance
         inliers = np.flatnonzero(distance <= 5.0 * max(float(np.median(distance)), 1e-12))
         if np.array_equal(inliers, kept):
@@ -103,9 +96,11 @@ def hand_eye(
         kept = inliers
     factor = max(float(np.sum(distance[kept] ** 2)) / max(3 * len(kept) - free, 1), 1.0)
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, translation
+    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(unknown[3:6])[0] @ turn, unknown[:3]
+    if free == 9:
+        place = place + unknown[6:]
     outliers = tuple(int(i) for i in np.setdiff1d(np.arange(count), kept))
-    return HandEye(pose, place, factor * np.linalg.inv(normal), residuals, outliers)
+    return HandEye(pose, place, factor * np.linalg.inv(normal), off(unknown), outliers)
 
 
 def _check_condition(normal: Array) -> None:

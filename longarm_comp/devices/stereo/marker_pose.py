@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 
 from longarm_comp.devices.stereo.camera import Array, StereoRig
-from longarm_comp.devices.stereo.rigid import cross_matrices, fit_rigid
 from longarm_comp.devices.stereo.triangulate import (
     PixelNoise,
     Triangulation,
     in_front,
     stereo_residuals,
 )
+from longarm_comp.math.points import kabsch
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,7 @@ def marker_pose(
     Raises:
         StereoRefusal: BEHIND_CAMERA.
     """
-    start = fit_rigid(corners, seen.points)
-    rotation, translation = start.transform[:3, :3], start.transform[:3, 3]
+    rotation, translation = kabsch(corners, seen.points, np.ones(len(corners)))
     log_scale = 0.0
     prior = (noise.sigma_px / size_tolerance) ** 2
     for _ in range(8):
@@ -98,3 +97,8 @@ def marker_pose(
     transform[:3, :3], transform[:3, 3] = rotation, translation
     covariance = sigma**2 * np.linalg.inv(normal)[:6, :6]
     return MarkerPose(transform, covariance, float(np.exp(log_scale)), residuals, sigma)
+
+
+def cross_matrices(vectors: Array) -> Array:
+    """(N, 3, 3) matrices S with ``S w = v x w`` for v of `vectors` (N, 3)."""
+    return -np.cross(vectors[:, None], np.eye(3))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from longarm_comp.core.errors import InputError
@@ -123,12 +124,10 @@ def _essential(left: Camera, right: Camera) -> Array:
 
 
 def _linear(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
-    rows = []
-    for camera, pixels in ((rig.left, left_px), (rig.right, right_px)):
-        pose = np.column_stack([camera.rotation, camera.translation])
-        rays = camera.rays(pixels)
-        rows += [rays[:, :1] * pose[2] - pose[0], rays[:, 1:2] * pose[2] - pose[1]]
-    null = np.linalg.svd(np.stack(rows, axis=1))[2][:, -1]
+    cameras = rig.left, rig.right
+    poses = [np.column_stack([camera.rotation, camera.translation]) for camera in cameras]
+    rays = [c.rays(pixels)[:, :2].T for c, pixels in zip(cameras, (left_px, right_px), strict=True)]
+    null = cv2.triangulatePoints(*poses, *rays).T
     weight = null[:, 3]
     if np.any(np.abs(weight) < 1e-9 * np.linalg.norm(null[:, :3], axis=1)):
         raise StereoRefusal(RefusalReason.BEHIND_CAMERA, depth_m="infinite")

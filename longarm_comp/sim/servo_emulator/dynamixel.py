@@ -12,10 +12,17 @@ from longarm_comp.sim.servo_emulator.motor import (
     VOLTAGE,
     Motor,
 )
-from longarm_comp.sim.servo_emulator.wire import BROADCAST, Device, Wire
+from longarm_comp.sim.servo_emulator.wire import (
+    ACTION,
+    PING,
+    READ,
+    REG_WRITE,
+    WRITE,
+    Device,
+    RegisterWire,
+)
 
-PING, READ, WRITE, REG_WRITE, ACTION, REBOOT = 1, 2, 3, 4, 5, 8
-SYNC_READ, SYNC_WRITE, BULK_READ = 0x82, 0x83, 0x92
+REBOOT, BULK_READ = 8, 0x92
 MODEL, FIRMWARE, ID, MODE, MAX_POSITION, MIN_POSITION = 0, 6, 7, 11, 48, 52
 TORQUE, HARDWARE_ERROR, PROFILE_VELOCITY, GOAL = 64, 70, 112, 116
 MOVING, LOAD, VELOCITY, POSITION, VOLTS, TEMPERATURE = 122, 126, 128, 132, 144, 146
@@ -26,11 +33,13 @@ _SPEED_UNIT = 0.229 * 4096 / 60  # ticks/s
 _EXTENDED = 4
 
 
-class DynamixelWire(Wire):
+class DynamixelWire(RegisterWire):
     """XL430-W250; the rest of the X series shares its table."""
 
     name = "dynamixel"
     kept_below = TORQUE
+    word = 2
+    answers_all = (PING,)
 
     def device(self, servo_id: int, motor: Motor) -> Device:
         device = Device(servo_id, bytearray(MEMORY), motor)
@@ -62,64 +71,43 @@ class DynamixelWire(Wire):
                 del buffer[0]
         return frames
 
-    def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
-        target, instruction = frame[4], frame[7]
-        params = frame[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
-        if instruction == SYNC_READ:
-            address, length = _word(params, 0), _word(params, 2)
-            asked = [devices[i] for i in params[4:] if i in devices]
-            return [_status(d, *self._read(d, address, length)) for d in asked]
-        if instruction == BULK_READ:
-            items = [params[start : start + 5] for start in range(0, len(params) - 4, 5)]
-            return [
-                _status(devices[p[0]], *self._read(devices[p[0]], _word(p, 1), _word(p, 3)))
-                for p in items
-                if p[0] in devices
-            ]
-        if instruction == SYNC_WRITE:
-            address, length = _word(params, 0), _word(params, 2)
-            for start in range(4, len(params) - length, length + 1):
-                device = devices.get(params[start])
-                if device is not None:
-                    self._write(device, address, params[start + 1 : start + 1 + length])
-            return []
-        hearing = [devices[target]] if target in devices else []
-        if target == BROADCAST:
-            hearing = list(devices.values())
-        replies = [_status(d, *self._single(d, instruction, params)) for d in hearing]
-        return replies if target != BROADCAST or instruction == PING else []
+    def parts(self, frame: bytes) -> tuple[int, int, bytes]:
+        return frame[4], frame[7], frame[8:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
 
-    def _single(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
-        """Carry out an instruction to one servo: (error code, data)."""
+    def status(self, device: Device, error: int, data: bytes) -> tuple[int, bytes]:
+        error |= 0x80 if device.motor.alarms else 0
+        body = (bytes((0x55, error)) + data).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+        size = (len(body) + 2).to_bytes(2, "little")
+        frame = b"\xff\xff\xfd\x00" + bytes((device.servo_id,)) + size + body
+        return device.servo_id, frame + _crc16(frame).to_bytes(2, "little")
+
+    def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
+        _, instruction, params = self.parts(frame)
+        if instruction != BULK_READ:
+            return super().answer(frame, devices)
+        items = [params[start : start + 5] for start in range(0, len(params) - 4, 5)]
+        asked = [(devices[p[0]], self.words(p[1:])) for p in items if p[0] in devices]
+        return [self.status(device, *self.read(device, *block)) for device, block in asked]
+
+    def carry_out(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
         if instruction == PING:
             return 0, bytes(device.memory[MODEL : MODEL + 2]) + bytes((device.memory[FIRMWARE],))
-        if instruction == READ:
-            return self._read(device, _word(params, 0), _word(params, 2))
-        if instruction == WRITE:
-            return self._write(device, _word(params, 0), params[2:]), b""
-        if instruction == REG_WRITE:
-            device.pending = (_word(params, 0), params[2:])
-            return 0, b""
-        if instruction == ACTION and device.pending is not None:
-            pending, device.pending = device.pending, None
-            return self._write(device, *pending), b""
         if instruction == REBOOT:
             device.motor.clear_alarms()
             device.motor.switch(False)
             return 0, b""
-        return BAD_INSTRUCTION, b""
+        known = instruction in (READ, WRITE, REG_WRITE)
+        if not known and (instruction != ACTION or device.pending is None):
+            return BAD_INSTRUCTION, b""
+        return super().carry_out(device, instruction, params)
 
-    def _read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
+    def read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
         if address + length > MEMORY:
             return BAD_RANGE, b""
-        return 0, self.read(device, address, length)
-
-    def read(self, device: Device, address: int, length: int) -> bytes:
         _refresh(device)
-        return bytes(device.memory[address : address + length])
+        return 0, bytes(device.memory[address : address + length])
 
-    def _write(self, device: Device, address: int, data: bytes) -> int:
-        """Write registers; the error code (0: done)."""
+    def write(self, device: Device, address: int, data: bytes) -> int:
         end = address + len(data)
         motor = device.motor
         if end > MEMORY or (address < TORQUE and motor.torque_on) or end > MOVING:
@@ -157,14 +145,6 @@ def _refresh(device: Device) -> None:
     device.put(TEMPERATURE, 1, round(motor.temperature_c))
 
 
-def _status(device: Device, error: int, data: bytes) -> tuple[int, bytes]:
-    error |= 0x80 if device.motor.alarms else 0
-    body = (bytes((0x55, error)) + data).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
-    size = (len(body) + 2).to_bytes(2, "little")
-    frame = b"\xff\xff\xfd\x00" + bytes((device.servo_id,)) + size + body
-    return device.servo_id, frame + _crc16(frame).to_bytes(2, "little")
-
-
 def _shifted(register: int) -> int:
     """The CRC register after eight more zero bits, as the e-Manual's division defines it."""
     for _ in range(8):
@@ -181,7 +161,3 @@ def _crc16(data: bytes) -> int:
     for byte in data:
         register = _SHIFTED[(register >> 8) ^ byte] ^ ((register & 0xFF) << 8)
     return register
-
-
-def _word(data: bytes, start: int) -> int:
-    return int.from_bytes(data[start : start + 2], "little")

@@ -3,54 +3,35 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass, field
 
 
+@dataclass
 class WireFaults:
-    """Replies to lose, damage, cut or delay. Counts go down as replies are sent."""
+    """Replies to lose, damage, cut or delay; counts go down as replies are sent.
 
-    def __init__(self) -> None:
-        self.silent: set[int] = set()
-        self.drops: Counter[int] = Counter()
-        self.bad_checksums: Counter[int] = Counter()
-        self.cuts: Counter[int] = Counter()
-        self.delays_s: dict[int, float] = {}
-        self.noise = b""
-        self.echo = False
-        """Send every instruction back first, as adapters that hear themselves do."""
+    Attributes:
+        silent: servos that hear and move but answer nothing.
+        drops, corrupt, cuts: how many of a servo's next replies are lost, have a damaged checksum,
+            or are sent by half.
+        delays_s: by how much a servo's replies are late, s.
+        noise: bytes put on the line ahead of the next reply.
+        echo: every instruction is sent back first, as adapters that hear themselves do.
+    """
 
-    def silence(self, servo_id: int) -> None:
-        """The servo hears and moves but answers nothing any more."""
-        self.silent.add(servo_id)
-
-    def speak(self, servo_id: int) -> None:
-        """End of ``silence``."""
-        self.silent.discard(servo_id)
-
-    def drop(self, servo_id: int, count: int = 1) -> None:
-        """Lose the next ``count`` replies."""
-        self.drops[servo_id] += count
-
-    def corrupt(self, servo_id: int, count: int = 1) -> None:
-        """Damage the checksum of the next ``count`` replies."""
-        self.bad_checksums[servo_id] += count
-
-    def cut(self, servo_id: int, count: int = 1) -> None:
-        """Send only the first half of the next ``count`` replies."""
-        self.cuts[servo_id] += count
-
-    def delay(self, servo_id: int, seconds: float) -> None:
-        """Send this servo's replies late; 0 ends it."""
-        self.delays_s[servo_id] = seconds
-
-    def before_next(self, junk: bytes) -> None:
-        """Put junk bytes on the line ahead of the next reply."""
-        self.noise += junk
+    silent: set[int] = field(default_factory=set)
+    drops: Counter[int] = field(default_factory=Counter)
+    corrupt: Counter[int] = field(default_factory=Counter)
+    cuts: Counter[int] = field(default_factory=Counter)
+    delays_s: dict[int, float] = field(default_factory=dict)
+    noise: bytes = b""
+    echo: bool = False
 
     def apply(self, servo_id: int, reply: bytes) -> tuple[float, bytes]:
         """Delay (s) and bytes that are sent for ``reply``."""
         if servo_id in self.silent or _take(self.drops, servo_id):
             return 0.0, b""
-        if _take(self.bad_checksums, servo_id):
+        if _take(self.corrupt, servo_id):
             reply = reply[:-1] + bytes((reply[-1] ^ 0x5A,))
         if _take(self.cuts, servo_id):
             reply = reply[: len(reply) // 2]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from longarm_comp.sim.servo_emulator.motor import (
     CURRENT,
     OVERHEAT,
@@ -12,9 +10,8 @@ from longarm_comp.sim.servo_emulator.motor import (
     VOLTAGE,
     Motor,
 )
-from longarm_comp.sim.servo_emulator.wire import BROADCAST, Device, Wire
+from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire
 
-PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
 FIRMWARE, MODEL, ID, MIN_ANGLE, MAX_ANGLE, MAX_TEMPERATURE = 0, 3, 5, 9, 11, 13
 TORQUE, GOAL, GOAL_SPEED, LOCK = 40, 42, 46, 55
 POSITION, SPEED, LOAD, VOLTS, TEMPERATURE, STATUS, MOVING, AMPS = 56, 58, 60, 62, 63, 65, 66, 69
@@ -22,11 +19,12 @@ MEMORY = 87
 _STATUS_BITS = {VOLTAGE: 1, SENSOR: 2, OVERHEAT: 4, CURRENT: 8, OVERLOAD: 32}
 
 
-class FeetechWire(Wire):
+class FeetechWire(RegisterWire):
     """STS3215."""
 
     name = "feetech"
     kept_below = TORQUE
+    word = 1
 
     def device(self, servo_id: int, motor: Motor) -> Device:
         device = Device(servo_id, bytearray(MEMORY), motor)
@@ -57,46 +55,21 @@ class FeetechWire(Wire):
                 del buffer[0]
         return frames
 
-    def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
-        target, instruction, params = frame[2], frame[4], frame[5:-1]
-        if instruction == SYNC_READ:
-            address, length = params[0], params[1]
-            asked = [devices[i] for i in params[2:] if i in devices]
-            return [_status(d, self.read(d, address, length)) for d in asked]
-        if instruction == SYNC_WRITE:
-            address, length = params[0], params[1]
-            for start in range(2, len(params) - length, length + 1):
-                device = devices.get(params[start])
-                if device is not None:
-                    self._write(device, address, params[start + 1 : start + 1 + length])
-            return []
-        hearing = list(devices.values()) if target == BROADCAST else []
-        if target in devices:
-            hearing = [devices[target]]
-        replies = [_status(d, self._single(d, instruction, params)) for d in hearing]
-        return [] if target == BROADCAST else replies
+    def parts(self, frame: bytes) -> tuple[int, int, bytes]:
+        return frame[2], frame[4], frame[5:-1]
 
-    def _single(self, device: Device, instruction: int, params: bytes) -> bytes:
-        """Carry out an instruction to one servo; the data it answers with."""
-        if instruction == READ:
-            return self.read(device, params[0], params[1])
-        if instruction == WRITE:
-            self._write(device, params[0], params[1:])
-        elif instruction == REG_WRITE:
-            device.pending = (params[0], params[1:])
-        elif instruction == ACTION and device.pending is not None:
-            self._write(device, *device.pending)
-            device.pending = None
-        return b""
+    def status(self, device: Device, error: int, data: bytes) -> tuple[int, bytes]:
+        body = bytes((device.servo_id, len(data) + 2, _status_bits(device.motor))) + data
+        return device.servo_id, b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
-    def read(self, device: Device, address: int, length: int) -> bytes:
+    def read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
         _refresh(device)
-        return bytes(device.memory[address : address + length])
+        return 0, bytes(device.memory[address : address + length])
 
-    def _write(self, device: Device, address: int, data: bytes) -> None:
+    def write(self, device: Device, address: int, data: bytes) -> int:
         end = address + len(data)
         if end > POSITION or not data:
-            return
+            return 0
         device.memory[address:end] = data
         if not device.get(LOCK, 1):
             device.kept = bytes(device.memory)  # while locked, changes last until power is lost
@@ -111,6 +84,7 @@ class FeetechWire(Wire):
             if not motor.torque_on:
                 motor.switch(True)  # a goal wakes an STS servo up
             motor.goal = _bounded(device, _signed(device.get(GOAL, 2), 15))
+        return 0
 
 
 def _refresh(device: Device) -> None:
@@ -133,11 +107,6 @@ def _refresh(device: Device) -> None:
 def _bounded(device: Device, goal: int) -> float:
     low, high = device.get(MIN_ANGLE, 2), device.get(MAX_ANGLE, 2)
     return float(max(-30719, min(30719, goal)) if high == 0 else max(low, min(high, goal)))
-
-
-def _status(device: Device, data: bytes) -> tuple[int, bytes]:
-    body = bytes((device.servo_id, len(data) + 2, _status_bits(device.motor))) + data
-    return device.servo_id, b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
 def _status_bits(motor: Motor) -> int:

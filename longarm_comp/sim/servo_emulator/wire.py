@@ -9,6 +9,8 @@ from typing import ClassVar
 from longarm_comp.sim.servo_emulator.motor import Motor
 
 BROADCAST = 0xFE
+PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
+"""Instructions that Feetech has taken over from Dynamixel."""
 
 
 class Device:
@@ -53,10 +55,6 @@ class Wire(ABC):
         motor.torque_on, motor.speed_limit, motor.goal = False, 0.0, motor.position
         motor.clear_alarms()
 
-    def read(self, device: Device, address: int, length: int) -> bytes:
-        """Registers as they are now."""
-        return bytes(device.memory[address : address + length])
-
     @abstractmethod
     def take(self, buffer: bytearray) -> list[bytes]:
         """Remove whole, undamaged instruction frames from the front of ``buffer``."""
@@ -64,3 +62,71 @@ class Wire(ABC):
     @abstractmethod
     def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
         """Carry out one instruction; the replies, in the order in which they go out."""
+
+
+class RegisterWire(Wire):
+    """A protocol with the instructions of Dynamixel.
+
+    Attributes:
+        word: bytes of an address, and of a length.
+        answers_all: instructions that servos answer also where all of them are addressed.
+    """
+
+    word: ClassVar[int]
+    answers_all: ClassVar[tuple[int, ...]] = ()
+
+    def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
+        target, instruction, params = self.parts(frame)
+        if instruction in (SYNC_READ, SYNC_WRITE):
+            address, length = self.words(params)
+            rest = params[2 * self.word :]
+            if instruction == SYNC_READ:
+                asked = [devices[i] for i in rest if i in devices]
+                return [self.status(d, *self.read(d, address, length)) for d in asked]
+            for start in range(0, len(rest) - length, length + 1):
+                if rest[start] in devices:
+                    data = rest[start + 1 : start + 1 + length]
+                    self.write(devices[rest[start]], address, data)
+            return []
+        hearing = [devices[target]] if target in devices else []
+        if target == BROADCAST:
+            hearing = list(devices.values())
+        replies = [self.status(d, *self.carry_out(d, instruction, params)) for d in hearing]
+        return replies if target != BROADCAST or instruction in self.answers_all else []
+
+    def carry_out(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
+        """An instruction to one servo: error code and data of its answer."""
+        if instruction == READ:
+            return self.read(device, *self.words(params))
+        if instruction in (WRITE, REG_WRITE):
+            pending = int.from_bytes(params[: self.word], "little"), params[self.word :]
+            if instruction == WRITE:
+                return self.write(device, *pending), b""
+            device.pending = pending
+        if instruction == ACTION and device.pending is not None:
+            pending, device.pending = device.pending, None
+            return self.write(device, *pending), b""
+        return 0, b""
+
+    def words(self, params: bytes) -> tuple[int, int]:
+        """Address and length. Raises IndexError where they are missing."""
+        if len(params) < 2 * self.word:
+            raise IndexError
+        first, second = params[: self.word], params[self.word : 2 * self.word]
+        return int.from_bytes(first, "little"), int.from_bytes(second, "little")
+
+    @abstractmethod
+    def parts(self, frame: bytes) -> tuple[int, int, bytes]:
+        """Id, instruction and parameters of a frame."""
+
+    @abstractmethod
+    def read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
+        """Error code (0: done) and registers as they are now."""
+
+    @abstractmethod
+    def write(self, device: Device, address: int, data: bytes) -> int:
+        """Write registers; the error code (0: done)."""
+
+    @abstractmethod
+    def status(self, device: Device, error: int, data: bytes) -> tuple[int, bytes]:
+        """The id and the status frame of an answer."""
