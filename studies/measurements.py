@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -167,14 +167,6 @@ def joints_at(arm: Arm, true: TrueArm, points: np.ndarray, rng: np.random.Genera
 
 def _turning(arm: Arm) -> np.ndarray:
     return np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded], float)
-
-
-def study(
-    arm: Arm, seeds: Sequence[int], counts: Sequence[int] = ROWS
-) -> Iterator[dict[str, np.ndarray]]:
-    """`errors_by_rows` of one arm after the other."""
-    for seed in seeds:
-        yield errors_by_rows(arm, seed, counts)
 
 
 def table(found: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int]) -> list[dict[str, Any]]:

@@ -59,7 +59,7 @@ class Loop:
         try:
             return self.bus.read(self.ids)
         except IncompleteReply as error:
-            return error.answered
+            return error.states
         except BusUnplugged:
             self.bus.close()
             self.bus = None

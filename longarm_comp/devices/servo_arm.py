@@ -116,7 +116,7 @@ class ServoArm:
         self._powered = self._powered and on
         self._owing_off = not on
         if self.bus is None:
-            raise BusUnplugged(self.config.bus.port, "the port is gone")
+            raise BusUnplugged(port=self.config.bus.port, why="the port is gone")
         try:
             self.bus.torque(self._ids, on)
         except ServoBusError:
@@ -172,7 +172,7 @@ class ServoArm:
                 if self._powered and self._cycles % 25 == 0:
                     driven = bus.driven(self._ids)
             except IncompleteReply as error:
-                trouble, states = str(error), error.answered
+                trouble, states = str(error), error.states
             except BusUnplugged as error:
                 trouble = self._lose(error)
             except ServoBusError as error:

@@ -10,7 +10,7 @@ the goals that it returns. On a fault every servo holds its position and no more
         try:
             states = bus.read(ids)
         except IncompleteReply as error:
-            states = error.answered
+            states = error.states
         step = follower.step(time.monotonic(), states)
         if step.goals is not None:
             bus.write_goal(step.goals, config.speed_limits_ticks_s)

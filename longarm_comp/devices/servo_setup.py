@@ -186,7 +186,7 @@ class ServoSetup:
             try:
                 states, lost = self._bus.read(self._ids), 0
             except IncompleteReply as error:
-                states, lost = error.answered, lost + 1
+                states, lost = error.states, lost + 1
                 # Readings in a row that may be incomplete: cables move with the arm
                 if lost > 25:
                     raise

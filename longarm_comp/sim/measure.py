@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -213,21 +211,12 @@ def write_session(path: str | Path, columns: Mapping[str, Array]) -> None:
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:
         raise InputError(path, "columns", f"lengths {sorted(lengths)}", "columns of one length")
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    cells = [[_cell(name, value) for value in column] for name, column in columns.items()]
-    writer.writerows(zip(*cells, strict=True))
-    write_text(path, text.getvalue())
+    import pandas as pd  # only here: the simulated arm of the graph starts without it
 
-
-_WHOLE = ("index", "approach", "repeat_id")
-
-
-def _cell(name: str, value: float) -> str:
-    if not np.isfinite(value):
-        return ""
-    return str(int(value)) if name in _WHOLE else f"{value:.9g}"
+    table = pd.DataFrame(columns)
+    whole = [name for name in ("index", "approach", "repeat_id") if name in table]
+    table[whole] = table[whole].astype("Int64")
+    write_text(path, table.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
 
 
 def _with_repeats(

@@ -2,37 +2,32 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import print_json, print_rows, progress
+from studies.commands import shape
+
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm
 
 
-@click.command()
-@options.path_option("--arm", "Declared arm; the demonstration's if absent.")
-@click.option("--case", "chosen", multiple=True, help="Case; repeat for more. Default: all.")
-@click.option(
-    "--plan", "plans", multiple=True, type=click.Choice(["grid", "sobol"]), default=("grid",),
-    show_default=True, help="Poses that are measured; repeat for both.",
+@shape.study(
+    shape.arm,
+    click.option("--case", "chosen", multiple=True, help="Case; repeat for more. Default: all."),
+    click.option(
+        "--plan", "plans", multiple=True, type=click.Choice(["grid", "sobol"]), default=("grid",),
+        show_default=True, help="Poses that are measured; repeat for both.",
+    ),
+    shape.number("--seeds", 1, "Seeds of each case."),
+    click.option("--no-network", is_flag=True, help="Leave out the network."),
+    options.seed,
 )  # fmt: skip
-@click.option(
-    *("--seeds", "count"), type=click.IntRange(min=1), default=1, show_default=True,
-    help="Seeds of each case.",
-)  # fmt: skip
-@click.option("--no-network", is_flag=True, help="Leave out the network.")
-@options.seed
-@options.as_json
 def command(
-    arm: Path | None,
-    chosen: tuple[str, ...],
-    plans: tuple[str, ...],
-    count: int,
-    no_network: bool,
-    seed: int,
-    as_json: bool,
-) -> None:
+    arm: Arm, chosen: tuple[str, ...], plans: tuple[str, ...], seeds: int, no_network: bool,
+    seed: int, show: shape.Show,
+) -> shape.Figures:  # fmt: skip
     """Causes in no library: what calibration, library, discovery and learning leave of them.
 
     Errors are rms in mm against the truth without noise: on fresh poses of the plan that was
@@ -42,26 +37,18 @@ def command(
     Example:
       longarm study discover --case hose_pull --case nothing
     """
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.errors import InputError
-    from longarm_comp.share import folder
     from studies import discover
     from studies.outside import outside
 
-    declared = Arm.load(arm or folder("config") / "arm_demo.yaml")
-    known = (*outside(declared), discover.NOTHING)
+    known = (*outside(arm), discover.NOTHING)
     for case in chosen:
         if case not in known:
             raise InputError("study discover", "case", case, ", ".join(known))
     cases = chosen or known
-    seeds = range(seed, seed + count)
-    total = len(cases) * len(plans) * count
+    total = len(cases) * len(plans) * seeds
     rows = []
-    with progress("study discover") as show:
-        for one in discover.study(declared, cases, plans, seeds, not no_network):
-            rows.append(one)
-            show(f"{one['case']} {one['plan']}", len(rows) / total)
-    if as_json:
-        print_json({"rows": rows})
-        return
-    print_rows("Errors against the truth, on the plan / off it", rows)
+    for one in discover.study(arm, cases, plans, range(seed, seed + seeds), not no_network):
+        rows.append(one)
+        show(f"{one['case']} {one['plan']}", len(rows) / total)
+    return shape.Figures({"rows": rows}, {"Errors against the truth, on the plan / off it": rows})

@@ -7,22 +7,22 @@ from pathlib import Path
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import print_json, print_rows, progress
+from studies.commands import shape
 
 
-@click.command()
-@click.option(
-    *("--arms", "counts"), type=click.IntRange(min=1), multiple=True, default=(20, 200),
-    show_default=True, help="Simulated arms; a larger number goes on after the smaller.",
+@shape.study(
+    click.option(
+        *("--arms", "counts"), type=click.IntRange(min=1), multiple=True, default=(20, 200),
+        show_default=True, help="Simulated arms; a larger number goes on after the smaller.",
+    ),
+    options.output(
+        "build/fleet",
+        "Folder for arms and diagnoses; what is there is gone on with.",
+        outputs.left_to_the_command,
+    ),
+    options.seed,
 )  # fmt: skip
-@options.output(
-    "build/fleet",
-    "Folder for arms and diagnoses; what is there is gone on with.",
-    outputs.left_to_the_command,
-)
-@options.seed
-@options.as_json
-def command(counts: tuple[int, ...], output: Path, seed: int, as_json: bool) -> None:
+def command(counts: tuple[int, ...], output: Path, seed: int, show: shape.Show) -> shape.Figures:
     """Simulated arms of one kind diagnosed by `longarm fleet`; the peak of this process's memory.
 
     \b
@@ -31,9 +31,7 @@ def command(counts: tuple[int, ...], output: Path, seed: int, as_json: bool) -> 
     """
     from studies.fleet import study
 
-    with progress("study fleet") as show:
-        rows = list(study(output, counts, seed, show))
-    if as_json:
-        print_json({"seed": seed, "fleets": rows})
-        return
-    print_rows("Fleets of simulated arms of one kind", rows)
+    rows = list(study(output, counts, seed, show))
+    return shape.Figures(
+        {"seed": seed, "fleets": rows}, {"Fleets of simulated arms of one kind": rows}
+    )

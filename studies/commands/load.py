@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import click
-import numpy as np
-
-from longarm_comp.cli import options
-from longarm_comp.cli.output import print_json, print_rows
+from studies.commands import shape
 
 
-@click.command()
-@click.option("--arms", type=click.IntRange(min=1), default=8, show_default=True, help="Arms.")
-@options.as_json
-def command(arms: int, as_json: bool) -> None:
+@shape.study(shape.arms(8, "Arms."))
+def command(arms: int, show: shape.Show) -> shape.Figures:
     """How well the loads that servos report tell a payload: error and sigma by servo, kg.
 
     After 1, 4 and 12 rests with 0.25 kg; then 0.8 kg are carried and nobody says it.
@@ -21,6 +15,8 @@ def command(arms: int, as_json: bool) -> None:
     Example:
       longarm study load --arms 8
     """
+    import numpy as np
+
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.devices.servo_config import ServoConfig
     from longarm_comp.share import folder
@@ -30,7 +26,6 @@ def command(arms: int, as_json: bool) -> None:
     joints = ServoConfig.load(folder("config") / "servo_driver.yaml").joints
     full = np.array([joints[name].full_effort for name in arm.joint_names], float)
     rows = [dict(row) for row in table(arm, full, arms)]
-    if as_json:
-        print_json({"rows": rows})
-        return
-    print_rows("Payload by the servos' loads, 0.25 kg, then 0.8 kg", rows)
+    return shape.Figures(
+        {"rows": rows}, {"Payload by the servos' loads, 0.25 kg, then 0.8 kg": rows}
+    )

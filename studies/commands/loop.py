@@ -3,48 +3,45 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import note, print_json, print_rows, progress
+from studies.commands import shape
+
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm
 
 
-@click.command()
-@options.output(
-    None,
-    "JSON-lines file, one line per case. Cases in it are not run again.",
-    outputs.marked(b"{"),
+@shape.study(
+    options.output(
+        None,
+        "JSON-lines file, one line per case. Cases in it are not run again.",
+        outputs.marked(b"{"),
+    ),
+    shape.arm,
+    click.option("--groups", default="none,single,pair,removed,outside", show_default=True),
+    click.option("--effects", help="Canonical names, separated by commas; all by default."),
+    click.option("--plans", default="grid", show_default=True, help="grid, sobol, or both."),
+    click.option(
+        "--rows", default="300,60", show_default=True, help="Sample sizes, separated by commas."
+    ),
+    click.option(
+        "--noises", default="1", show_default=True, help="Factors on the usual camera noise."
+    ),
+    shape.arms(3, "Arms like the declared one."),
+    shape.number("--repeats", 2, "Repetitions per arm."),
+    shape.number("--pairs", 20, "Pairs per arm and size.", least=0),
+    click.option(
+        "--jobs", type=int, default=-1, show_default=True, help="Processes; -1: all cores."
+    ),
+    click.option("--dask", metavar="ADDRESS", help="Dask scheduler to run on, or 'local'."),
 )
-@options.path_option("--arm", "arm.yaml of the declared arm; the demonstration's by default.")
-@click.option("--groups", default="none,single,pair,removed,outside", show_default=True)
-@click.option("--effects", help="Canonical names, separated by commas; all by default.")
-@click.option("--plans", default="grid", show_default=True, help="grid, sobol, or both.")
-@click.option(
-    "--rows", default="300,60", show_default=True, help="Sample sizes, separated by commas."
-)
-@click.option("--noises", default="1", show_default=True, help="Factors on the usual camera noise.")
-@click.option("--arms", type=int, default=3, show_default=True, help="Arms like the declared one.")
-@click.option("--repeats", type=int, default=2, show_default=True, help="Repetitions per arm.")
-@click.option("--pairs", type=int, default=20, show_default=True, help="Pairs per arm and size.")
-@click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1: all cores.")
-@click.option("--dask", metavar="ADDRESS", help="Dask scheduler to run on, or 'local'.")
-@options.as_json
 def command(
-    output: Path,
-    arm: Path | None,
-    groups: str,
-    effects: str | None,
-    plans: str,
-    rows: str,
-    noises: str,
-    arms: int,
-    repeats: int,
-    pairs: int,
-    jobs: int,
-    dask: str | None,
-    as_json: bool,
-) -> None:
+    output: Path, arm: Arm, groups: str, effects: str | None, plans: str, rows: str, noises: str,
+    arms: int, repeats: int, pairs: int, jobs: int, dask: str | None, show: shape.Show,
+) -> shape.Figures:  # fmt: skip
     """Benchmark the diagnosis on simulated arms with hidden effects.
 
     Cases run on all cores, or on a Dask cluster. After an interruption the same command continues.
@@ -56,8 +53,6 @@ def command(
       longarm study loop -o loop.jsonl --groups none --rows 300 --repeats 12
       longarm study loop -o loop.jsonl --dask tcp://head:8786
     """
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.share import folder
     from studies.loop import run
     from studies.loop_cases import NAMES, Design
     from studies.loop_table import by_effect, failures, reliability, summary
@@ -72,24 +67,18 @@ def command(
         repeats=repeats,
         pairs=pairs,
     )
-    declared = Arm.load(arm or folder("config") / "arm_demo.yaml")
-    cases = design.cases()
-    with progress("study loop") as show:
-        lines = run(cases, declared, output, jobs=jobs, dask=dask, progress=show)
-    broken = failures(lines)
+    lines = run(design.cases(), arm, output, jobs=jobs, dask=dask, progress=show)
     tables = {
         "summary": (f"{len(lines)} cases", summary(lines)),
         "by_effect": ("Visible single effects", by_effect(lines)),
         "reliability": ("Names by their stated probability", reliability(lines)),
     }
-    if as_json:
-        print_json({name: rows for name, (_, rows) in tables.items()} | {"failures": broken})
-        return
-    for title, rows_ in tables.values():
-        if rows_:
-            print_rows(title, rows_)
-    for line in broken:
-        note(line)
+    broken = failures(lines)
+    return shape.Figures(
+        {name: rows for name, (_, rows) in tables.items()} | {"failures": broken},
+        dict(tables.values()),
+        broken,
+    )
 
 
 def _numbers(name: str, text: str, kind: type) -> list:

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import click
+from typing import TYPE_CHECKING
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import print_json, print_rows, progress
+from studies.commands import shape
+
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm
 
 
-@click.command()
-@options.path_option("--arm", "Declared arm; the demonstration's if absent.")
-@click.option(
-    *("--arms", "count"), type=click.IntRange(min=1), default=5, show_default=True,
-    help="Simulated arms, with other hidden errors each.",
-)  # fmt: skip
-@options.seed
-@options.as_json
-def command(arm: Path | None, count: int, seed: int, as_json: bool) -> None:
+@shape.study(shape.arm, shape.arms(5), options.seed)
+def command(arm: Arm, arms: int, seed: int, show: shape.Show) -> shape.Figures:
     """Rows that a calibration needs where a row is a pose, a position, one distance, or a touch.
 
     Errors are of the true tip at poses that were not measured.
@@ -27,21 +21,15 @@ def command(arm: Path | None, count: int, seed: int, as_json: bool) -> None:
     Example:
       longarm study measurements --arms 5
     """
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.share import folder
     from studies import measurements
 
-    declared = Arm.load(arm or folder("config") / "arm_demo.yaml")
-    counts, limits = measurements.ROWS, (1e-3, 5e-4, 2.5e-4)
-    found = []
-    with progress("study measurements") as show:
-        for one in measurements.study(declared, range(seed, seed + count)):
-            found.append(one)
-            show(f"{len(found)} of {count} arms", len(found) / count)
+    counts, found = measurements.ROWS, []
+    for k in range(arms):
+        found.append(measurements.errors_by_rows(arm, seed + k, counts))
+        show(f"{k + 1} of {arms} arms", (k + 1) / arms)
     rows = measurements.table(found, counts)
-    needed = measurements.needed(found, counts, limits)
-    if as_json:
-        print_json({"arms": count, "seed": seed, "errors": rows, "needed": needed})
-        return
-    print_rows(f"Error of the true tip, median of {count} arms", rows)
-    print_rows("Rows needed", needed)
+    needed = measurements.needed(found, counts, (1e-3, 5e-4, 2.5e-4))
+    return shape.Figures(
+        {"arms": arms, "seed": seed, "errors": rows, "needed": needed},
+        {f"Error of the true tip, median of {arms} arms": rows, "Rows needed": needed},
+    )

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
 from longarm_comp.cli import options
-from longarm_comp.cli.output import print_json, print_rows, progress
+from studies.commands import shape
 
 
-@click.command()
-@options.path_option("--data", "Folder with dlr_justin.", required=True)
-@options.as_json
-def command(data: Path, as_json: bool) -> None:
+@shape.study(options.path_option("--data", "Folder with dlr_justin.", required=True))
+def command(data: Path, show: shape.Show) -> shape.Figures:
     """What the right arm of DLR Justin says of few rows of its left.
 
     \b
@@ -22,10 +18,6 @@ def command(data: Path, as_json: bool) -> None:
     """
     from studies.other_arm import COUNTS, DRAWS, study
 
-    with progress("study other-arm") as show:
-        steps, whole = iter(range(1000)), 1 + len(COUNTS) * DRAWS
-        rows = list(study(data, COUNTS, DRAWS, lambda text: show(text, next(steps) / whole)))
-    if as_json:
-        print_json({"left": rows})
-        return
-    print_rows("Justin's left arm: mean error at its test poses", rows)
+    steps, whole = iter(range(1000)), 1 + len(COUNTS) * DRAWS
+    rows = list(study(data, COUNTS, DRAWS, lambda text: show(text, next(steps) / whole)))
+    return shape.Figures({"left": rows}, {"Justin's left arm: mean error at its test poses": rows})

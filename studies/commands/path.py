@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
-
-import click
+from typing import TYPE_CHECKING
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import print_json, print_rows, progress
+from studies.commands import shape
+
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm
 
 
-@click.command()
-@options.path_option("--arm", "Declared arm; the demonstration's if absent.")
-@click.option(
-    *("--arms", "count"), type=click.IntRange(min=1), default=8, show_default=True,
-    help="Simulated arms; every other one has play.",
-)  # fmt: skip
-@click.option(
-    "--paths", type=click.IntRange(min=1), default=2, show_default=True,
-    help="Paths of every kind and speed, an arm.",
-)  # fmt: skip
-@options.seed
-@options.as_json
-@options.written(
-    "-o/--output",
-    "JSON-lines file, one line an arm. Arms in it are not run again.",
-    outputs.marked(b"{"),
+@shape.study(
+    shape.arm,
+    shape.arms(8, "Simulated arms; every other one has play."),
+    shape.number("--paths", 2, "Paths of every kind and speed, an arm."),
+    options.seed,
+    options.written(
+        "-o/--output",
+        "JSON-lines file, one line an arm. Arms in it are not run again.",
+        outputs.marked(b"{"),
+    ),
 )
 def command(
-    arm: Path | None, count: int, paths: int, seed: int, as_json: bool, output: Path | None
-) -> None:
+    arm: Arm, arms: int, paths: int, seed: int, output: Path | None, show: shape.Show
+) -> shape.Figures:
     """How far the true tip leaves a planned path, before and after compensation.
 
     Lines, arcs and straight plans of joints, at three speeds of the tip. After an interruption the
@@ -39,14 +35,8 @@ def command(
     Example:
       longarm study path --arms 8 -o build/path.jsonl
     """
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.share import folder
     from studies import path
 
-    declared = Arm.load(arm or folder("config") / "arm_demo.yaml")
-    with progress("study path") as show:
-        rows = path.table(list(path.study(declared, count, seed, paths, output, show)))
-    if as_json:
-        print_json({"rows": rows})
-        return
-    print_rows(f"Deviation of the true tip from planned paths, {count} arms", rows)
+    rows = path.table(list(path.study(arm, arms, seed, paths, output, show)))
+    title = f"Deviation of the true tip from planned paths, {arms} arms"
+    return shape.Figures({"rows": rows}, {title: rows})

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import click
+from typing import TYPE_CHECKING
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import print_json, print_rows, progress
+from studies.commands import shape
+
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm
 
 
-@click.command()
-@options.path_option("--arm", "Declared arm; the demonstration's if absent.")
-@click.option(
-    *("--arms", "count"), type=click.IntRange(min=1), default=3, show_default=True,
-    help="Simulated arms, with other hidden errors each.",
-)  # fmt: skip
-@options.seed
-@options.as_json
-def command(arm: Path | None, count: int, seed: int, as_json: bool) -> None:
+@shape.study(shape.arm, shape.arms(3), options.seed)
+def command(arm: Arm, arms: int, seed: int, show: shape.Show) -> shape.Figures:
     """Error of the true tip after 40, 60, 100, 200 poses by grid, Sobol and I-optimal choice.
 
     The arms hide geometry errors and compliant joints, which the calibration is told of or has to
@@ -28,20 +22,16 @@ def command(arm: Path | None, count: int, seed: int, as_json: bool) -> None:
     Example:
       longarm study poses --arms 3
     """
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.share import folder
     from studies import poses
 
-    declared = Arm.load(arm or folder("config") / "arm_demo.yaml")
     found: list[poses.PoseOutcome] = []
-    steps = count * len(poses.COUNTS) * len(poses.WAYS) * 2
-    with progress("study poses") as show:
-        for k in range(seed, seed + count):
-            for one in poses.one_arm(declared, k):
-                found.append(one)
-                show(f"{one.n} poses by {one.way}", len(found) / steps)
+    steps = arms * len(poses.COUNTS) * len(poses.WAYS) * 2
+    for k in range(seed, seed + arms):
+        for one in poses.one_arm(arm, k):
+            found.append(one)
+            show(f"{one.n} poses by {one.way}", len(found) / steps)
     rows = poses.table(found)
-    if as_json:
-        print_json({"arms": count, "seed": seed, "rows": rows, "runs": [vars(o) for o in found]})
-        return
-    print_rows(f"Error of the true tip, mean of {count} arms", rows)
+    return shape.Figures(
+        {"arms": arms, "seed": seed, "rows": rows, "runs": [vars(o) for o in found]},
+        {f"Error of the true tip, mean of {arms} arms": rows},
+    )

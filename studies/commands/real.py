@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import cast
-
-import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, print_json, print_rows, progress
+from studies.commands import shape
 
 _STEPS = 24  # fits in all, roughly: for the bar only
 
 
-@click.command()
-@options.path_option("--data", "Folder with dlr_justin and wam_ur5.", required=True)
-@options.as_json
-def command(data: Path, as_json: bool) -> None:
+@shape.study(options.path_option("--data", "Folder with dlr_justin and wam_ur5.", required=True))
+def command(data: Path, show: shape.Show) -> shape.Figures:
     """Held-out errors on real arms: DLR Agile Justin, Barrett WAM, UR5.
 
     "best" holds the effects that are selected on the training rows. "frames_only" fits only the
@@ -28,33 +23,29 @@ def command(data: Path, as_json: bool) -> None:
     """
     from studies.real import study
 
-    with progress("study real") as show:
-        steps = iter(range(_STEPS))
-        robots = study(data, lambda text: show(text, min(next(steps, _STEPS), _STEPS) / _STEPS))
-    rows = {
-        robot: [
+    steps = iter(range(_STEPS))
+    robots = study(data, lambda text: show(text, min(next(steps, _STEPS), _STEPS) / _STEPS))
+    record, tables, notes = {}, {}, []
+    for robot, lines in robots.items():
+        errors = [
             {
                 "model": line.model,
                 "mean_mm": 1e3 * line.errors.mean,
-                "ci95_mm": [1e3 * end for end in line.ci95],
                 "rms_mm": 1e3 * line.errors.rms,
                 "max_mm": 1e3 * line.errors.max,
                 "n": line.errors.n,
-                "effects": list(line.effects),
             }
             for line in lines
         ]
-        for robot, lines in robots.items()
-    }
-    if as_json:
-        print_json(rows)
-        return
-    for robot, lines in rows.items():
-        shown = [
-            {k: v for k, v in line.items() if k not in ("effects", "ci95_mm")} for line in lines
+        ends = [[1e3 * end for end in line.ci95] for line in lines]
+        record[robot] = [
+            row | {"ci95_mm": ci95, "effects": list(line.effects)}
+            for row, ci95, line in zip(errors, ends, lines, strict=True)
         ]
-        print_rows(f"{robot}: errors on the test rows", shown)
-        low, high = cast("tuple[float, float]", lines[-1]["ci95_mm"])
-        note(f"{robot}: 95 % of the best mean {low:.3f} to {high:.3f} mm")
-        best = lines[-1]["effects"]
-        note(f"{robot}: best holds {', '.join(best) if best else 'nothing beyond geometry'}")  # type: ignore[arg-type]
+        tables[f"{robot}: errors on the test rows"] = errors
+        best = ", ".join(lines[-1].effects) or "nothing beyond geometry"
+        notes += [
+            f"{robot}: 95 % of the best mean {ends[-1][0]:.3f} to {ends[-1][1]:.3f} mm",
+            f"{robot}: best holds {best}",
+        ]
+    return shape.Figures(record, tables, notes)

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, print_json, print_rows, progress
+from studies.commands import shape
 
 _STEPS = 25  # places of the six arms: for the bar only
 
 
-@click.command()
-@options.path_option("--data", "Folder with a CSV an arm: location, socket, q1..q7.", required=True)
-@options.as_json
-def command(data: Path, as_json: bool) -> None:
+@shape.study(
+    options.path_option("--data", "Folder with a CSV an arm: location, socket, q1..q7.", True)
+)
+def command(data: Path, show: shape.Show) -> shape.Figures:
     """What calibration and diagnosis leave at sockets held out in turn, on real arms.
 
     nominal: the data sheet, with the place of the ball; rigid: its geometry calibrated;
@@ -27,18 +25,19 @@ def command(data: Path, as_json: bool) -> None:
     """
     from studies.touch import lines, study
 
-    with progress("study touch") as show:
-        steps = iter(range(_STEPS))
-        found = lines(study(data, lambda text: show(text, next(steps, _STEPS) / _STEPS)))
+    steps = iter(range(_STEPS))
+    found = lines(study(data, lambda text: show(text, next(steps, _STEPS) / _STEPS)))
     *arms, together = found
-    if as_json:
-        print_json({"arms": arms, "all": together})
-        return
     shown = [{k: v for k, v in row.items() if k != "names" and "ci95" not in k} for row in found]
-    print_rows("Mean distance from the touched point, each place held out in turn", shown)
-    between = together["gain_ci95_mm"]
-    note(f"diagnosed leaves less than rigid, over places: {together['gain_mm']} {between} mm")
-    said = {k: together[f"{k}_ci95_mm"] for k in ("nominal", "rigid", "diagnosed")}
-    note("95 % of the means, over places, mm: " + ", ".join(f"{k} {v}" for k, v in said.items()))
-    for row in arms:
-        note(f"{row['arm']}: {', '.join(row['names']) or 'nothing named'}")  # type: ignore[arg-type]
+    gain = f"{together['gain_mm']} {together['gain_ci95_mm']} mm"
+    means = (f"{k} {together[f'{k}_ci95_mm']}" for k in ("nominal", "rigid", "diagnosed"))
+    names = (", ".join(row["names"]) or "nothing named" for row in arms)  # type: ignore[arg-type]
+    return shape.Figures(
+        {"arms": arms, "all": together},
+        {"Mean distance from the touched point, each place held out in turn": shown},
+        [
+            f"diagnosed leaves less than rigid, over places: {gain}",
+            "95 % of the means, over places, mm: " + ", ".join(means),
+            *(f"{row['arm']}: {said}" for row, said in zip(arms, names, strict=True)),
+        ],
+    )

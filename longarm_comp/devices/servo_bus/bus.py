@@ -73,7 +73,7 @@ class SerialServoBus:
         """The state of every servo from one sync read.
 
         Raises:
-            ServoTimeout, ServoChecksum: ``answered`` holds the states of those that did answer.
+            ServoTimeout, ServoChecksum: ``states`` holds those of the servos that did answer.
             ServoRejected: a servo refused the read.
         """
         answers = self.ask(ids, self._dialect.state)
@@ -200,7 +200,7 @@ class SerialServoBus:
         for servo_id, reply in replies.items():
             code = self._dialect.refusal(reply.error)
             if code:
-                raise ServoRejected(servo_id, code)
+                raise ServoRejected("the servo refused the instruction", id=servo_id, code=code)
 
     def _states(self, replies: Mapping[int, Reply]) -> dict[int, ServoState]:
         self._refuse(replies)
@@ -242,7 +242,8 @@ class SerialServoBus:
         if not harmless:
             for servo_id, flags in self._alarms(answers.replies).items():
                 if flags:
-                    raise ServoFault(servo_id, flags)
+                    alarm = flags.name or int(flags)
+                    raise ServoFault("the servo reports an alarm", id=servo_id, alarm=alarm)
         raise _incomplete(answers, {}, unconfirmed=wanted)
 
 
@@ -250,5 +251,10 @@ def _incomplete(
     answers: Answers, states: Mapping[int, ServoState], unconfirmed: Iterable[int] = ()
 ) -> IncompleteReply:
     silent = sorted({*answers.silent, *unconfirmed} - set(answers.corrupt))
-    kind = ServoTimeout if silent else ServoChecksum
-    return kind(silent, answers.corrupt, states, answers.attempts)
+    facts = {
+        "silent": silent, "corrupt": list(answers.corrupt), "answered": sorted(states),
+        "attempts": answers.attempts,
+    }  # fmt: skip
+    if silent:
+        return ServoTimeout("servos did not answer in time", states, **facts)
+    return ServoChecksum("answers of servos failed their checksum", states, **facts)

@@ -33,7 +33,7 @@ class SerialPort:
                 path, baudrate, timeout=reply_timeout_s, write_timeout=1.0, exclusive=True
             )
         except (OSError, ValueError) as error:
-            raise BusUnplugged(path, _in_words(path, error)) from error
+            raise BusUnplugged(port=path, why=_in_words(path, error)) from error
         # Where a USB adapter has a latency timer (16 ms), that is most of a round trip.
         with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
@@ -46,7 +46,7 @@ class SerialPort:
                 self._serial.read(stale)
             self._serial.write(frame)
         except OSError as error:
-            raise BusUnplugged(self.path, str(error)) from error
+            raise BusUnplugged(port=self.path, why=str(error)) from error
         return stale
 
     def receive(self, count: int) -> bytes:
@@ -54,7 +54,7 @@ class SerialPort:
         try:
             return bytes(self._serial.read(count))
         except OSError as error:
-            raise BusUnplugged(self.path, str(error)) from error
+            raise BusUnplugged(port=self.path, why=str(error)) from error
 
     def deadline(self, byte_count: int) -> float:
         """Monotonic time by which an answer of ``byte_count`` bytes must be complete."""
