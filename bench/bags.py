@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 
@@ -73,7 +74,11 @@ def decoded_by_mcap(path: Path) -> int:
     return sum(1 for _ in read_ros2_messages(str(file)))
 
 
-def _reading(name: str, peer: str, theirs: Callable[[Path], int], count: int, n: int) -> Result:
+def read(peer: str, count: int = MESSAGES, repeats: int = REPEATS) -> Result:
+    """A robot's recording to a session, against decoding by ``rosbags`` or ``mcap`` alone."""
+    said, theirs = {"rosbags": (ROSBAGS, decoded), "mcap": (MCAP, decoded_by_mcap)}[peer]
+    if peer == "mcap" and find_spec("mcap_ros2") is None:
+        return missing(MCAP, f"{MCAP} is not installed")
     arm = demo_arm()
     with _scratch() as scratch:
         path = Path(scratch) / "bag"
@@ -83,23 +88,9 @@ def _reading(name: str, peer: str, theirs: Callable[[Path], int], count: int, n:
             read_bag(path, arm)
             return count
 
-        mine, other = _rates((ours, lambda _: theirs(path)), n)
-    return beside(name, "messages/s CPU", mine, peer, other, more_is_better=True,
+        mine, other = _rates((ours, lambda _: theirs(path)), repeats)
+    return beside("messages/s CPU", mine, said, other, more_is_better=True,
                   note="to a checked Session here, to decoded messages there")  # fmt: skip
-
-
-def bag_read_vs_rosbags(count: int = MESSAGES, repeats: int = REPEATS) -> Result:
-    """A robot's recording to a session, against decoding alone."""
-    return _reading("bag_read_vs_rosbags", ROSBAGS, decoded, count, repeats)
-
-
-def bag_read_vs_mcap_ros2(count: int = MESSAGES, repeats: int = REPEATS) -> Result:
-    """The same against the library of the mcap format."""
-    try:
-        import mcap_ros2.reader  # noqa: F401
-    except ImportError:
-        return missing("bag_read_vs_mcap_ros2", MCAP, f"{MCAP} is not installed")
-    return _reading("bag_read_vs_mcap_ros2", MCAP, decoded_by_mcap, count, repeats)
 
 
 # ------------------------------------------------------------------ writing
@@ -113,7 +104,7 @@ def _recorded(path: Path, messages: list[Raw]) -> int:
     return len(messages)
 
 
-def bag_record_vs_rosbags(count: int = MESSAGES, repeats: int = REPEATS) -> Result:
+def record(count: int = MESSAGES, repeats: int = REPEATS) -> Result:
     """Recording of ROS messages in a bag that survives a kill, against the bare writer."""
     messages = list(islice(recording(demo_arm()), count))
     with _scratch() as scratch:
@@ -125,15 +116,15 @@ def bag_record_vs_rosbags(count: int = MESSAGES, repeats: int = REPEATS) -> Resu
             repeats,
         )
     peer = "rosbags writer"
-    return beside("bag_record_vs_rosbags", "messages/s CPU", mine, peer, other, more_is_better=True)
+    return beside("messages/s CPU", mine, peer, other, more_is_better=True)
 
 
-def bag_write_vs_mcap_ros2(rows: int = 4_000, repeats: int = REPEATS) -> Result:
+def write(rows: int = 4_000, repeats: int = REPEATS) -> Result:
     """A session to a bag, message by message, against the library of the mcap format."""
     try:
         from mcap_ros2.writer import Writer
     except ImportError:
-        return missing("bag_write_vs_mcap_ros2", MCAP, f"{MCAP} is not installed")
+        return missing(MCAP, f"{MCAP} is not installed")
     arm, rng = demo_arm(), np.random.default_rng(0)
     q = rng.uniform(arm.lower, arm.upper, (rows, arm.n))
     session = Session.record(q, rng.standard_normal((rows, 3)))
@@ -161,9 +152,7 @@ def bag_write_vs_mcap_ros2(rows: int = 4_000, repeats: int = REPEATS) -> Result:
             return 3 * rows
 
         mine, other = _rates((ours, theirs), repeats)
-    return beside(
-        "bag_write_vs_mcap_ros2", "messages/s CPU", mine, MCAP, other, more_is_better=True
-    )
+    return beside("messages/s CPU", mine, MCAP, other, more_is_better=True)
 
 
 def _definitions() -> dict[str, str]:
@@ -198,13 +187,13 @@ def read_once(path: str) -> dict[str, float]:
     return {"rows": float(len(read_bag(Path(path), demo_arm())))}
 
 
-def bag_read_1gb(size: int = LONG_BYTES) -> Result:
+def read_large(size: int = LONG_BYTES) -> Result:
     """Hours of recording to a session: memory that it takes beside the size of the bag."""
-    arm, name = demo_arm(), "bag_read_1gb"
+    arm = demo_arm()
     with _scratch() as scratch:
         free = shutil.disk_usage(scratch).free
         if free < 3 * size:
-            return missing(name, "the bag's own size", f"{free / 1e9:.1f} GB free on the disk")
+            return missing("the bag's own size", f"{free / 1e9:.1f} GB free on the disk")
         per_message = _bytes_per_message(Path(scratch) / "probe")
         costs = []
         for part in (size // 100, size):
@@ -214,7 +203,6 @@ def bag_read_1gb(size: int = LONG_BYTES) -> Result:
             shutil.rmtree(path)
     (_, short), (count, long) = costs
     return beside(
-        name,
         "MB grown",
         [long.grown_mb],
         "the bag's own size",

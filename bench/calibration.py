@@ -16,7 +16,7 @@ from scipy.stats import qmc
 from bench.arms import demo_arm
 from bench.calibration_peers import by_finite_differences, pybotics
 from bench.comparison import Result, alone, beside, missing
-from bench.subprocess_cost import cost_of
+from bench.subprocess_cost import Cost, cost_of
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
@@ -29,7 +29,6 @@ from longarm_comp.core.model.model import Model
 from studies.real_sessions import declared
 
 NOISE_M = 3e-4
-SIZES = (300, 3_000, 30_000, 100_000)
 ARMS = ("ur5", "wam", "justin_left")
 
 
@@ -82,52 +81,36 @@ def _arm(name: str) -> Arm:
 # ------------------------------------------------------------------ against samples and joints
 
 
-@lru_cache(maxsize=1)
-def against_samples(sizes: tuple[int, ...] = SIZES) -> list[Result]:
-    """Processor seconds and memory of one fit of everything that is always fitted."""
-    rows: list[Result] = []
-    for samples in sizes:
-        cost = cost_of(__name__, "fit_once", samples)
-        fitted = cost.result
-        steps = int(fitted["iterations"])
-        rows.append(
-            alone(
-                f"calibrate_{samples}",
-                "s CPU",
-                [fitted["cpu_s"]],
-                f"{int(fitted['parameters'])} parameters, {steps} steps",
-                grown_mb=cost.grown_mb,
-                us_per_sample_and_step=1e6 * fitted["cpu_s"] / samples / (steps + 1),
-            )
-        )
-    return rows
+def against_samples(samples: int, fewer: int = 0) -> Result:
+    """Processor seconds and memory of one fit of everything that is always fitted.
+
+    With ``fewer`` samples given, the ratio is that to linear growth from these.
+    """
+    cost = _cost(samples)
+    fitted, each = cost.result, _us_per_sample_and_step(cost, samples)
+    row = alone(
+        "s CPU",
+        [fitted["cpu_s"]],
+        f"{int(fitted['parameters'])} parameters, {int(fitted['iterations'])} steps",
+        grown_mb=cost.grown_mb,
+        us_per_sample_and_step=each,
+    )
+    if fewer:
+        ratio = _us_per_sample_and_step(_cost(fewer), fewer) / each
+        row |= {"peer": f"linear growth from {fewer:,}", "ratio": ratio, "spread": [ratio, ratio]}
+    return row
 
 
-def calibrate_300() -> Result:
-    """300 samples."""
-    return against_samples()[0]
+@lru_cache(maxsize=8)
+def _cost(samples: int) -> Cost:
+    return cost_of(__name__, "fit_once", samples)
 
 
-def calibrate_3000() -> Result:
-    """3,000 samples."""
-    return against_samples()[1]
+def _us_per_sample_and_step(cost: Cost, samples: int) -> float:
+    return 1e6 * float(cost.result["cpu_s"]) / samples / (int(cost.result["iterations"]) + 1)
 
 
-def calibrate_30000() -> Result:
-    """30,000 samples."""
-    return against_samples()[2]
-
-
-def calibrate_100000() -> Result:
-    """100,000 samples; the ratio is that to linear growth from 3,000."""
-    small, large = (against_samples()[k] for k in (1, 3))
-    each = [float(row["us_per_sample_and_step"]) for row in (small, large)]  # type: ignore[arg-type]
-    peer = "linear growth from 3,000"
-    ratio = each[0] / each[1]
-    return {**large, "peer": peer, "ratio": ratio, "spread": [ratio, ratio]}
-
-
-def calibrate_joints() -> Result:
+def against_joints() -> Result:
     """The arm with most joints against the demonstration's, per sample, step and parameter."""
     costs = {
         name: cost_of(__name__, "fit_once", 3000, name, True).result for name in ("demo", *ARMS)
@@ -139,7 +122,6 @@ def calibrate_joints() -> Result:
     facts = {f"{name}_us_per_sample_step_parameter": value for name, value in each.items()}
     last = ARMS[-1]
     return beside(
-        "calibrate_joints",
         "us/sample/step/parameter",
         [each[last]],
         f"linear growth from {int(costs['demo']['parameters'])} parameters (demo)",
@@ -152,7 +134,7 @@ def calibrate_joints() -> Result:
 # ------------------------------------------------------------------ against peers
 
 
-def calibrate_vs_scipy(samples: int = 300, repeats: int = 3, *, rigid: bool = False) -> Result:
+def beside_scipy(samples: int = 300, repeats: int = 3, *, rigid: bool = False) -> Result:
     """Everything that is always fitted, against finite differences; the arm sags unless rigid."""
     arm = demo_arm()
     held_out = synthetic_session(arm, 512, 99, rigid=rigid)
@@ -169,7 +151,6 @@ def calibrate_vs_scipy(samples: int = 300, repeats: int = 3, *, rigid: bool = Fa
         left[0].append(_held_out_mm(mine.model, held_out))
         left[1].append(_held_out_mm(other, held_out))
     return beside(
-        "calibrate_vs_scipy",
         "s",
         ours,
         "scipy least_squares, 2-point, same parameters and priors, noise known",
@@ -180,9 +161,9 @@ def calibrate_vs_scipy(samples: int = 300, repeats: int = 3, *, rigid: bool = Fa
     )
 
 
-def calibrate_vs_pybotics(samples: int = 300, repeats: int = 2) -> Result:
+def beside_pybotics(samples: int = 300, repeats: int = 2) -> Result:
     """Rigid geometry alone, against pybotics and SciPy as its documentation has it."""
-    arm, name = demo_arm(), "calibrate_vs_pybotics"
+    arm = demo_arm()
     held_out = synthetic_session(arm, 512, 99, rigid=True)
     ours, left = [], []
     try:
@@ -196,9 +177,8 @@ def calibrate_vs_pybotics(samples: int = 300, repeats: int = 2) -> Result:
             left.append(_held_out_mm(mine.model, held_out))
             theirs.append(pybotics(arm, session, held_out))
     except JobError as error:
-        return missing(name, "pybotics", str(error))
+        return missing("pybotics", str(error))
     return beside(
-        name,
         "s",
         ours,
         "pybotics 3.1.2 with scipy least_squares",

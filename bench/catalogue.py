@@ -1,126 +1,103 @@
-"""List of the benchmarks by name; each is a function of that name in its module."""
+"""List of the benchmarks: where each is computed, and with what arguments."""
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from longarm_comp.core.errors import InputError
 
-BENCHMARKS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+BENCHMARKS: Mapping[str, Mapping[str, tuple[Any, ...]]] = {
     "kinematics": {
-        "kinematics": (
-            "ik_single_vs_rtb_ik_lm_median",
-            "ik_warm_vs_rtb_ik_lm_median",
-            "ik_batch_vs_rtb_ik_lm_mean",
-            "ik_batch_all_cores_vs_rtb_ik_lm_mean",
-            "ik_grid_vs_rtb_ik_lm_mean",
-            "ik_single_vs_pinocchio",
-            "ik_single_vs_trac_ik",
-            "ik_single_vs_roboplan",
-            "ik_single_vs_ikpy",
-            "ik_single_without_compiler",
-            "ik_batch_without_compiler",
-            "ik_compile_seconds",
-        ),
-        "forward": (
-            "forward_batch_vs_rtb",
-            "forward_batch_vs_pinocchio",
-            "forward_batch_model",
-            "forward_batch_arrays",
-            "forward_single_model",
-            "forward_single_python",
-            "forward_cost",
-            "columns_single",
-            "columns_batch",
-        ),
-        "compensation": ("compensate_single", "compensate_batch_10000"),
+        "ik_single_vs_rtb_ik_lm_median": ("kinematics.single", "Toolbox"),
+        "ik_warm_vs_rtb_ik_lm_median": ("kinematics.single", "Toolbox", True),
+        "ik_batch_vs_rtb_ik_lm_mean": ("kinematics.batch",),
+        "ik_batch_all_cores_vs_rtb_ik_lm_mean": ("kinematics.batch_all_cores",),
+        "ik_grid_vs_rtb_ik_lm_mean": ("kinematics.grid",),
+        "ik_single_vs_pinocchio": ("kinematics.single", "Pinocchio"),
+        "ik_single_vs_trac_ik": ("kinematics.single", "TracIk"),
+        "ik_single_vs_roboplan": ("kinematics.single", "RoboPlan"),
+        "ik_single_vs_ikpy": ("kinematics.single", "IkPy", False, 3),
+        "ik_single_without_compiler": ("kinematics.single_without_compiler",),
+        "ik_batch_without_compiler": ("kinematics.batch_without_compiler",),
+        "ik_compile_seconds": ("kinematics.compile_seconds",),
+        "forward_batch_vs_rtb": ("forward.beside_toolbox",),
+        "forward_batch_vs_pinocchio": ("forward.beside_pinocchio",),
+        "forward_batch_model": ("forward.batch_model",),
+        "forward_batch_arrays": ("forward.batch_arrays",),
+        "forward_single_model": ("forward.single_model",),
+        "forward_single_python": ("forward.single_python",),
+        "forward_cost": ("forward.cost",),
+        "columns_single": ("forward.columns", 1),
+        "columns_batch": ("forward.columns",),
+        "compensate_single": ("compensation.compensate_single",),
+        "compensate_batch_10000": ("compensation.compensate_batch_10000",),
     },
     "ssa": {
-        "ssa": ("ssa_evals_vs_mealpy_300", "ssa_evals_vs_mealpy_900"),
-        "ssa_training": (
-            "ssa_time_to_error_vs_mlp_300",
-            "ssa_time_to_error_vs_gp_300",
-            "ssa_time_to_error_vs_mlp_900",
-            "ssa_time_to_error_vs_gp_900",
-        ),
-        "ssa_scaling": (
-            "ssa_search_population_10000",
-            "ssa_train_100000",
-        ),
+        "ssa_evals_vs_mealpy_300": ("ssa.evals_vs_mealpy", 300),
+        "ssa_evals_vs_mealpy_900": ("ssa.evals_vs_mealpy", 900),
+        "ssa_time_to_error_vs_mlp_300": ("ssa_training.time_to_error", "mlp", 300),
+        "ssa_time_to_error_vs_gp_300": ("ssa_training.time_to_error", "gp", 300),
+        "ssa_time_to_error_vs_mlp_900": ("ssa_training.time_to_error", "mlp", 900),
+        "ssa_time_to_error_vs_gp_900": ("ssa_training.time_to_error", "gp", 900),
+        "ssa_search_population_10000": ("ssa_scaling.search_population", 10_000),
+        "ssa_train_100000": ("ssa_scaling.train_many", 100_000),
     },
     "calibration": {
-        "calibration": (
-            "calibrate_300",
-            "calibrate_3000",
-            "calibrate_30000",
-            "calibrate_100000",
-            "calibrate_joints",
-            "calibrate_vs_scipy",
-            "calibrate_vs_pybotics",
-        ),
+        "calibrate_300": ("calibration.against_samples", 300),
+        "calibrate_3000": ("calibration.against_samples", 3_000),
+        "calibrate_30000": ("calibration.against_samples", 30_000),
+        "calibrate_100000": ("calibration.against_samples", 100_000, 3_000),
+        "calibrate_joints": ("calibration.against_joints",),
+        "calibrate_vs_scipy": ("calibration.beside_scipy",),
+        "calibrate_vs_pybotics": ("calibration.beside_pybotics",),
     },
     "diagnosis": {
-        "diagnosis": (
-            "diagnose_300_vs_goal",
-            "diagnose_3000",
-            "diagnose_20000",
-            "diagnose_candidates",
-        ),
+        "diagnose_300_vs_goal": ("diagnosis.beside_goal",),
+        "diagnose_3000": ("diagnosis.against_samples", 3_000),
+        "diagnose_20000": ("diagnosis.against_samples", 20_000),
+        "diagnose_candidates": ("diagnosis.against_candidates",),
     },
     "bags": {
-        "bags": (
-            "bag_read_vs_rosbags",
-            "bag_read_vs_mcap_ros2",
-            "bag_record_vs_rosbags",
-            "bag_write_vs_mcap_ros2",
-            "bag_read_1gb",
-        ),
+        "bag_read_vs_rosbags": ("bags.read", "rosbags"),
+        "bag_read_vs_mcap_ros2": ("bags.read", "mcap"),
+        "bag_record_vs_rosbags": ("bags.record",),
+        "bag_write_vs_mcap_ros2": ("bags.write",),
+        "bag_read_1gb": ("bags.read_large",),
     },
     "startup": {
-        "startup": ("start_help", "start_import_arm", "start_import_core"),
-        "node_start": (
-            "start_simulated_arm",
-            "start_servo_driver",
-            "start_stereo_bridge",
-            "start_kinematics",
-            "start_error_predictor",
-        ),
-        "recovery": ("kinematics_back_after_kill", "nodes_end_after_interrupt"),
+        "start_help": ("startup.help_page",),
+        "start_import_arm": ("startup.import_arm",),
+        "start_import_core": ("startup.import_core",),
+        "start_simulated_arm": ("node_start.node", "simulated_arm"),
+        "start_servo_driver": ("node_start.node", "servo_driver"),
+        "start_stereo_bridge": ("node_start.node", "stereo_bridge"),
+        "start_kinematics": ("node_start.node", "kinematics"),
+        "start_error_predictor": ("node_start.node", "error_predictor"),
+        "kinematics_back_after_kill": ("recovery.back_after_kill",),
+        "nodes_end_after_interrupt": ("recovery.end_after_interrupt",),
     },
     "ros": {
-        "ros": (
-            "ros_target_to_trajectory_vs_echo_p50_ms",
-            "ros_target_to_trajectory_vs_echo_p99_ms",
-            "ros_compensate_vs_echo_p50_ms",
-            "ros_compensate_vs_echo_p99_ms",
-            "ros_share_dds_ms",
-            "ros_share_predictor_ms",
-            "ros_share_ik_ms",
-            "ros_share_node_ms",
-            "ros_sustained_rate_vs_echo_hz",
-            "ros_flood_compensate_p99_ms",
-            "ros_composed_target_to_trajectory_vs_echo_p50_ms",
-            "ros_composed_target_to_trajectory_vs_echo_p99_ms",
-            "ros_composed_compensate_vs_echo_p50_ms",
-            "ros_composed_compensate_vs_echo_p99_ms",
-        ),
+        "ros_target_to_trajectory_vs_echo_p50_ms": ("ros.beside_echo", "topic", 50),
+        "ros_target_to_trajectory_vs_echo_p99_ms": ("ros.beside_echo", "topic", 99),
+        "ros_compensate_vs_echo_p50_ms": ("ros.beside_echo", "service", 50),
+        "ros_compensate_vs_echo_p99_ms": ("ros.beside_echo", "service", 99),
+        "ros_share_dds_ms": ("ros.share", "dds"),
+        "ros_share_predictor_ms": ("ros.share", "predictor"),
+        "ros_share_ik_ms": ("ros.share", "ik"),
+        "ros_share_node_ms": ("ros.share", "node"),
+        "ros_sustained_rate_vs_echo_hz": ("ros.sustained_rate",),
+        "ros_flood_compensate_p99_ms": ("ros.flooded",),
+        "ros_composed_target_to_trajectory_vs_echo_p50_ms": ("ros.beside_echo", "topic", 50, True),
+        "ros_composed_target_to_trajectory_vs_echo_p99_ms": ("ros.beside_echo", "topic", 99, True),
+        "ros_composed_compensate_vs_echo_p50_ms": ("ros.beside_echo", "service", 50, True),
+        "ros_composed_compensate_vs_echo_p99_ms": ("ros.beside_echo", "service", 99, True),
     },
 }
-"""Names by kind and module. Some names are fixed by agreement; each gives one row."""
+"""By kind and name: function, as `module.function` of this folder, and its arguments."""
 
-MODULE_OF = {
-    name: module
-    for modules in BENCHMARKS.values()
-    for module, names in modules.items()
-    for name in names
-}
-KIND_OF = {
-    name: kind
-    for kind, modules in BENCHMARKS.items()
-    for names in modules.values()
-    for name in names
-}
+KIND_OF = {name: kind for kind, names in BENCHMARKS.items() for name in names}
 
 
 def chosen(names: Sequence[str]) -> tuple[str, ...]:
@@ -133,9 +110,9 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
     for name in names:
         alike = [known for known, kind in KIND_OF.items() if name in (known, kind)]
         if not alike:
-            raise InputError("bench", "name", name, ", ".join((*MODULE_OF, *BENCHMARKS)))
+            raise InputError("bench", "name", name, ", ".join((*KIND_OF, *BENCHMARKS)))
         selected += [known for known in alike if known not in selected]
-    return tuple(selected) or tuple(MODULE_OF)
+    return tuple(selected) or tuple(KIND_OF)
 
 
 def run(name: str) -> Mapping[str, object]:
@@ -145,8 +122,9 @@ def run(name: str) -> Mapping[str, object]:
         InputError: no benchmark of this name.
         JobError: it could not be measured.
     """
-    if name not in MODULE_OF:
-        raise InputError("bench", "name", name, ", ".join(MODULE_OF))
-    module = importlib.import_module(f"bench.{MODULE_OF[name]}")
-    row: Mapping[str, object] = getattr(module, name)()
-    return row
+    if name not in KIND_OF:
+        raise InputError("bench", "name", name, ", ".join(KIND_OF))
+    place, *given = BENCHMARKS[KIND_OF[name]][name]
+    module, _, function = place.partition(".")
+    row = getattr(importlib.import_module(f"bench.{module}"), function)(*given)
+    return {"name": name, **row}

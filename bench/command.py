@@ -77,7 +77,7 @@ def _measured(name: str) -> dict[str, Any]:
     try:
         return dict(catalogue.run(name))
     except JobError as error:
-        return comparison.missing(name, "none", str(error))
+        return {"name": name, **comparison.missing("none", str(error))}
 
 
 def _writable(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""One row of results: value, peer, ratio and spread of the repeats."""
+"""One row of results, without its name: value, peer, ratio and spread of the repeats."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ Result = dict[str, object]
 
 
 def beside(
-    name: str,
     unit: str,
     ours: Sequence[float] | np.ndarray,
     peer: str,
@@ -22,7 +21,6 @@ def beside(
     """Medians of alternating repeats. The ratio is above 1 if this package is better.
 
     Args:
-        name: of the benchmark.
         unit: of both sides.
         ours, theirs: one value per repeat; a single value stands for all repeats.
         peer: name of the peer.
@@ -32,7 +30,6 @@ def beside(
     mine, other = np.asarray(ours, float), np.asarray(theirs, float)
     each = mine / other if more_is_better else other / mine
     return {
-        "name": name,
         "value": float(np.median(mine)),
         "unit": unit,
         "peer": peer,
@@ -43,13 +40,10 @@ def beside(
     }
 
 
-def alone(
-    name: str, unit: str, ours: Sequence[float] | np.ndarray, note: str, **further: object
-) -> Result:
+def alone(unit: str, ours: Sequence[float] | np.ndarray, note: str, **further: object) -> Result:
     """A value without a peer; the spread is of the value itself."""
     mine = np.asarray(ours, float)
     return {
-        "name": name,
         "value": float(np.median(mine)),
         "unit": unit,
         "peer": None,
@@ -61,7 +55,7 @@ def alone(
     }
 
 
-def missing(name: str, peer: str, why: str) -> Result:
+def missing(peer: str, why: str) -> Result:
     """A benchmark whose peer is not available here."""
     empty = dict.fromkeys(("value", "unit", "peer_value", "ratio", "spread"))
-    return {"name": name, "peer": peer, "note": why, **empty}
+    return {"peer": peer, "note": why, **empty}

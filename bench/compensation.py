@@ -40,7 +40,7 @@ def compensate_batch_10000(count: int = 10_000) -> Result:
     rates = count / timed(work, range(5), time.process_time)
     success, passes = np.mean([(one.success, one.passes) for one in batch], axis=0)
     note = f"success {success:.4f}, {passes:.1f} passes"
-    return alone("compensate_batch_10000", "targets/s", rates, note)
+    return alone("targets/s", rates, note)
 
 
 def compensate_single() -> Result:
@@ -54,4 +54,4 @@ def compensate_single() -> Result:
 
     timed(work, range(20))
     each = 1e6 * timed(work, range(200)).reshape(8, -1)
-    return alone("compensate_single", "us", np.median(each, axis=1), "one target, all passes")
+    return alone("us", np.median(each, axis=1), "one target, all passes")

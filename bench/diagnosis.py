@@ -52,44 +52,25 @@ def _facts(cost: Cost) -> dict[str, Any]:
     }
 
 
-def diagnose_300_vs_goal(repeats: int = 3) -> Result:
+def beside_goal(repeats: int = 3) -> Result:
     """The whole diagnosis of 300 samples with bootstrap, one core; goal 30 s."""
     costs = [_cost(300, len(LIBRARY), seed) for seed in range(repeats)]
     each = [cost.result["cpu_s"] for cost in costs]
-    return beside("diagnose_300_vs_goal", "s CPU", each, "goal", [GOAL_S], **_facts(costs[0]))
+    return beside("s CPU", each, "goal", [GOAL_S], **_facts(costs[0]))
 
 
-def diagnose_3000() -> Result:
-    """3,000 samples."""
-    return _grown(3_000)
+def against_samples(samples: int) -> Result:
+    """More samples."""
+    return _grown(_cost(300), _cost(samples), samples / 300, "300")
 
 
-def diagnose_20000() -> Result:
-    """20,000 samples."""
-    return _grown(20_000)
-
-
-def _grown(samples: int) -> Result:
-    few, many = _cost(300), _cost(samples)
-    return beside(
-        f"diagnose_{samples}",
-        "s CPU",
-        [many.result["cpu_s"]],
-        "linear growth from 300",
-        [few.result["cpu_s"] * samples / 300],
-        **_facts(many),
-    )
-
-
-def diagnose_candidates(samples: int = 300) -> Result:
+def against_candidates(samples: int = 300) -> Result:
     """The whole library against its first half."""
     half, whole = _cost(samples, len(LIBRARY) // 2), _cost(samples)
     few, many = (cost.result["candidates"] for cost in (half, whole))
-    return beside(
-        "diagnose_candidates",
-        "s CPU",
-        [whole.result["cpu_s"]],
-        f"linear growth from {few} candidates",
-        [half.result["cpu_s"] * many / few],
-        **_facts(whole),
-    )
+    return _grown(half, whole, many / few, f"{few} candidates")
+
+
+def _grown(small: Cost, large: Cost, times: float, few: str) -> Result:
+    used, expected = large.result["cpu_s"], small.result["cpu_s"] * times
+    return beside("s CPU", [used], f"linear growth from {few}", [expected], **_facts(large))

@@ -70,14 +70,14 @@ def _pinocchio(arm: Arm, q: np.ndarray) -> Work:
     return work, 512
 
 
-def _beside(name: str, kind: Callable[[Arm, np.ndarray], Work], peer: str) -> Result:
+def _beside(kind: Callable[[Arm, np.ndarray], Work], peer: str) -> Result:
     """Machine code, or arrays without a compiler, against rigid forward kinematics."""
     model = soft_model(demo_arm())
     q = random_joints(model.arm, COUNT, 4)
     try:
         theirs = kind(model.arm, q)
     except ImportError as error:
-        return missing(name, peer, f"not installed: {error.name}")
+        return missing(peer, f"not installed: {error.name}")
     compiled = ik.warm_up()
     ours = (machine_forward(model, q), COUNT) if compiled else _on_arrays(model, q)
     turns = [(_per_pose(ours), _per_pose(theirs)) for _ in range(REPEATS)]
@@ -85,34 +85,34 @@ def _beside(name: str, kind: Callable[[Arm, np.ndarray], Work], peer: str) -> Re
         np.array([np.median(side) for side in sides]) for sides in zip(*turns, strict=True)
     )
     note = f"tip and Jacobian of the deflected arm; {'machine code' if compiled else 'arrays'}"
-    return beside(name, "us", mine, peer, other, note=note)
+    return beside("us", mine, peer, other, note=note)
 
 
-def forward_batch_vs_rtb() -> Result:
+def beside_toolbox() -> Result:
     """Poses of 4096 joints."""
-    return _beside("forward_batch_vs_rtb", _toolbox, "roboticstoolbox-python eval (rigid, batch)")
+    return _beside(_toolbox, "roboticstoolbox-python eval (rigid, batch)")
 
 
-def forward_batch_vs_pinocchio() -> Result:
+def beside_pinocchio() -> Result:
     """Poses of 4096 joints."""
     peer = "pinocchio computeJointJacobians (rigid, from Python one by one)"
-    return _beside("forward_batch_vs_pinocchio", _pinocchio, peer)
+    return _beside(_pinocchio, peer)
 
 
-def forward_batch_model() -> Result:
+def batch_model() -> Result:
     """By the model's own code."""
     model = soft_model(demo_arm())
     q = random_joints(model.arm, COUNT, 4)
     each = _per_pose((lambda: model.tip(q), COUNT))
-    return alone("forward_batch_model", "us", each, "deflected tip by the model's own code, NumPy")
+    return alone("us", each, "deflected tip by the model's own code, NumPy")
 
 
-def forward_batch_arrays() -> Result:
+def batch_arrays() -> Result:
     """Traced, on arrays."""
     model = soft_model(demo_arm())
     work = _on_arrays(model, random_joints(model.arm, COUNT, 4))
     note = "tip and Jacobian, traced code on arrays"
-    return alone("forward_batch_arrays", "us", _per_pose(work), note)
+    return alone("us", _per_pose(work), note)
 
 
 def _on_arrays(model: Model, q: np.ndarray) -> Work:
@@ -122,15 +122,15 @@ def _on_arrays(model: Model, q: np.ndarray) -> Work:
     return lambda: [kernel.arrays[name](state) for name in _passes(kernel)], COUNT
 
 
-def forward_single_model() -> Result:
+def single_model() -> Result:
     """One pose by the model's own code."""
     model = soft_model(demo_arm())
     one = unstack(random_joints(model.arm, 1, 4)[0])
     each = _per_pose((lambda: model.posture(one), 1))
-    return alone("forward_single_model", "us", each, "posture with loads by the model's own code")
+    return alone("us", each, "posture with loads by the model's own code")
 
 
-def forward_single_python() -> Result:
+def single_python() -> Result:
     """One pose, traced."""
     model = soft_model(demo_arm())
     kernel = kernel_of(model, Layout.of(ik.Context.empty()))
@@ -138,31 +138,23 @@ def forward_single_python() -> Result:
     column[slice(*kernel.slice("trial").indices(kernel.size))] = model.arm.mid.tolist()
     work: Work = lambda: [kernel.floats[name](column) for name in _passes(kernel)], 1
     note = "tip and Jacobian, traced code in plain Python"
-    return alone("forward_single_python", "us", _per_pose(work), note)
+    return alone("us", _per_pose(work), note)
 
 
-def _columns(name: str, count: int) -> Result:
+def columns(count: int | None = None) -> Result:
+    """Prediction and columns of poses, 4096 by default."""
+    count = COUNT if count is None else count
     model = soft_model(demo_arm())
     q = random_joints(model.arm, count, 5)
     posture = model.posture(unstack(q[0] if count == 1 else q))
     note = f"{len(model.slots)} parameters by Eq. (5), posture at hand, the model's own code"
-    return alone(name, "us", _per_pose((lambda: model.columns(posture), count)), note)
+    return alone("us", _per_pose((lambda: model.columns(posture), count)), note)
 
 
-def columns_single() -> Result:
-    """Prediction and columns of one pose."""
-    return _columns("columns_single", 1)
-
-
-def columns_batch() -> Result:
-    """Prediction and columns of 4096 poses."""
-    return _columns("columns_batch", COUNT)
-
-
-def forward_cost() -> Result:
+def cost() -> Result:
     """Machine code against the number of effects, beam elements and load passes."""
     if not ik.warm_up():
-        return missing("forward_cost", "none", "not installed: llvmlite")
+        return missing("none", "not installed: llvmlite")
     arm = demo_arm()
     soft = soft_model(arm)
     found = [e for name in sorted(BUILT_IN) for e in BUILT_IN[name].for_arm(arm)]
@@ -179,7 +171,7 @@ def forward_cost() -> Result:
     note = "5 effects, 2 elements a beam, 3 load passes; " + ", ".join(
         f"{name}: {np.median(each):.2f}" for name, each in costs.items()
     )
-    return alone("forward_cost", "us", _per_pose((machine_forward(soft, q), COUNT)), note)
+    return alone("us", _per_pose((machine_forward(soft, q), COUNT)), note)
 
 
 def _valued(effect: Effect) -> Effect:

@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from bench import ik_peers
 from bench.arms import demo_arm
 from bench.comparison import Result, alone, beside, missing
-from bench.ik_peers import IkPy, Peer, Pinocchio, RoboPlan, Toolbox, TracIk
+from bench.ik_peers import Peer, Toolbox
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import paper_grid, random_joints
 from longarm_comp.core.effects.joint_compliance import JointCompliance
@@ -70,21 +71,24 @@ def _engine(fallback: Engine) -> Engine:
     return Engine.COMPILED if ik.warm_up() else fallback
 
 
-def _single(
-    name: str,
-    kind: Callable[[Arm], Peer],
-    start: Callable[[Arm, np.ndarray], np.ndarray],
-    per_block: int = PER_BLOCK,
-) -> Result:
-    """Medians of single pose tasks; `start` computes the seeds from the joints."""
-    model = soft_model(demo_arm())
+def single(peer_name: str, warm: bool = False, per_block: int | None = None) -> Result:
+    """Medians of single pose tasks, from mid-range or from joints 1 % of their range away (warm).
+
+    Goals beside `Toolbox`: 3 (ambitious: 7) from mid-range, 1.5 warm.
+    """
+    model, per_block = soft_model(demo_arm()), per_block or PER_BLOCK
+    kind: type[Peer] = getattr(ik_peers, peer_name)
     arm, engine = model.arm, _engine(Engine.PYTHON)
     try:
         peer = kind(arm)
     except ImportError as error:
-        return missing(name, getattr(kind, "name", name), f"not installed: {error.name}")
+        return missing(kind.name, f"not installed: {error.name}")
     q = random_joints(arm, BLOCKS * per_block, 1)
-    seeds, targets, rigid = start(arm, q), model.pose(q), Model(arm).pose(q)
+    seeds, targets, rigid = (
+        _near(arm, q) if warm else np.tile(arm.mid, (len(q), 1)),
+        model.pose(q),
+        Model(arm).pose(q),
+    )
 
     def our(i: int) -> np.ndarray:
         return ik.solve(model, targets[i], seed=seeds[i], tol=TOLERANCE, engine=engine).q
@@ -98,7 +102,6 @@ def _single(
     ]
     ours, theirs = _in_turns(our, their, per_block)
     return beside(
-        name,
         "us",
         1e6 * np.median(ours, axis=1),
         peer.name,
@@ -116,53 +119,19 @@ def _solved(model: Model, q: np.ndarray, targets: np.ndarray) -> float:
     return float((given & inside & (error < 1e-5)).mean())
 
 
-def _middle(arm: Arm, q: np.ndarray) -> np.ndarray:
-    return np.tile(arm.mid, (len(q), 1))
-
-
 def _near(arm: Arm, q: np.ndarray) -> np.ndarray:
     shift = 0.01 * (arm.upper - arm.lower) * np.where(np.arange(arm.n) % 2, 1.0, -1.0)
     return np.clip(q + shift, arm.lower, arm.upper)
 
 
-def ik_single_vs_rtb_ik_lm_median() -> Result:
-    """One pose from mid-range; goal 3, ambitious 7."""
-    return _single("ik_single_vs_rtb_ik_lm_median", Toolbox, _middle)
-
-
-def ik_warm_vs_rtb_ik_lm_median() -> Result:
-    """One pose from joints 1 % of their range away; goal 1.5."""
-    return _single("ik_warm_vs_rtb_ik_lm_median", Toolbox, _near)
-
-
-def ik_single_vs_pinocchio() -> Result:
-    """One pose from mid-range."""
-    return _single("ik_single_vs_pinocchio", Pinocchio, _middle)
-
-
-def ik_single_vs_trac_ik() -> Result:
-    """One pose from mid-range."""
-    return _single("ik_single_vs_trac_ik", TracIk, _middle)
-
-
-def ik_single_vs_roboplan() -> Result:
-    """One pose from mid-range."""
-    return _single("ik_single_vs_roboplan", RoboPlan, _middle)
-
-
-def ik_single_vs_ikpy() -> Result:
-    """One pose from mid-range."""
-    return _single("ik_single_vs_ikpy", IkPy, _middle, per_block=3)
-
-
-def _batch(name: str, q: np.ndarray, engine: Engine, threads: int = 1) -> Result:
+def _batch(q: np.ndarray, threads: int = 1) -> Result:
     """Poses a second of a batch from mid-range, beside the peer's mean rate on the same joints."""
-    model = soft_model(demo_arm())
+    model, engine = soft_model(demo_arm()), _engine(Engine.ARRAYS)
     arm = model.arm
     try:
         peer = Toolbox(arm)
     except ImportError as error:
-        return missing(name, Toolbox.name, f"not installed: {error.name}")
+        return missing(Toolbox.name, f"not installed: {error.name}")
     targets, mid = model.pose(q), arm.mid
     some = np.random.default_rng(0).permutation(len(q))[: BLOCKS * PER_BLOCK]
     rigid = Model(arm).pose(q[some])
@@ -177,28 +146,25 @@ def _batch(name: str, q: np.ndarray, engine: Engine, threads: int = 1) -> Result
     by = "processor seconds, 1 thread" if threads == 1 else f"wall seconds, {threads} threads"
     note = f"{engine.name.lower()}, {by}; solved {solved:.4f}"
     rate = [float(np.mean(theirs))]
-    return beside(name, "poses/s", ours, Toolbox.name, rate, more_is_better=True, note=note)
+    return beside("poses/s", ours, Toolbox.name, rate, more_is_better=True, note=note)
 
 
-def ik_batch_vs_rtb_ik_lm_mean() -> Result:
+def batch() -> Result:
     """Random joints; goal 20."""
-    q = random_joints(demo_arm(), BATCH, 2)
-    return _batch("ik_batch_vs_rtb_ik_lm_mean", q, _engine(Engine.ARRAYS))
+    return _batch(random_joints(demo_arm(), BATCH, 2))
 
 
-def ik_batch_all_cores_vs_rtb_ik_lm_mean() -> Result:
+def batch_all_cores() -> Result:
     """The same on every core; the peer has one thread."""
-    q, cores = random_joints(demo_arm(), BATCH, 2), len(os.sched_getaffinity(0))
-    name = "ik_batch_all_cores_vs_rtb_ik_lm_mean"
-    return _batch(name, q, _engine(Engine.ARRAYS), cores)
+    return _batch(random_joints(demo_arm(), BATCH, 2), len(os.sched_getaffinity(0)))
 
 
-def ik_grid_vs_rtb_ik_lm_mean() -> Result:
+def grid() -> Result:
     """The paper's grid, on limits and at singularities; goal 20."""
-    return _batch("ik_grid_vs_rtb_ik_lm_mean", paper_grid(demo_arm()), _engine(Engine.ARRAYS))
+    return _batch(paper_grid(demo_arm()))
 
 
-def ik_single_without_compiler() -> Result:
+def single_without_compiler() -> Result:
     """Plain Python; goal 400 us."""
     model = soft_model(demo_arm())
     targets, mid = model.pose(random_joints(model.arm, 201, 3)), model.arm.mid
@@ -208,22 +174,20 @@ def ik_single_without_compiler() -> Result:
 
     work(0)
     each = timed(work, range(1, 201), time.process_time).reshape(BLOCKS, -1)
-    return beside("ik_single_without_compiler", "us", 1e6 * np.median(each, 1), "goal", [400.0])
+    return beside("us", 1e6 * np.median(each, 1), "goal", [400.0])
 
 
-def ik_batch_without_compiler() -> Result:
+def batch_without_compiler() -> Result:
     """NumPy; goal 30,000 poses/s."""
     model = soft_model(demo_arm())
     targets = model.pose(random_joints(model.arm, BATCH, 3))
     solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=Engine.ARRAYS)
     solve(targets[:100])
     rates = BATCH / timed(lambda _: solve(targets), range(5), time.process_time)
-    return beside(
-        "ik_batch_without_compiler", "poses/s", rates, "goal", [30e3], more_is_better=True
-    )
+    return beside("poses/s", rates, "goal", [30e3], more_is_better=True)
 
 
-def ik_compile_seconds() -> Result:
+def compile_seconds() -> Result:
     """Time to trace and compile a model, for which its first target waits."""
     arm = demo_arm()
 
@@ -232,4 +196,4 @@ def ik_compile_seconds() -> Result:
 
     ik.warm_up()
     seconds = timed(work, range(3), time.process_time)
-    return alone("ik_compile_seconds", "s", seconds, "trace and compile, once a model")
+    return alone("s", seconds, "trace and compile, once a model")

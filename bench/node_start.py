@@ -26,37 +26,12 @@ REPEATS = 5
 FLOOR = "bare rclpy node"
 
 
-def start_simulated_arm() -> Result:
-    """The simulated arm."""
-    return _node("simulated_arm")
-
-
-def start_servo_driver() -> Result:
-    """Unconfigured: the servos are read only when it is configured."""
-    return _node("servo_driver")
-
-
-def start_stereo_bridge() -> Result:
-    """With the marker and the parameters of the demonstration."""
-    return _node("stereo_bridge")
-
-
-def start_kinematics() -> Result:
-    """With the arm of the demonstration; the search is compiled later, in the background."""
-    return _node("kinematics")
-
-
-def start_error_predictor() -> Result:
-    """With a trained predictor."""
-    return _node("error_predictor")
-
-
-def _node(node: str) -> Result:
-    name = f"start_{node}"
+def node(name: str) -> Result:
+    """A node of the demonstration: `servo_driver` unconfigured, `kinematics` before it compiles."""
     if find_spec("rclpy") is None:
-        return missing(name, FLOOR, "rclpy is not installed")
+        return missing(FLOOR, "rclpy is not installed")
     found = ready_times()
-    return beside(name, "ms", found[node], FLOOR, found["bare"])
+    return beside("ms", found[name], FLOOR, found["bare"])
 
 
 @lru_cache(maxsize=1)

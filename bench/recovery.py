@@ -21,16 +21,16 @@ REPEATS = 3
 _PATIENCE_S = 300.0
 
 
-def kinematics_back_after_kill() -> Result:
+def back_after_kill() -> Result:
     """From SIGKILL to the next answer of its service, by a client that was there before."""
     taken, _ = _measured()
-    return alone("kinematics_back_after_kill", "s", taken, "goal: 5 s")
+    return alone("s", taken, "goal: 5 s")
 
 
-def nodes_end_after_interrupt() -> Result:
+def end_after_interrupt() -> Result:
     """From the supervisor's word until every process of the simulated arm has ended."""
     _, taken = _measured()
-    return alone("nodes_end_after_interrupt", "s", [taken], "goal: 3 s")
+    return alone("s", [taken], "goal: 3 s")
 
 
 @cache

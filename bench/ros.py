@@ -59,55 +59,21 @@ class Figures:
         return {"dds": dds, "predictor": predictor, "ik": ik, "node": node}
 
 
-def ros_target_to_trajectory_vs_echo_p50_ms() -> Result:
-    """`target_pose` to `joint_trajectory`."""
-    f = figures()
-    return _beside("ros_target_to_trajectory_vs_echo_p50_ms", f.topic, f.topic_echo, 50)
+def beside_echo(path: str, percent: int, composed: bool = False) -> Result:
+    """`target_pose` to `joint_trajectory` (topic), or the service `compensate`, not executed.
+
+    Medians over the blocks for p50; p99 is that of all calls together.
+    """
+    f = figures("composed" if composed else "processes")
+    ours, echo = getattr(f, path), getattr(f, f"{path}_echo")
+    if percent != 50:
+        ours, echo = ours.reshape(1, -1), echo.reshape(1, -1)
+    mine, theirs = _p(ours, percent), _p(echo, percent)
+    added = float(np.median(mine) - np.median(theirs))
+    return beside("ms", mine, PEER, theirs, added_ms=added)
 
 
-def ros_target_to_trajectory_vs_echo_p99_ms() -> Result:
-    """The slow ones."""
-    f = figures()
-    return _beside("ros_target_to_trajectory_vs_echo_p99_ms", f.topic, f.topic_echo, 99)
-
-
-def ros_compensate_vs_echo_p50_ms() -> Result:
-    """Round trip of the `compensate` service, not executed."""
-    f = figures()
-    return _beside("ros_compensate_vs_echo_p50_ms", f.service, f.service_echo, 50)
-
-
-def ros_compensate_vs_echo_p99_ms() -> Result:
-    """The slow ones."""
-    f = figures()
-    return _beside("ros_compensate_vs_echo_p99_ms", f.service, f.service_echo, 99)
-
-
-def ros_composed_target_to_trajectory_vs_echo_p50_ms() -> Result:
-    """`target_pose` to `joint_trajectory`, `kinematics` and `error_predictor` in one process."""
-    f = figures("composed")
-    return _beside("ros_composed_target_to_trajectory_vs_echo_p50_ms", f.topic, f.topic_echo, 50)
-
-
-def ros_composed_target_to_trajectory_vs_echo_p99_ms() -> Result:
-    """The slow ones."""
-    f = figures("composed")
-    return _beside("ros_composed_target_to_trajectory_vs_echo_p99_ms", f.topic, f.topic_echo, 99)
-
-
-def ros_composed_compensate_vs_echo_p50_ms() -> Result:
-    """Round trip of the `compensate` service, in one process."""
-    f = figures("composed")
-    return _beside("ros_composed_compensate_vs_echo_p50_ms", f.service, f.service_echo, 50)
-
-
-def ros_composed_compensate_vs_echo_p99_ms() -> Result:
-    """The slow ones."""
-    f = figures("composed")
-    return _beside("ros_composed_compensate_vs_echo_p99_ms", f.service, f.service_echo, 99)
-
-
-def ros_flood_compensate_p99_ms() -> Result:
+def flooded() -> Result:
     """Round trip of `compensate` beside a flood of targets."""
     from bench.ros_calls import Calls
 
@@ -127,57 +93,29 @@ def ros_flood_compensate_p99_ms() -> Result:
         sent = int(flood.communicate()[0])
     p99 = float(np.percentile(times, 99))
     return alone(
-        "ros_flood_compensate_p99_ms", "ms", [p99], f"beside {FLOOD_HZ} targets a second",
+        "ms", [p99], f"beside {FLOOD_HZ} targets a second",
         calls=len(times), p50=float(np.median(times)), targets=sent,
     )  # fmt: skip
 
 
-def ros_share_dds_ms() -> Result:
-    """Share of a target: the echo."""
-    return _share("dds")
+def share(of: str) -> Result:
+    """Share of a target: the echo (dds), requests to the predictor, compensation with a known
+    error (ik), the remainder (node)."""
+    f, note = figures(), "of target_pose to joint_trajectory, p50"
+    further = {"questions_per_target": f.questions} if of == "predictor" else {}
+    return alone("ms", f.shares[of], note, **further)
 
 
-def ros_share_predictor_ms() -> Result:
-    """Share of a target: requests to the predictor."""
-    return _share("predictor", questions_per_target=figures().questions)
-
-
-def ros_share_ik_ms() -> Result:
-    """Share of a target: compensation with a known error."""
-    return _share("ik")
-
-
-def ros_share_node_ms() -> Result:
-    """Share of a target: the remainder."""
-    return _share("node")
-
-
-def ros_sustained_rate_vs_echo_hz() -> Result:
+def sustained_rate() -> Result:
     """Targets per second that are processed while others wait; above it queues grow."""
     f = figures()
-    return beside(
-        "ros_sustained_rate_vs_echo_hz", "1/s", f.rate, PEER, f.echo_rate, more_is_better=True
-    )
+    return beside("1/s", f.rate, PEER, f.echo_rate, more_is_better=True)
 
 
 def _p(values: np.ndarray, share: float) -> np.ndarray:
     """Percentile of each block."""
     percentiles: np.ndarray = np.percentile(values, share, axis=1)
     return percentiles
-
-
-def _beside(name: str, ours: np.ndarray, echo: np.ndarray, percent: float) -> Result:
-    """Medians over the blocks for p50; p99 is that of all calls together."""
-    if percent != 50:
-        ours, echo = ours.reshape(1, -1), echo.reshape(1, -1)
-    mine, theirs = _p(ours, percent), _p(echo, percent)
-    added = float(np.median(mine) - np.median(theirs))
-    return beside(name, "ms", mine, PEER, theirs, added_ms=added)
-
-
-def _share(of: str, **further: object) -> Result:
-    note = "of target_pose to joint_trajectory, p50"
-    return alone(f"ros_share_{of}_ms", "ms", figures().shares[of], note, **further)
 
 
 How = Literal["processes", "composed"]

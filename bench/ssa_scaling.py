@@ -47,19 +47,18 @@ def train_once(samples: int, networks: int) -> dict[str, float]:
 # ------------------------------------------------------------------ rows
 
 
-def ssa_search_population_10000(population: int = 10_000, iterations: int = 1) -> Result:
+def search_population(population: int, iterations: int = 1) -> Result:
     """A whole search with a large population, 900 samples."""
-    name, peer = f"ssa_search_population_{population}", "mealpy 3.0.3 OriginalSSA"
+    peer = "mealpy 3.0.3 OriginalSSA"
     ours = cost_of(__name__, "search_rate", 900, population, iterations)
     x, y = standardised(smooth_set(900, 0, test=1))
     try:
         with MealpyPeer(x, y, HIDDEN) as other:
             answer = other.solve(population, iterations, 0)
     except JobError as error:
-        return missing(name, peer, str(error))
+        return missing(peer, str(error))
     theirs = answer["evaluations"] / answer["seconds"]
     return beside(
-        name,
         "evaluations/s",
         [ours.result],
         peer,
@@ -69,11 +68,10 @@ def ssa_search_population_10000(population: int = 10_000, iterations: int = 1) -
     )
 
 
-def ssa_train_100000(few: int = 1_000, many: int = 100_000) -> Result:
+def train_many(many: int, few: int = 1_000) -> Result:
     """One network of 12 hidden units, whole training."""
     small, large = (cost_of(__name__, "train_once", samples, 1) for samples in (few, many))
     return beside(
-        f"ssa_train_{many}",
         "s CPU",
         [large.result["cpu_s"]],
         f"linear growth from {few}",

@@ -68,14 +68,13 @@ def time_to_error(
     peer: str, samples: int, target_mm: float | None = None, repeats: int = 3
 ) -> Result:
     """One learner against ours."""
-    name, target = f"ssa_time_to_error_vs_{peer}_{samples}", target_mm or TARGET_MM[samples]
+    target = target_mm or TARGET_MM[samples]
     mine = reached("ssa_bp", samples, target, repeats)
     theirs = reached(peer, samples, target, repeats)
     if mine is None or theirs is None:
         who = PEERS[peer] if mine is not None else "SSA-BP"
-        return missing(name, PEERS[peer], f"{who} does not reach {target} mm")
+        return missing(PEERS[peer], f"{who} does not reach {target} mm")
     return beside(
-        name,
         "s CPU",
         mine["seconds"],
         f"{PEERS[peer]}, {theirs['setting']}",
@@ -84,23 +83,3 @@ def time_to_error(
         peer_rms_mm=theirs["rms_mm"],
         note=f"to {target} mm: {mine['setting']}",
     )
-
-
-def ssa_time_to_error_vs_mlp_300() -> Result:
-    """300 samples, 0.25 mm."""
-    return time_to_error("mlp", 300)
-
-
-def ssa_time_to_error_vs_gp_300() -> Result:
-    """300 samples, 0.25 mm."""
-    return time_to_error("gp", 300)
-
-
-def ssa_time_to_error_vs_mlp_900() -> Result:
-    """900 samples, 0.17 mm."""
-    return time_to_error("mlp", 900)
-
-
-def ssa_time_to_error_vs_gp_900() -> Result:
-    """900 samples, 0.17 mm."""
-    return time_to_error("gp", 900)

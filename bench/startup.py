@@ -22,31 +22,29 @@ def _ended(arguments: Sequence[str]) -> float:
     return time.perf_counter() - begin
 
 
-def _ends_beside(
-    name: str, ours: Sequence[str], peer: str, theirs: Sequence[str], repeats: int
-) -> Result:
+def _ends_beside(ours: Sequence[str], peer: str, theirs: Sequence[str], repeats: int) -> Result:
     _ended(ours), _ended(theirs)  # both read from disk once
     pairs = [(1e3 * _ended(ours), 1e3 * _ended(theirs)) for _ in range(repeats)]
     mine, other = zip(*pairs, strict=True)
-    return beside(name, "ms", mine, peer, other)
+    return beside("ms", mine, peer, other)
 
 
-def start_help(repeats: int = REPEATS) -> Result:
+def help_page(repeats: int = REPEATS) -> Result:
     """``longarm --help`` beside a Python that does nothing."""
     ours = ("-m", "longarm_comp", "--help")
-    return _ends_beside("start_help", ours, "python -c pass", NOTHING, repeats)
+    return _ends_beside(ours, "python -c pass", NOTHING, repeats)
 
 
-def start_import_core(repeats: int = REPEATS) -> Result:
+def import_core(repeats: int = REPEATS) -> Result:
     """Import of model and inverse kinematics, as in a control program, against numpy alone."""
     ours, peer = (
         ("-c", "import longarm_comp.core.compensation.compensate"),
         "python -c 'import numpy'",
     )
-    return _ends_beside("start_import_core", ours, peer, NUMPY, repeats)
+    return _ends_beside(ours, peer, NUMPY, repeats)
 
 
-def start_import_arm(repeats: int = REPEATS) -> Result:
+def import_arm(repeats: int = REPEATS) -> Result:
     """Import of the arm's declaration against the two libraries that it uses."""
     ours, peer = ("-c", "import longarm_comp.core.arm.arm"), "python -c 'import numpy, pydantic'"
-    return _ends_beside("start_import_arm", ours, peer, NUMPY_PYDANTIC, repeats)
+    return _ends_beside(ours, peer, NUMPY_PYDANTIC, repeats)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from bench import compensation, forward, ik_peers, kinematics
+from bench import catalogue, compensation, forward, ik_peers, kinematics
 from bench.arms import demo_arm
 from longarm_comp.core.data.plan import paper_grid
 from longarm_comp.core.model.model import Model
@@ -28,35 +28,20 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
             monkeypatch.setattr(module, name, value)
 
 
-@pytest.mark.parametrize(
-    "work",
-    [
-        kinematics.ik_single_vs_rtb_ik_lm_median,
-        kinematics.ik_warm_vs_rtb_ik_lm_median,
-        kinematics.ik_batch_vs_rtb_ik_lm_mean,
-        kinematics.ik_batch_all_cores_vs_rtb_ik_lm_mean,
-        kinematics.ik_grid_vs_rtb_ik_lm_mean,
-        kinematics.ik_single_vs_pinocchio,
-        kinematics.ik_single_vs_trac_ik,
-        kinematics.ik_single_vs_roboplan,
-        kinematics.ik_single_without_compiler,
-        kinematics.ik_batch_without_compiler,
-        forward.forward_batch_vs_rtb,
-        forward.forward_batch_vs_pinocchio,
-        forward.forward_batch_model,
-        forward.forward_batch_arrays,
-        forward.forward_single_model,
-        forward.forward_single_python,
-        forward.columns_single,
-        forward.columns_batch,
-        compensation.compensate_batch_10000,
-        compensation.compensate_single,
-    ],
-)
-def test_every_row_has_its_figures(work):
-    small = work is compensation.compensate_batch_10000
-    row = work(count=16) if small else work()
-    assert row["name"] == work.__name__
+ROWS = [
+    name
+    for name, (place, *_) in catalogue.BENCHMARKS["kinematics"].items()
+    if name not in ("ik_single_vs_ikpy", "ik_compile_seconds", "forward_cost")  # long
+]
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_every_row_has_its_figures(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if name == "compensate_batch_10000":
+        row = compensation.compensate_batch_10000(count=16)
+    else:
+        row = catalogue.run(name)
+        assert row["name"] == name
     if row["value"] is None:
         assert "not installed" in row["note"]
         return

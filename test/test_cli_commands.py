@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import inspect
 import json
 from pathlib import Path
 
@@ -230,7 +231,7 @@ def test_bench_gives_the_agreed_rows(shell: Shell, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(catalogue, "run", row)
     made = shell.json("bench")
-    assert [r["name"] for r in made["results"]] == list(catalogue.MODULE_OF)
+    assert [r["name"] for r in made["results"]] == list(catalogue.KIND_OF)
     assert made["results"][0]["spread"] == [1.0, None]
     assert made["machine"]
     assert shell("bench", "ssa_evals_vs_mealpy_300") == 0
@@ -239,8 +240,11 @@ def test_bench_gives_the_agreed_rows(shell: Shell, monkeypatch: pytest.MonkeyPat
 
 
 def test_every_benchmark_is_where_the_list_says() -> None:
-    for name, module in catalogue.MODULE_OF.items():
-        assert callable(getattr(importlib.import_module(f"bench.{module}"), name))
+    for names in catalogue.BENCHMARKS.values():
+        for place, *given in names.values():
+            module, _, function = place.partition(".")
+            work = getattr(importlib.import_module(f"bench.{module}"), function)
+            inspect.signature(work).bind(*given)
 
 
 def test_a_table_without_rows_is_not_printed(capsys: pytest.CaptureFixture[str]) -> None:

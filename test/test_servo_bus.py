@@ -211,7 +211,7 @@ def test_torque_off_reaches_the_others_although_one_is_silent(rig: Rig) -> None:
     emulator.faults.silent.add(1)
     with pytest.raises(ServoTimeout) as caught:
         bus.torque(IDS, on=False)
-    assert caught.value.ids == (1,)
+    assert caught.value.facts["silent"] == [1]
     assert not any(emulator.torques_on().values())
 
 
