@@ -55,13 +55,15 @@ def test_an_arm_is_held_stopped_and_goes_on(rig: Rig, shell: Shell) -> None:
 
 
 def test_a_fault_is_told_with_its_cause_and_stays_until_it_is_cured(rig: Rig, shell: Shell) -> None:
-    rig.emulator.block(1)
+    with rig.emulator.motor(1) as motor:
+        motor.blocked = True
     rig.send("blocked", shoulder=0.9)
     rig.is_in(DriverState.FAULT)
     found = shell.json("status")
     assert "shoulder" in found["why"] and found["next"] == "longarm reset"
     assert any(t["level"] == "error" and "shoulder" in t["message"] for t in found["troubles"])
-    rig.emulator.block(1, False)
+    with rig.emulator.motor(1) as motor:
+        motor.blocked = False
     assert shell("reset") == 0
     rig.is_in(DriverState.READY)
     rig.emulator.unplug()

@@ -186,12 +186,14 @@ def test_held_it_stays_under_torque_and_takes_nothing(rig: Rig) -> None:
 
 
 def test_a_stalled_servo_stops_the_arm_until_reset(rig: Rig) -> None:
-    rig.emulator.block(1)
+    with rig.emulator.motor(1) as motor:
+        motor.blocked = True
     rig.send("blocked", shoulder=0.8, boom=0.05)
     rig.stage.spin(lambda: "shoulder" in rig.told(": arm"))
     assert "shoulder" in rig.becomes("blocked", Motion.ACCEPTED, Motion.BROKEN_OFF).message
     assert "shoulder" in rig.is_in(DriverState.FAULT).message
-    rig.emulator.block(1, False)
+    with rig.emulator.motor(1) as motor:
+        motor.blocked = False
     assert rig.call(graph.RESET, Trigger.Request()).success
     rig.is_idle()
     rig.goes(shoulder=0.2)

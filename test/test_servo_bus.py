@@ -143,7 +143,8 @@ def _open_one_try(emulator: ServoEmulator, bus: SerialServoBus) -> SerialServoBu
 def test_overheating_shows_as_an_alarm_and_refuses_torque(rig: Rig) -> None:
     emulator, bus = rig
     bus.torque(IDS, on=True)
-    emulator.heat(4, 95.0)
+    with emulator.motor(4) as motor:
+        motor.temperature_c = 95.0
     assert _until(lambda: bus.read([4])[4].error_flags == ServoAlarm.OVERHEAT)
     assert bus.read([4])[4].temperature_c > 90
     with pytest.raises(ServoFault) as caught:
@@ -154,7 +155,8 @@ def test_overheating_shows_as_an_alarm_and_refuses_torque(rig: Rig) -> None:
 def test_a_jammed_servo_shows_load_then_overload(rig: Rig) -> None:
     emulator, bus = rig
     bus.torque(IDS, on=True)
-    emulator.block(1)
+    with emulator.motor(1) as motor:
+        motor.blocked = True
     bus.write_goal({1: 3000})
     assert _until(lambda: bus.read([1])[1].load > 0.95)
     assert _until(lambda: bus.read([1])[1].error_flags == ServoAlarm.OVERLOAD)

@@ -94,7 +94,8 @@ def test_feetech_library_sees_the_faults(feetech, monkeypatch) -> None:
     assert servo.ReadPos(1)[1] == scs.COMM_RX_TIMEOUT
     _patience(monkeypatch, 2000)
     emulator.faults.silent.discard(1)
-    emulator.heat(1, 95.0)
+    with emulator.motor(1) as motor:
+        motor.temperature_c = 95.0
     assert _until(lambda: servo.ReadPos(1)[2] == 4)
 
 
@@ -145,7 +146,8 @@ def test_dynamixel_library_sees_the_faults(dynamixel) -> None:
     emulator, port, packet = dynamixel
     emulator.faults.corrupt[1] += 1
     assert packet.read4ByteTxRx(port, 1, 132)[1] == dxl.COMM_RX_CORRUPT
-    emulator.heat(1, 95.0)
+    with emulator.motor(1) as motor:
+        motor.temperature_c = 95.0
     assert _until(lambda: packet.read1ByteTxRx(port, 1, 70)[0] == 4)
     assert packet.read1ByteTxRx(port, 1, 70)[2] == 0x80
     assert packet.write1ByteTxRx(port, 1, 64, 1)[0] == dxl.COMM_SUCCESS

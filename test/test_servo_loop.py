@@ -115,7 +115,7 @@ def test_the_arm_goes_where_it_is_told_and_arrives_from_both_sides(loop: Loop) -
         loop.until(lambda want=shoulder: abs(loop.joints()["shoulder"] - want) < 6e-4)
         assert loop.joints()["shoulder"] == pytest.approx(shoulder, abs=6e-4)  # one tick
         assert loop.joints()["boom"] == pytest.approx(boom, abs=3e-5)
-        assert loop.emulator.approaches() == {1: side, 2: -side}
+        assert loop.emulator.each(lambda motor: motor.approach) == {1: side, 2: -side}
     assert loop.troubles == []
 
 
@@ -150,7 +150,8 @@ def test_a_servo_that_falls_silent_stops_the_arm(loop: Loop) -> None:
 def test_a_jammed_servo_is_relieved_of_its_load(loop: Loop) -> None:
     loop.send(boom=0.1)
     loop.until(lambda: loop.joints()["boom"] > 0.04)
-    loop.emulator.block(2)
+    with loop.emulator.motor(2) as motor:
+        motor.blocked = True
     assert loop.until(lambda: loop.state() is FollowerState.FAULT)
     assert loop.troubles == [(ServoTrouble.STALLED, "boom")]
     assert loop.until(lambda: abs(loop.load(2)) < 0.05)
@@ -159,7 +160,8 @@ def test_a_jammed_servo_is_relieved_of_its_load(loop: Loop) -> None:
 def test_an_overheating_servo_stops_the_arm_before_it_lets_go(loop: Loop) -> None:
     loop.send(shoulder=1.0)
     loop.cycle()
-    loop.emulator.heat(1, 68.0)  # above the joint's 65, below the servo's own 70
+    with loop.emulator.motor(1) as motor:
+        motor.temperature_c = 68.0  # above the joint's 65, below the servo's own 70
     assert loop.until(lambda: loop.state() is FollowerState.FAULT)
     assert loop.troubles == [(ServoTrouble.OVERHEATED, "shoulder")]
     assert loop.emulator.torques_on() == {1: True, 2: True}
@@ -206,18 +208,21 @@ def test_torque_is_on_only_where_that_was_asked_for_and_nothing_speaks_against_i
     arm.estop()
     assert driven() == {False}
     for hot, why in ((67.0, "overheated"), (90.0, "OVERHEAT")):  # ours; the servo's own
-        emulator.heat(2, hot)
+        with emulator.motor(2) as motor:
+            motor.temperature_c = hot
         until(lambda cycle, hot=hot: cycle.joints and cycle.states[2].temperature_c > hot - 2.0)
         with pytest.raises(JobError, match=why):
             arm.release(time.monotonic())
         assert driven() == {False} and not arm.powered
-    emulator.heat(2, 30.0)
+    with emulator.motor(2) as motor:
+        motor.temperature_c = 30.0
     emulator.power_cycle(2)  # clears its alarm
     until(lambda cycle: cycle.joints and not cycle.states[2].error_flags)
     arm.release(time.monotonic())
     assert driven() == {True} and arm.powered
     arm.accept(there, time.monotonic())
-    emulator.heat(2, 67.0)
+    with emulator.motor(2) as motor:
+        motor.temperature_c = 67.0
     until(lambda cycle: cycle.step.state is FollowerState.FAULT)
     with pytest.raises(JobError, match="overheated"):
         arm.release(time.monotonic())

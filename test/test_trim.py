@@ -216,7 +216,8 @@ def test_a_wrong_encoder_on_the_bus_moves_the_joint_no_farther_than_the_bound(
     servo, bound = rig.driver.config.ids["joint4"], LIMITS.trim_ticks
     q = np.round(arm.mid / arm.steps) * arm.steps
     assert rig.move(q).kind is EventKind.ARRIVED
-    rig.plant.emulator.wrong_encoder(servo, follows, jump)
+    with rig.plant.emulator.motor(servo) as motor:
+        motor.follows, motor.seen = follows, motor.seen + jump
     goal, farthest = q + 30 * tick * np.eye(arm.n)[joint], 0.0
 
     def watch() -> None:

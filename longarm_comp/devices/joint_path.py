@@ -90,11 +90,8 @@ def _row(trajectory: JointTrajectory, k: int, field: str, values: tuple[float, .
 
 def _within_limits(positions: Array, config: ServoConfig) -> None:
     for column, (name, joint) in enumerate(config.joints.items()):
-        slack = 0.5 * joint.si_per_tick
         for k, value in enumerate(positions[:, column].tolist()):
-            if not joint.lower - slack <= value <= joint.upper + slack:
-                allowed = f"{joint.lower:g} to {joint.upper:g} {joint.unit}"
-                raise InputError(_WHERE, f"points[{k}].positions of {name}", value, allowed)
+            joint.check_inside(value, _WHERE, f"points[{k}].positions of {name}")
 
 
 Array = npt.NDArray[np.float64]

@@ -224,11 +224,8 @@ class TrajectoryFollower:
         goals = None
         if self._state in (FollowerState.TRACKING, FollowerState.HOLDING):
             goals = self._fault(findings) if findings else self._move(dt)
-        set_points = (
-            {} if self._set is None else dict(zip(self._names, self._set.tolist(), strict=True))
-        )
         events, self._events = tuple(self._events), []
-        return Step(self._state, goals, set_points, events)
+        return Step(self._state, goals, self.set_points, events)
 
     def _move(self, dt: float) -> dict[int, int] | None:
         """One bounded step along the path; None while any read-back is doubtful."""
@@ -253,16 +250,14 @@ class TrajectoryFollower:
         wanted = self._wanted()
         if self._trim is not None:
             for name, by in zip(wanted, self._trim.applied(dt).tolist(), strict=True):
-                low, high = self._config.joints[name].tick_limits
-                wanted[name] = min(max(round(wanted[name] + by), low), high)
+                wanted[name] = self._config.joints[name].bounded(wanted[name] + by)
         self._goals = {self._config.ids[name]: goal for name, goal in wanted.items()}
         return self._goals
 
     def _wanted(self) -> dict[str, int]:
         """Goals without trim, ticks by joint."""
-        assert self._set is not None
-        each = zip(self._names, self._joints, self._set.tolist(), strict=True)
-        return {name: joint.to_ticks(value) for name, joint, value in each}
+        joints = self._config.joints
+        return {name: joints[name].to_ticks(value) for name, value in self.set_points.items()}
 
     def _trimmed(self, states: Mapping[str, ServoState]) -> str | None:
         """Trim a resting arm: None while it goes on, then what it could not do, or nothing."""
@@ -299,10 +294,9 @@ class TrajectoryFollower:
 
     def _short(self) -> str:
         """Which joints stand away from where they were sent, and how far; empty if none does."""
-        assert self._set is not None
         far = []
-        for name, joint, wanted in zip(self._names, self._joints, self._set.tolist(), strict=True):
-            state = self._watch.state(name)
+        for name, wanted in self.set_points.items():
+            state, joint = self._watch.state(name), self._config.joints[name]
             assert state is not None
             off = joint.to_si(state.position_ticks) - wanted
             if abs(off) > self._config.follower.stall_error_ticks * joint.si_per_tick:
@@ -319,8 +313,7 @@ class TrajectoryFollower:
         for name, joint in self._config.joints.items():
             state = self._watch.state(name)
             if state is not None and self._watch.heard(name):
-                low, high = joint.tick_limits
-                hold[joint.servo_id] = min(max(state.position_ticks, low), high)
+                hold[joint.servo_id] = joint.bounded(state.position_ticks)
         self._drop_motion()
         return hold
 
@@ -362,14 +355,9 @@ class TrajectoryFollower:
 
     def _check_inside(self, path: JointPath) -> None:
         low, high = path.extremes()
-        for k, joint in enumerate(self._joints):
-            slack = 0.5 * joint.si_per_tick
+        for k, (name, joint) in enumerate(self._config.joints.items()):
             for value in (low[k], high[k]):
-                if not joint.lower - slack <= value <= joint.upper + slack:
-                    allowed = f"{joint.lower:g} to {joint.upper:g} {joint.unit}"
-                    raise InputError(
-                        "joint trajectory", f"{self._names[k]} on the way", value, allowed
-                    )
+                joint.check_inside(float(value), "joint trajectory", f"{name} on the way")
 
     def _check_health(self, now: float) -> None:
         standing = self._watch.standing(now)

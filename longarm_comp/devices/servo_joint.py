@@ -131,14 +131,22 @@ class JointConfig(ServoSettings):
         ends = sorted(self._exact_ticks(limit) for limit in (self.lower, self.upper))
         return math.ceil(ends[0] - 1e-9), math.floor(ends[1] + 1e-9)
 
-    def to_ticks(self, value: float) -> int:
-        """The goal nearest to a joint value, rad or m."""
+    def check_inside(self, value: float, where: str, field: str) -> None:
+        """Refuse a joint value, rad or m, beyond the limits by more than half a tick."""
         slack = 0.5 * self.si_per_tick
         if not self.lower - slack <= value <= self.upper + slack:
             allowed = f"{self.lower:g} to {self.upper:g} {self.unit}"
-            raise InputError(f"servo {self.servo_id}", "position", value, allowed)
+            raise InputError(where, field, value, allowed)
+
+    def bounded(self, ticks: float) -> int:
+        """The goal within the limits that is nearest to a number of ticks."""
         low, high = self.tick_limits
-        return min(max(round(self._exact_ticks(value)), low), high)
+        return min(max(round(ticks), low), high)
+
+    def to_ticks(self, value: float) -> int:
+        """The goal nearest to a joint value, rad or m."""
+        self.check_inside(value, f"servo {self.servo_id}", "position")
+        return self.bounded(self._exact_ticks(value))
 
     def to_si(self, ticks: float) -> float:
         """Joint value (rad or m) of an encoder reading."""

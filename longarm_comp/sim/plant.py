@@ -25,7 +25,13 @@ from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.hidden.drives import Backlash, ServoDroop
 from longarm_comp.sim.ringing import Ringing
-from longarm_comp.sim.servo_emulator import EmulatedArm, EmulatedJoint, MotorSpec, ServoEmulator
+from longarm_comp.sim.servo_emulator import (
+    EmulatedArm,
+    EmulatedJoint,
+    Motor,
+    MotorSpec,
+    ServoEmulator,
+)
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -155,14 +161,15 @@ class Plant:
 
     def side(self) -> Array:
         """(n,) of -1, 0, +1: the side that each joint arrived from."""
-        return self._upwards(self.emulator.approaches())
+        return self._upwards(lambda motor: motor.approach)
 
     def wound(self) -> Array:
         """(n,) of -1 to +1: how far each joint's gear train is wound up."""
-        return self._upwards(self.emulator.windings())
+        return self._upwards(lambda motor: motor.wound)
 
-    def _upwards(self, turned: Mapping[int, float]) -> Array:
-        """(n,) signed by the joint's direction, from values signed by the servo's."""
+    def _upwards(self, of: Callable[[Motor], float]) -> Array:
+        """(n,) signed by the joint's direction, from what servos have signed by theirs."""
+        turned = self.emulator.each(of)
         direction = {
             j.name: np.sign(j.travel) * turned[j.servo_id] for j in self.config.servos.joints
         }

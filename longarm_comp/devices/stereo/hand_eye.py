@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.stereo.camera import Array
@@ -59,6 +58,8 @@ def hand_eye(
         marker_in_tip: (3,) m if known, else it is estimated too: the tip must then turn about
             two axes at least.
     """
+    from scipy.optimize import least_squares  # slow to import, and no node of the graph needs it
+
     base_T_tip, seen = np.asarray(base_T_tip, dtype=float), np.asarray(seen, dtype=float)
     count = len(seen)
     if base_T_tip.shape != (count, 4, 4) or np.shape(covariances) != (count, 3, 3):

@@ -8,9 +8,9 @@ import select
 import threading
 import time
 import tty
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
+from typing import TypeVar
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.servo_emulator.dynamixel import DynamixelWire
@@ -21,6 +21,7 @@ from longarm_comp.sim.servo_emulator.wire import Device, Wire
 
 WIRES: dict[str, Wire] = {wire.name: wire for wire in (FeetechWire(), DynamixelWire())}
 _STEP_S = 0.01
+Of = TypeVar("Of")
 
 LoadOf = Callable[[Mapping[int, float]], Mapping[int, float]]
 """Servo positions (ticks) to external load on each, as a signed share of its stall torque."""
@@ -113,53 +114,29 @@ class ServoEmulator:
         self.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
+
+    @contextlib.contextmanager
+    def motor(self, servo_id: int) -> Iterator[Motor]:
+        """The mechanics of a servo at the present, to look at or to change."""
+        with self._lock:
+            self._advance()
+            yield self._devices[servo_id].motor
+
+    def each(self, of: Callable[[Motor], Of]) -> dict[int, Of]:
+        """Something of every servo's mechanics at the present, by id."""
+        with self._lock:
+            self._advance()
+            return {i: of(device.motor) for i, device in self._devices.items()}
 
     def positions(self) -> dict[int, float]:
         """Present true positions, ticks, not rounded."""
-        with self._lock:
-            self._advance()
-            return {i: d.motor.position for i, d in self._devices.items()}
-
-    def approaches(self) -> dict[int, int]:
-        """The direction each servo last moved in: +1, -1, or 0 before the first motion."""
-        with self._lock:
-            self._advance()
-            return {i: d.motor.approach for i, d in self._devices.items()}
-
-    def windings(self) -> dict[int, float]:
-        """Wind-up of each gear train, -1 to +1 (`MotorSpec.wind_up_ticks`)."""
-        with self._lock:
-            self._advance()
-            return {i: d.motor.wound for i, d in self._devices.items()}
+        return self.each(lambda motor: motor.position)
 
     def torques_on(self) -> dict[int, bool]:
         """Whether the torque of each servo is on."""
-        with self._lock:
-            return {i: d.motor.torque_on for i, d in self._devices.items()}
-
-    def block(self, servo_id: int, blocked: bool = True) -> None:
-        """Jam the horn of a servo, or free it."""
-        with self._lock:
-            self._advance()
-            self._devices[servo_id].motor.blocked = blocked
-
-    def heat(self, servo_id: int, temperature_c: float) -> None:
-        """Set a servo's temperature."""
-        with self._lock:
-            self._devices[servo_id].motor.temperature_c = temperature_c
-
-    def supply(self, voltage_v: float) -> None:
-        """Set the supply voltage of all servos."""
-        with self._lock:
-            for device in self._devices.values():
-                device.motor.voltage_v = voltage_v
+        return self.each(lambda motor: motor.torque_on)
 
     def power_cycle(self, servo_id: int) -> None:
         """Take a servo's power away and give it back."""
@@ -169,17 +146,8 @@ class ServoEmulator:
 
     def push(self, servo_id: int, ticks: float) -> None:
         """Turn a servo by hand to ``ticks``; driven servos go back to their goal."""
-        with self._lock:
-            self._advance()
-            motor = self._devices[servo_id].motor
+        with self.motor(servo_id) as motor:
             motor.turn(ticks - motor.position)
-
-    def wrong_encoder(self, servo_id: int, follows: float = 1.0, jump: float = 0.0) -> None:
-        """The encoder jumps by so many ticks, and sees a share of every motion from now on."""
-        with self._lock:
-            self._advance()
-            motor = self._devices[servo_id].motor
-            motor.follows, motor.seen = follows, motor.seen + jump
 
     def add_twin(self, servo_id: int, ticks: float) -> None:
         """Put another servo with the same id on the bus; both answer at once."""
