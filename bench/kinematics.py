@@ -19,7 +19,7 @@ import numpy as np
 from bench import ik_peers
 from bench.arms import demo_arm
 from bench.comparison import Result, alone, beside, missing
-from bench.ik_peers import Peer, Toolbox
+from bench.ik_peers import Toolbox
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import paper_grid, random_joints
 from longarm_comp.core.effects.joint_compliance import JointCompliance
@@ -77,7 +77,7 @@ def single(peer_name: str, warm: bool = False, per_block: int | None = None) -> 
     Goals beside `Toolbox`: 3 (ambitious: 7) from mid-range, 1.5 warm.
     """
     model, per_block = soft_model(demo_arm()), per_block or PER_BLOCK
-    kind: type[Peer] = getattr(ik_peers, peer_name)
+    kind: Any = getattr(ik_peers, peer_name)
     arm, engine = model.arm, _engine(Engine.PYTHON)
     try:
         peer = kind(arm)

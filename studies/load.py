@@ -83,7 +83,7 @@ def told(servo: str, load: float, side: float, part: float) -> float:
     motor.approach, motor.external_load = int(side), load
     motor.advance(0.01)
     wire, dialect = WIRES[kind.protocol], protocols()[kind.protocol]()
-    data = wire.read(wire.device(1, motor), dialect.state.address, dialect.state.length)
+    _, data = wire.read(wire.device(1, motor), dialect.state.address, dialect.state.length)
     return dialect.state_of(data, ServoAlarm.NONE, kind).load
 
 

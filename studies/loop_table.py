@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 Line = Mapping[str, Any]
 Row = dict[str, Any]
 
-Z95 = 1.959963984540054
 _STATED = (0.001, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
 WORSE = 1.1
 """Largest allowed error of a found model, relative to the fit of the true model."""
@@ -22,10 +21,8 @@ def wilson(hits: int, count: int) -> tuple[float, float]:
     """95 % interval of a share (Wilson 1927); 0 to 1 without any count."""
     if count == 0:
         return 0.0, 1.0
-    p, z2 = hits / count, Z95**2 / count
-    centre = (p + z2 / 2) / (1 + z2)
-    half = Z95 * math.sqrt(p * (1 - p) / count + z2 / (4 * count)) / (1 + z2)
-    return max(0.0, centre - half), min(1.0, centre + half)
+    low, high = binomtest(hits, count).proportion_ci(0.95, "wilson")
+    return float(low), float(high)
 
 
 def share(of: str, measure: str, answers: Iterable[bool | None]) -> Row | None:

@@ -35,7 +35,7 @@ from longarm_comp.sim.servo_emulator import (
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
-_STEPS = 2  # integration steps a rod: good to a nanometre here
+_STEPS = 2  # integration steps a rod: good to 10 nm, and the images are due
 _SAME = 1e-7  # rad or m: the arm has not moved
 _SEATED_M = 5e-5
 """From the bottom of a socket, within which the ball touches all round."""

@@ -80,13 +80,19 @@ def command(
         "wall_s": time.monotonic() - began,
     }
     if output is not None:
-        from studies.table1_figure import table1_figure
+        from studies.table1_figure import Table1Row, table1_figure
 
         output.mkdir(parents=True, exist_ok=True)
         write_text(output / "table1.json", json.dumps(facts, indent=2))
-        names = {"row": "row", "mean_abs_z_mm": "arms_mm", "paper_mm": "paper_mean_abs_z_mm"}
         table1_figure(
-            [{name: row[key] for name, key in names.items()} for row in table],
+            [
+                Table1Row(
+                    row=row["row"],
+                    mean_abs_z_mm=row["arms_mm"],
+                    paper_mm=row["paper_mean_abs_z_mm"],
+                )
+                for row in table
+            ],
             output / "table1.png",
             title=f"{arms} simulated arms, {summary.TARGETS} targets each",
         )

@@ -16,7 +16,7 @@ _HEADER = b"\xff\xff\xfd\x00"
 _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
 _BROADCAST = 0xFE
 _SYNC_READ, _SYNC_WRITE, _STATUS = 0x82, 0x83, 0x55
-_LONGEST = 1024
+_LONGEST = 1024  # bytes that a frame may say it has: a larger number is damage
 _ALERT = 0x80
 _VELOCITY_TICKS_S = 0.229 / 60.0 * 4096
 """One unit of velocity is 0.229 turns a minute."""

@@ -15,7 +15,7 @@ from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoSt
 _HEADER = b"\xff\xff"
 _BROADCAST = 0xFE
 _SYNC_READ, _SYNC_WRITE = 0x82, 0x83
-_LONGEST = 250
+_LONGEST = 250  # bytes that a frame may say it has: a larger number is damage
 
 
 def _sts(name: str, number: int, friction: float | None = None) -> ServoModel:

@@ -16,6 +16,7 @@ from longarm_comp.devices.stereo.views import BoardView, gaps
 from longarm_comp.math.points import kabsch
 
 _HELD_OUT_EVERY = 4
+"""Every fourth view is left out: three quarters calibrate nearly as well as all."""
 
 
 @dataclass(frozen=True)

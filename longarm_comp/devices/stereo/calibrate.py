@@ -14,7 +14,9 @@ from longarm_comp.devices.stereo.target import Corners, Target
 from longarm_comp.devices.stereo.triangulate import triangulate
 
 _FEWEST_PAIRS = 4
-_FEWEST_CORNERS = 8
+"""Zhang's method: a picture gives two equations for five numbers of a camera; one to spare."""
+FEWEST_CORNERS = 8
+"""Seen by both cameras: four fix a plane's picture, as many again average their noise."""
 _ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 300, 1e-10)
 
 
@@ -50,9 +52,9 @@ def calibrate_stereo(
     fitted again: hand-held boards move between exposures that are not simultaneous.
     """
     common = [np.intersect1d(left.ids, right.ids, return_indices=True) for left, right in pairs]
-    usable = [i for i, (ids, _, _) in enumerate(common) if len(ids) >= _FEWEST_CORNERS]
+    usable = [i for i, (ids, _, _) in enumerate(common) if len(ids) >= FEWEST_CORNERS]
     if len(usable) < _FEWEST_PAIRS:
-        allowed = f"{_FEWEST_PAIRS} or more with {_FEWEST_CORNERS} corners seen by both cameras"
+        allowed = f"{_FEWEST_PAIRS} or more with {FEWEST_CORNERS} corners seen by both cameras"
         raise InputError("stereo calibration", "pairs", len(usable), allowed)
     objects = {i: _flat(board.points(common[i][0])) for i in usable}
     lefts = {i: _flat(pairs[i][0].pixels[common[i][1]]) for i in usable}

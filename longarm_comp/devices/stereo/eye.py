@@ -22,7 +22,7 @@ from longarm_comp.devices.stereo.triangulate import (
     triangulate,
 )
 
-_KEPT = 1.0 - 1.0 / 200.0  # of the residuals, from one sighting to the next
+_KEPT = 1.0 - 1.0 / 200.0  # of the residuals of sightings: the last 200 count, some 10 s
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
 _PRESMOOTH_PX = 1.0
+"""Gaussian sigma: pixel noise then makes no edge, and it is about the blur of a sharp lens."""
 
 
 def _edge_sigma_px(grey: NDArray[np.uint8], pixels: Array) -> float:

@@ -10,7 +10,7 @@ from scipy.special import erf
 from longarm_comp.devices.stereo.camera import Array
 
 _ALONG = np.linspace(0.12, 0.88, 24)  # where on a side the edge is located
-_STEP_PX = 0.25
+_STEP_PX = 0.25  # between samples across an edge: four in a pixel
 _BEFORE = [3, 0, 1, 2]  # the side that ends in each corner
 _REACH = (0.7, 0.5, 0.45, 0.45)  # half window across a side, in cells; one pass each
 

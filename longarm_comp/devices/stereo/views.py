@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from longarm_comp.devices.stereo.calibrate import FEWEST_CORNERS
 from longarm_comp.devices.stereo.camera import Array
 from longarm_comp.devices.stereo.found import found_corners
 from longarm_comp.devices.stereo.limits import Limits
@@ -16,9 +17,11 @@ from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
 FEWEST_VIEWS = 10
-_FEWEST_CORNERS = 8
+"""What OpenCV's guide to calibration asks for at least."""
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
 _NEW_PLACE, _NEW_SIZE, _NEW_TILT_DEG = 0.12, 0.12, 10.0
+"""A view is new where the board moved by so much of the image's width, came nearer or farther by so
+much of its distance, or tilted by so much: about a third of what `gaps` asks for in all."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +83,8 @@ def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None
         for side, grey in (("left", left), ("right", right))
     )
     ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
-    if len(ids) < _FEWEST_CORNERS:
-        raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=_FEWEST_CORNERS)
+    if len(ids) < FEWEST_CORNERS:
+        raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
     pixels = seen[0].pixels[in_left]
     shift = np.median(pixels[:, 0] - seen[1].pixels[in_right][:, 0])
     distance, tilt = _rough_pose(board.points(ids), pixels, left.shape[1], left.shape[0])

@@ -17,7 +17,7 @@ from longarm_comp.sim.measure import TrueCamera
 
 Array = np.ndarray
 Hidden = HiddenEffect | CameraEffect
-_STEPS = 2  # sizes need no nanometres
+_STEPS = 2  # integration steps a rod: sizes need no nanometres
 _Maker = Callable[[Arm, np.random.Generator], Hidden]
 
 

@@ -44,6 +44,7 @@ class GearEccentricity(HiddenEffect):
 
 
 STEPS_PER_TURN = (180, 256, 300, 360, 512, 720, 1000, 1024, 2048, 4096, 16384)
+"""Of servos that are sold."""
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from longarm_comp.sim.servo_emulator.dynamixel import DynamixelWire
 from longarm_comp.sim.servo_emulator.faults import WireFaults
 from longarm_comp.sim.servo_emulator.feetech import FeetechWire
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
-from longarm_comp.sim.servo_emulator.wire import Device, Wire
+from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire, Wire
 
-WIRES: dict[str, Wire] = {wire.name: wire for wire in (FeetechWire(), DynamixelWire())}
-_STEP_S = 0.01
+WIRES: dict[str, RegisterWire] = {wire.name: wire for wire in (FeetechWire(), DynamixelWire())}
+_STEP_S = 0.01  # in which a load is constant: a fraction of the 30 ms in which servos follow
 Of = TypeVar("Of")
 
 LoadOf = Callable[[Mapping[int, float]], Mapping[int, float]]
@@ -54,7 +54,7 @@ class ServoEmulator:
     ) -> None:
         if isinstance(protocol, str) and protocol not in WIRES:
             raise InputError("servo emulator", "protocol", protocol, ", ".join(WIRES))
-        self._wire = WIRES[protocol] if isinstance(protocol, str) else protocol
+        self._wire: Wire = WIRES[protocol] if isinstance(protocol, str) else protocol
         same = MotorSpec() if spec is None else spec
         specs = dict.fromkeys(positions, same) if isinstance(same, MotorSpec) else same
         self._devices: dict[int, Device] = {
