@@ -140,15 +140,16 @@ class JointPath:
         """(n,) final position."""
         return self.positions[-1]
 
-    def at(self, time_s: float) -> Array:
-        """(n,) position at a time; constant before the start and after the end."""
-        if len(self.times) == 1 or time_s >= self.times[-1]:
-            return self.positions[-1]
-        k = max(int(np.searchsorted(self.times, time_s, side="right")) - 1, 0)
-        h = self.times[k + 1] - self.times[k]
-        u = max((time_s - self.times[k]) / h, 0.0)
-        p, q, m, n = *self.positions[k : k + 2], *self.slopes[k : k + 2]
-        step = q - p
+    def at(self, time_s: npt.ArrayLike) -> Array:
+        """(..., n) positions at times (...); constant before the start and after the end."""
+        t = np.clip(time_s, 0.0, self.times[-1])[..., None]
+        k = np.searchsorted(self.times[1:-1], t[..., 0], side="right")
+        if len(self.times) == 1:
+            return self.positions[k]
+        h = (self.times[k + 1] - self.times[k])[..., None]
+        u = (t - self.times[k][..., None]) / h
+        p, m, n = self.positions[k], self.slopes[k], self.slopes[k + 1]
+        step = self.positions[k + 1] - p
         return p + h * m * u + (3 * step - h * (2 * m + n)) * u**2 + (h * (m + n) - 2 * step) * u**3
 
     def extremes(self) -> tuple[Array, Array]:
@@ -209,14 +210,13 @@ class TakenOver:
     lower: Array
     upper: Array
 
-    def at(self, time_s: float) -> Array:
-        """(n,) position at a time after the take-over."""
-        wanted = self.path.at(time_s)
-        if time_s < self.blend_s:
-            u = time_s / self.blend_s
-            brake = self.start + self.speed * time_s * (1.0 - 0.5 * u)
-            weight = u * u * (3.0 - 2.0 * u)
-            wanted = (1.0 - weight) * np.clip(brake, self.lower, self.upper) + weight * wanted
+    def at(self, time_s: npt.ArrayLike) -> Array:
+        """(..., n) positions at times (...) after the take-over."""
+        t = np.asarray(time_s, float)[..., None]
+        u = np.clip(t / self.blend_s, 0.0, 1.0)
+        brake = np.clip(self.start + self.speed * t * (1.0 - 0.5 * u), self.lower, self.upper)
+        weight = u * u * (3.0 - 2.0 * u)
+        wanted = (1.0 - weight) * brake + weight * self.path.at(time_s)
         return np.clip(wanted, self.lower, self.upper)
 
     @property
@@ -233,7 +233,7 @@ class TakenOver:
 
     def postures(self) -> Array:
         """(N, n) joints on the way."""
-        return np.array([self.at(t) for t in self.looked_at.tolist()])
+        return self.at(self.looked_at)
 
 
 @dataclass(frozen=True)
@@ -257,16 +257,14 @@ class InParts:
         """s"""
         return self.way.duration + self.shaper.duration
 
-    def at(self, time_s: float) -> Array:
-        """(n,) position at a time."""
-        parts = self.shaper.shaped(lambda times: np.array([self.way.at(t) for t in times.tolist()]))
-        return np.asarray(parts(np.array([time_s]))[0])
+    def at(self, time_s: npt.ArrayLike) -> Array:
+        """(..., n) positions at times (...)."""
+        times = np.asarray(time_s, float)
+        return self.shaper.shaped(self.way.at)(times.ravel()).reshape(*times.shape, -1)
 
     def postures(self) -> Array:
         """(N, n) joints on the way, as those of the path itself, of every part."""
-        late = np.unique(self.shaper.delays)
-        times = np.unique(self.way.looked_at[:, None] + late)
-        return np.array([self.at(t) for t in times.tolist()])
+        return self.at(np.unique(self.way.looked_at[:, None] + np.unique(self.shaper.delays)))
 
 
 def plan_path(

@@ -1,19 +1,8 @@
 """Follows a joint trajectory: computes bounded servo goals step by step from the read-back.
 
 It uses neither ROS nor a port. The caller reads the bus, calls ``step`` with the states and sends
-the goals that it returns. On a fault every servo holds its position and no more goals are sent::
-
-    bus = config.open_bus()
-    bus.set_turns({j.servo_id: j.multi_turn for j in config.joints.values()})
-    bus.torque(ids, on=True)
-    while active:  # at a steady rate
-        try:
-            states = bus.read(ids)
-        except IncompleteReply as error:
-            states = error.states
-        step = follower.step(time.monotonic(), states)
-        if step.goals is not None:
-            bus.write_goal(step.goals, config.speed_limits_ticks_s)
+the goals that it returns (`ServoArm.cycle`). On a fault every servo holds its position and no more
+goals are sent.
 """
 
 from __future__ import annotations

@@ -51,23 +51,16 @@ class State:
     @classmethod
     def of(cls, arm: Arm, q: Array, context: TrueContext | None) -> State:
         """Create from joints and a context, with defaults for None."""
-        given = context or TrueContext()
         q = _array("q", q, (len(np.atleast_2d(q)), arm.n))
-        declared = arm.payload.mass_kg if arm.payload else 0.0
-
-        def column(name: str, value: Array | float | None, otherwise: float) -> Array:
-            return _array(name, otherwise if value is None else value, (len(q),))
-
-        return cls(
-            arm,
-            q,
-            _array("approach", 0.0 if given.approach is None else given.approach, q.shape),
-            column("temperature_c", given.temperature_c, arm.reference_temperature_c),
-            column("payload_kg", given.payload_kg, declared),
-            column("t_s", given.t_s, 0.0),
-            _array("behind", 0.0 if given.behind is None else given.behind, q.shape),
-            _array("wound", 0.0 if given.wound is None else given.wound, q.shape),
-        )
+        usual = {
+            "temperature_c": arm.reference_temperature_c,
+            "payload_kg": arm.payload.mass_kg if arm.payload else 0.0,
+        }
+        filled = {}
+        for name, value in vars(context or TrueContext()).items():
+            shape = q.shape if name in ("approach", "behind", "wound") else q.shape[:1]
+            filled[name] = _array(name, usual.get(name, 0.0) if value is None else value, shape)
+        return cls(arm, q, **filled)
 
 
 def _array(name: str, value: Array | float, shape: tuple[int, ...]) -> Array:
