@@ -32,7 +32,8 @@ class Camera:
         d: k1 k2 p1 p2 k3 k4 k5 k6 as OpenCV orders them; shorter is padded with zeros.
 
     Raises:
-        StereoRefusal: UNCALIBRATED, if k is zero, not finite or without focal length.
+        StereoRefusal: UNCALIBRATED, if k is zero, not finite, without focal length, or skewed
+            (OpenCV's camera is not).
     """
 
     k: Array
@@ -63,8 +64,9 @@ class Camera:
                 raise StereoRefusal(RefusalReason.UNCALIBRATED, not_finite=name)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        if min(self.k[0, 0], self.k[1, 1]) <= 0.0:
-            raise StereoRefusal(RefusalReason.UNCALIBRATED, fx=self.k[0, 0], fy=self.k[1, 1])
+        fx, skew, fy = self.k[0, 0], self.k[0, 1], self.k[1, 1]
+        if min(fx, fy) <= 0.0 or skew != 0.0:
+            raise StereoRefusal(RefusalReason.UNCALIBRATED, fx=fx, fy=fy, skew=skew)
         if abs(np.linalg.det(self.rotation) - 1.0) > 1e-3:
             raise StereoRefusal(
                 RefusalReason.UNCALIBRATED, det_rotation=np.linalg.det(self.rotation)

@@ -12,17 +12,9 @@ from longarm_comp.sim.servo_emulator.motor import (
     VOLTAGE,
     Motor,
 )
-from longarm_comp.sim.servo_emulator.wire import (
-    ACTION,
-    PING,
-    READ,
-    REG_WRITE,
-    WRITE,
-    Device,
-    RegisterWire,
-)
+from longarm_comp.sim.servo_emulator.wire import PING, READ, WRITE, Device, RegisterWire
 
-REBOOT, BULK_READ = 8, 0x92
+BULK_READ = 0x92
 MODEL, FIRMWARE, ID, MODE, MAX_POSITION, MIN_POSITION = 0, 6, 7, 11, 48, 52
 TORQUE, HARDWARE_ERROR, PROFILE_VELOCITY, GOAL = 64, 70, 112, 116
 MOVING, LOAD, VELOCITY, POSITION, VOLTS, TEMPERATURE = 122, 126, 128, 132, 144, 146
@@ -92,12 +84,7 @@ class DynamixelWire(RegisterWire):
     def carry_out(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
         if instruction == PING:
             return 0, bytes(device.memory[MODEL : MODEL + 2]) + bytes((device.memory[FIRMWARE],))
-        if instruction == REBOOT:
-            device.motor.clear_alarms()
-            device.motor.switch(False)
-            return 0, b""
-        known = instruction in (READ, WRITE, REG_WRITE)
-        if not known and (instruction != ACTION or device.pending is None):
+        if instruction not in (READ, WRITE):
             return BAD_INSTRUCTION, b""
         return super().carry_out(device, instruction, params)
 

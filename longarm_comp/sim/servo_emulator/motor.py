@@ -112,7 +112,7 @@ class Motor:
         self.torque_on = on and not self.alarms
 
     def clear_alarms(self) -> None:
-        """Clear the alarms as a reboot does. A servo that is still too hot keeps its alarm."""
+        """Clear the alarms. A servo that is still too hot keeps its alarm."""
         self.alarms = {OVERHEAT} & self.alarms if self._hot else set()
         self._overloaded_s = 0.0
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 from longarm_comp.sim.servo_emulator.motor import Motor
 
 BROADCAST = 0xFE
-PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
+PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
 """Instructions that Feetech has taken over from Dynamixel."""
 
 
@@ -20,7 +20,6 @@ class Device:
         self.servo_id = servo_id
         self.memory = memory
         self.motor = motor
-        self.pending: tuple[int, bytes] | None = None
         self.kept = bytes(memory)
 
     def put(self, address: int, length: int, value: int) -> None:
@@ -51,7 +50,6 @@ class Wire(ABC):
         motor = device.motor
         fresh = self.device(device.servo_id, motor).memory
         device.memory[:] = device.kept[: self.kept_below] + fresh[self.kept_below :]
-        device.pending = None
         motor.torque_on, motor.speed_limit, motor.goal = False, 0.0, motor.position
         motor.clear_alarms()
 
@@ -98,14 +96,9 @@ class RegisterWire(Wire):
         """An instruction to one servo: error code and data of its answer."""
         if instruction == READ:
             return self.read(device, *self.words(params))
-        if instruction in (WRITE, REG_WRITE):
-            pending = int.from_bytes(params[: self.word], "little"), params[self.word :]
-            if instruction == WRITE:
-                return self.write(device, *pending), b""
-            device.pending = pending
-        if instruction == ACTION and device.pending is not None:
-            pending, device.pending = device.pending, None
-            return self.write(device, *pending), b""
+        if instruction == WRITE:
+            address = int.from_bytes(params[: self.word], "little")
+            return self.write(device, address, params[self.word :]), b""
         return 0, b""
 
     def words(self, params: bytes) -> tuple[int, int]:
