@@ -20,7 +20,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import SMALL_M, straight
 from longarm_comp.core.vibration.seen import corrected, waves
-from longarm_comp.core.vibration.shaper import shaper_of
+from longarm_comp.core.vibration.shaper import shaper_of, way_modes
 from longarm_comp.math.shaper import Way
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.ringing import Ringing
@@ -114,13 +114,13 @@ def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str,
         for shaping in SHAPINGS:
             made, longer = way, 0.0
             if shaping.model:
-                ends = [modes(known[shaping.model], q) for q in (start, end)]
+                way_by = way_modes(known[shaping.model], way, seconds)
                 if shaping.seen:
-                    ends = [corrected(each, *heard) for each in ends]
-                wrong = [replace(each, omega=shaping.factor * each.omega) for each in ends]
-                shaper = shaper_of(wrong, DAMPING)
+                    way_by = [corrected(each, *heard) for each in way_by]
+                wrong = [replace(each, omega=shaping.factor * each.omega) for each in way_by]
+                shaper = shaper_of(wrong, way, seconds, DAMPING)
                 assert shaper is not None
-                made, longer = shaper.shaped(way), shaper.duration
+                made, longer = shaper.shaped(way, seconds), shaper.duration
             lines.append({
                 "moves": shaping.name, "move_s": seconds, "longer_s": longer,
                 "settle_s": settle_s(after(studied.true, made, seconds + longer)),

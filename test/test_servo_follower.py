@@ -11,7 +11,6 @@ from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.vibration.modes import Modes
 from longarm_comp.core.vibration.ring import left_by
-from longarm_comp.core.vibration.shaper import zvd
 from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.math.shaper import Shaper
 
@@ -180,19 +179,23 @@ def test_a_long_pause_between_steps_makes_no_long_step(rig: Rig) -> None:
 
 
 OMEGA, DAMPING = 2.0 * np.pi * 2.5, 0.02
-PARTS = zvd(np.full(2, OMEGA), DAMPING)
+HALF = np.pi / (OMEGA * np.sqrt(1.0 - DAMPING**2))
+LEFT = np.exp(-DAMPING * OMEGA * HALF)  # of a ring after half a period
+SHARES = np.array([1.0, 2.0 * LEFT, LEFT**2]) / (1.0 + LEFT) ** 2
+PARTS = Shaper(SHARES, HALF * np.arange(3.0), HALF * np.arange(3.0))  # ZVD
 
 
 def ring_of(rig: Rig, since: int) -> float:
     """What a tip that both joints push sideways still rings by after the trace."""
     q = np.stack([rig.column("turn"), 10.0 * rig.column("slide")], axis=1)[since:]
-    mode = Modes(np.array([OMEGA]), np.array([[1.0, 0.0, 0.0]]), np.array([[1.0, 1.0]]))
+    one = np.ones((1, 1))
+    mode = Modes(np.array([OMEGA]), np.array([[1.0, 0.0, 0.0]]), one, one[0], np.ones((1, 2)))
     return left_by(mode, DT * np.arange(len(q)), q, DAMPING).size_m()
 
 
 def test_a_shaped_move_takes_one_period_more_and_leaves_no_ring() -> None:
     left, took = [], []
-    for shapes in (None, lambda start, end: PARTS):
+    for shapes in (None, lambda way, seconds: PARTS):
         rig = Rig(shapes=shapes)
         rig.send((0.9, {"turn": 0.6, "slide": 0.05}))
         steps = rig.run(2.5)
@@ -208,7 +211,7 @@ def test_a_shaped_move_takes_one_period_more_and_leaves_no_ring() -> None:
 
 def test_what_replaces_a_running_move_is_not_shaped_and_a_hold_brakes_at_once() -> None:
     told = []
-    for rig in (Rig(), Rig(shapes=lambda start, end: PARTS)):
+    for rig in (Rig(), Rig(shapes=lambda way, seconds: PARTS)):
         rig.send((0.9, {"turn": 0.6}))
         rig.run(0.5)
         rig.send((0.5, {"turn": 0.1}))
@@ -228,13 +231,16 @@ def test_parts_of_a_move_are_kept_out_of_boxes_too() -> None:
         seen.append(q)
         return ""
 
-    weights = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
-    late = Shaper(weights, np.array([[0.0, 0.0], [0.4, 0.4], [0.4, 0.4]]))
-    rig = Rig(keeps_out=keeps_out, shapes=lambda start, end: late)
-    rig.send((0.9, {"turn": 0.6, "slide": 0.05}))
-    rig.run(2.0)
-    gone = np.stack([rig.column("turn"), rig.column("slide")], axis=1)
-    apart = gone[:, 0] - 0.2 - 20.0 * (gone[:, 1] - 0.03)  # 0 where both go together
-    told = seen[0][:, 0] - 0.2 - 20.0 * (seen[0][:, 1] - 0.03)
-    assert np.abs(apart).max() > 0.1
-    assert np.abs(told).max() == pytest.approx(np.abs(apart).max(), rel=0.02)
+    corner = ((0.9, {"turn": 0.6, "slide": 0.03}), (1.8, {"turn": 0.6, "slide": 0.05}))
+    cut = []
+    late = np.array([0.0, 0.4])
+    for parts in (Shaper(np.ones(1), late[:1], late[:1]), Shaper(np.full(2, 0.5), late, late)):
+        rig = Rig(keeps_out=keeps_out, shapes=lambda way, seconds, parts=parts: parts)
+        rig.send(*corner)
+        rig.run(3.0)
+        gone = np.stack([rig.column("turn"), rig.column("slide")], axis=1)
+        cut.append(
+            [np.hypot(0.6 - q[:, 0], 20.0 * (q[:, 1] - 0.03)).min() for q in (gone, seen[-1])]
+        )
+    assert cut[1][0] > cut[0][0] + 0.02  # it leaves the path
+    assert cut[1][1] == pytest.approx(cut[1][0], abs=0.01)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,12 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import along, straight
 from longarm_comp.core.vibration.seen import SeenWave, corrected, waves
-from longarm_comp.core.vibration.shaper import left_over, shaper_of, zvd
+from longarm_comp.core.vibration.shaper import shaper_of, way_modes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads
 from longarm_comp.sim.ringing import Ringing, vibration
 from studies.random_arms import random_arm
+from studies.ringing import after
 
 ARM = Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
 SOFT = np.array([4e-3, 3e-3, 0.0, 2e-3, 5e-3, 2e-3, 0.0])
@@ -107,30 +109,43 @@ def test_a_sudden_move_rings_by_its_whole_way_and_settles_by_its_damping() -> No
 @pytest.mark.parametrize("damping", [0.0, 1.0, -0.1, float("nan")])
 def test_a_damping_that_cannot_be_is_refused(damping: float) -> None:
     with pytest.raises(InputError, match="damping"):
-        zvd(np.ones(1), damping)
+        along(modes(UPRIGHT, np.zeros(1)), straight(np.zeros(1), np.ones(1), 1.0), 1.0, damping)
     with pytest.raises(InputError, match="damping"):
         Ringing(TrueArm(ARM), damping)
 
 
 def test_a_shaper_cancels_its_mode_and_forgives_a_wrong_frequency() -> None:
-    omega = np.array([10.0, 11.0, 9.0])
-    exact, above, below = left_over(zvd(np.array([10.0]), 0.03), omega, 0.03)[0]
-    assert exact < 1e-12
-    assert 0.01 < above < 0.03 and 0.01 < below < 0.03  # (pi / 2 * 0.1)^2
-    assert zvd(omega, 0.03).weights.sum(axis=0) == pytest.approx(1.0)
-    assert zvd(omega, 0.03).duration == pytest.approx(2 * np.pi / (9.0 * np.sqrt(1 - 0.03**2)))
-
-
-def test_a_shaped_move_of_the_arm_leaves_little_and_ends_where_it_was_sent() -> None:
-    start, end = ARM.mid + 0.2 * (ARM.upper - ARM.lower), ARM.mid
-    found, way = modes(SOFT_ARM, end), straight(start, end, 0.7)
-    shaper = shaper_of([found], 0.01)
+    way, seconds = straight(np.zeros(1), np.array([0.5]), 0.2), 0.2
+    found = way_modes(UPRIGHT, way, seconds)
+    assert [each.omega[0] for each in found] == pytest.approx([OMEGA] * len(found), rel=1e-4)
+    shaper = shaper_of(found, way, seconds, 0.03)
     assert shaper is not None
-    plain = along(found, way, 0.7, 0.01)
-    shaped = along(found, way, 0.7, 0.01, shaper)
-    assert plain.size_m() > 0.01 and shaped.size_m() < 0.02 * plain.size_m()
-    ends = shaper.shaped(way)(np.array([0.0, 0.7 + shaper.duration]))
-    np.testing.assert_allclose(ends, [start, end], atol=1e-12)
+    assert shaper.weights.sum() == pytest.approx(1.0) and (shaper.weights > 0.0).all()
+    assert shaper.duration == pytest.approx(2.0 * np.pi / OMEGA, rel=1e-4)
+    unshaped = along(found[-1], way, seconds, 0.03).size_m()
+    for factor, most in ((1.0, 0.01), (1.1, 0.04), (0.9, 0.04)):
+        wrong = replace(found[-1], omega=factor * found[-1].omega)
+        left = along(wrong, shaper.shaped(way, seconds), seconds + shaper.duration, 0.03)
+        assert left.size_m() < most * unshaped
+    assert shaper_of([modes(Model(ONE), np.zeros(1))], way, seconds, 0.03) is None
+
+
+def test_a_shaped_move_of_the_arm_leaves_little_straight_to_where_it_was_sent() -> None:
+    """The true arm, by its own physics; its frequencies change by a fifth on the way."""
+    true, took = TrueArm(ARM, [loads.JointCompliance(SOFT)]), 0.7
+    start, end = ARM.mid + 0.2 * (ARM.upper - ARM.lower), ARM.mid - 0.1 * (ARM.upper - ARM.lower)
+    way = straight(start, end, took)
+    shaper = shaper_of(way_modes(SOFT_ARM, way, took), way, took, 0.01)
+    assert shaper is not None
+    ways = (way, took), (shaper.shaped(way, took), took + shaper.duration)
+    plain, shaped = (
+        np.abs(after(true, *sent).left(np.arange(0.0, 1.0, 0.01))).max() for sent in ways
+    )
+    assert plain > 0.01 and shaped < 0.02 * plain
+    places = shaper.shaped(way, took)(np.linspace(0.0, took + shaper.duration, 50))
+    np.testing.assert_allclose(places[[0, -1]], [start, end], atol=1e-12)
+    shares = (places - start) / (end - start)
+    np.testing.assert_allclose(shares, np.repeat(shares[:, :1], ARM.n, axis=1), atol=1e-12)
 
 
 def test_the_true_arm_rings_as_the_model_says() -> None:

@@ -240,8 +240,8 @@ class TakenOver:
 class InParts:
     """A path from rest, sent in parts so that the arm does not ring at its end.
 
-    Between the parts each joint is a mean of where the path has it: inside the joint box and the
-    limits of velocity, but not on the path.
+    The joints are at a mean of where the parts have them: inside the joint box and the limits of
+    velocity, and on the path where it is straight.
     """
 
     way: TakenOver
@@ -260,11 +260,14 @@ class InParts:
     def at(self, time_s: npt.ArrayLike) -> Array:
         """(..., n) positions at times (...)."""
         times = np.asarray(time_s, float)
-        return self.shaper.shaped(self.way.at)(times.ravel()).reshape(*times.shape, -1)
+        shaped = self.shaper.shaped(self.way.at, self.way.duration)
+        return shaped(times.ravel()).reshape(*times.shape, -1)
 
     def postures(self) -> Array:
         """(N, n) joints on the way, as those of the path itself, of every part."""
-        return self.at(np.unique(self.way.looked_at[:, None] + np.unique(self.shaper.delays)))
+        begins, ends = self.shaper.begins, self.shaper.ends
+        paces = 1.0 + (ends - begins) / self.way.duration
+        return self.at(np.unique(np.outer(self.way.looked_at, paces) + begins))
 
 
 def plan_path(

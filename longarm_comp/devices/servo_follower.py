@@ -27,14 +27,14 @@ from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble, ServoWatch
 from longarm_comp.devices.trim import Trim
-from longarm_comp.math.shaper import Shaper
+from longarm_comp.math.shaper import Shaper, Way
 
 __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
 
 
 KeepsOut = Callable[[Array], str]
 """Says why an arm must not go through joints (N, n); empty where it may."""
-Shapes = Callable[[Array, Array], Shaper | None]
+Shapes = Callable[[Way, float], Shaper | None]
 """How a move from rest at joints (n,) to others is sent in parts; None: as it is."""
 
 
@@ -126,7 +126,7 @@ class TrajectoryFollower:
         taken = self._taken_over(path, start)
         way: TakenOver | InParts = taken
         if wanted is not None and self._shapes is not None and not accepted.replaces:
-            shaper = self._shapes(start, path.end)
+            shaper = self._shapes(taken.at, taken.duration)
             way = taken if shaper is None else InParts(taken, shaper)
         if wanted is not None and self._keeps_out is not None:
             entry = self._keeps_out(way.postures())

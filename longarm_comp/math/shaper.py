@@ -13,24 +13,34 @@ Way = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Shaper:
-    """Parts of every joint's motion: shares (3, n), which add up to 1, and delays (3, n) in s."""
+    """Parts of a motion that takes some seconds from time 0 on.
+
+    Attributes:
+        weights: (P,) shares above 0, which add up to 1.
+        begins, ends: (P,) s: by how much later a part begins and ends than the motion. None ends
+            less late than it begins: no part is faster than the motion.
+    """
 
     weights: np.ndarray
-    delays: np.ndarray
+    begins: np.ndarray
+    ends: np.ndarray
 
     @property
     def duration(self) -> float:
         """By how much a motion takes longer, s."""
-        return float(self.delays.max(initial=0.0))
+        return float(self.ends.max(initial=0.0))
 
-    def shaped(self, way: Way) -> Way:
+    def since(self, times: np.ndarray, seconds: float) -> np.ndarray:
+        """(P, M): times of a motion of some seconds that its parts have reached at times (M,)."""
+        pace = seconds / (seconds + self.ends - self.begins)
+        since = np.subtract.outer(times, self.begins) * pace
+        return np.asarray(np.clip(since, 0.0, seconds).T)
+
+    def parts(self, way: Way, times: np.ndarray, seconds: float) -> np.ndarray:
+        """(P, M, n): joints of every part at times (M,)."""
+        since = self.since(times, seconds)
+        return way(since.ravel()).reshape(*since.shape, -1)
+
+    def shaped(self, way: Way, seconds: float) -> Way:
         """The motion in parts; before its time 0 the arm stands still."""
-
-        def at(times: np.ndarray) -> np.ndarray:
-            whole = np.zeros((len(times), self.weights.shape[1]))
-            for weights, delays in zip(self.weights, self.delays, strict=True):
-                for joint, (share, late) in enumerate(zip(weights, delays, strict=True)):
-                    whole[:, joint] += share * way(np.maximum(times - late, 0.0))[:, joint]
-            return whole
-
-        return at
+        return lambda times: np.tensordot(self.weights, self.parts(way, times, seconds), 1)

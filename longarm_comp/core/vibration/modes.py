@@ -11,19 +11,20 @@ shear, and what weight adds to the stiffness.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.posture import LineLoads, Posture
-from longarm_comp.core.arm.spatial import Scalar, Vec
+from longarm_comp.core.arm.posture import LineLoads, Posture, abs_
+from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.ik.kernel import geometric
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import Model, unstack
 
 MODES = 6
 """Modes that are kept, the slowest first."""
@@ -33,11 +34,11 @@ _PUSH = 0.1
 
 @dataclass(frozen=True)
 class Mass:
-    """A lumped mass: kg, at a point (m) in the axes of a station."""
+    """A lumped mass: kg, at a point (m) in the axes of a station; at N postures (N,) of each."""
 
     station: int
     at: Vec
-    mass: float
+    mass: Scalar
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,17 +48,25 @@ class Modes:
     Attributes:
         omega: (k,) rad/s, undamped.
         tip: (k, 3) motion of the tip, m per unit of the mode.
-        driven: (k, n) how a unit of each joint's acceleration drives a mode.
+        shape: (k, m) motion of all masses along x, y, z. mass: (m,) kg.
+        carried: (m, n) motion of all masses by a unit of each joint, the bend held.
     """
 
     omega: np.ndarray
     tip: np.ndarray
-    driven: np.ndarray
+    shape: np.ndarray
+    mass: np.ndarray
+    carried: np.ndarray
 
     @property
     def hz(self) -> np.ndarray:
         """(k,) frequencies."""
         return np.asarray(self.omega / (2.0 * np.pi))
+
+    @cached_property
+    def driven(self) -> np.ndarray:
+        """(k, n) how a unit of each joint's acceleration drives a mode."""
+        return np.asarray(-(self.shape * self.mass) @ self.carried)
 
 
 def modes(model: Model, q: np.ndarray, context: Context | None = None) -> Modes:
@@ -68,44 +77,57 @@ def modes(model: Model, q: np.ndarray, context: Context | None = None) -> Modes:
         q: (n,) rad and m.
         context: circumstances; the payload above all.
     """
+    return modes_along(model, np.asarray(q, float)[None], 1, context)[0]
+
+
+def modes_along(
+    model: Model, joints: np.ndarray, count: int, context: Context | None = None
+) -> list[Modes]:
+    """Modes at so many places, evenly along a way of which joints (N, n) are known, evenly too.
+
+    Between these masses and flexibility go along cubics.
+    """
     # Of all beams together, at least; twice as many change the first frequencies by less than 1 %
     each = -(-12 // max(1, len(model.arm.links)))
     fine = replace(model, elements_per_beam=max(each, model.elements_per_beam))
-    posture = fine.posture(tuple(float(x) for x in q), context)
-    masses = _masses_of(posture)
-    n, tip = model.arm.n, model.arm.tip
-    points = [*masses, Mass(posture.frame(tip.frame), tip.position_m, 0.0)]
-    root = np.repeat(np.sqrt([p.mass for p in points]), 3)
-    bend = flexibility(fine, posture, points)
+    posture = fine.posture(unstack(joints), context)
+    known, tip = len(joints), model.arm.tip
+    points = [*_masses_of(posture), Mass(posture.frame(tip.frame), tip.position_m, 0.0)]
+    mass = np.repeat(np.array([np.broadcast_to(p.mass, known) for p in points]).T, 3, axis=1)
+    bends = flexibility(fine, posture, points, known)
+    carried = np.concatenate([_carried(posture, p, known) for p in points], axis=1)
+    if known > 1:
+        asked, given = np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, known)
+        mass, bends, carried = (CubicSpline(given, x)(asked) for x in (mass, bends, carried))
+    return [_modes(*row) for row in zip(np.maximum(mass, 0.0), bends, carried, strict=True)]
+
+
+def _modes(mass: np.ndarray, bend: np.ndarray, carried: np.ndarray) -> Modes:
+    """Modes of masses (m,) with a flexibility (m, m); the last of them is the tip, without mass."""
+    root = np.sqrt(mass)
     values, shapes = np.linalg.eigh(root[:, None] * bend * root)
-    chosen = np.flatnonzero(values > _ROUNDING * max(values[-1], 0.0))[::-1][:MODES]
-    if not len(chosen):
-        return Modes(np.zeros(0), np.zeros((0, 3)), np.zeros((0, n)))
-    omega, shape = 1.0 / np.sqrt(values[chosen]), shapes[:, chosen]
-    moved = (bend @ (root[:, None] * shape)) * omega**2  # of points without mass too
-    carried = np.concatenate([_carried(posture, p) for p in points])
-    return Modes(omega, moved[-3:].T, -shape.T @ (root[:, None] * carried))
+    chosen = np.flatnonzero(values > _STIFF * max(values[-1], 0.0))[::-1][:MODES]
+    omega = 1.0 / np.sqrt(values[chosen])
+    moved = ((bend @ (root[:, None] * shapes[:, chosen])) * omega**2).T
+    return Modes(omega, moved[:, -3:], moved[:, :-3], mass[:-3], carried[:-3])
 
 
-_ROUNDING = 1e-9
-"""Smaller eigenvalues, compared with the largest, are rounding."""
+_STIFF = 1e-4
+"""What yields less, compared with the slowest mode, does not ring: it is 100 times as fast."""
 
 
 def _masses_of(posture: Posture) -> list[Mass]:
     """All masses of the arm, each at a station; beams at the ends of their elements."""
-    found: dict[tuple[int, Vec], float] = defaultdict(float)
-    for station, held in posture.station_masses().items():
-        for mass, (x, y, z) in held:
-            found[station, (float(x), float(y), float(z))] += float(mass)
+    found = [Mass(station, at, mass) for station, held in posture.station_masses().items()
+             for mass, at in held]  # fmt: skip
+    ends: dict[int, Scalar] = {}
     for station, spread in posture.line_loads.items():
-        length = abs(float(posture.lengths[station]))
+        length = abs_(posture.lengths[station])
         for density, loaded in spread:
-            if loaded > 0.0:
-                near = 0.5 * float(loaded) / length  # share with the same centre
-                mass = float(density * loaded)
-                found[station, spatial.ZERO] += (1.0 - near) * mass
-                found[station - 1, spatial.ZERO] += near * mass
-    return [Mass(station, at, mass) for (station, at), mass in found.items() if mass > 0.0]
+            near = 0.5 * loaded / length * density * loaded  # share with the same centre
+            ends[station] = ends.get(station, 0.0) + density * loaded - near
+            ends[station - 1] = ends.get(station - 1, 0.0) + near
+    return found + [Mass(station, spatial.ZERO, mass) for station, mass in ends.items()]
 
 
 @dataclass(frozen=True)
@@ -123,45 +145,65 @@ class _Pushed(Posture):
         return {e.station: [] for row in rows for e in (*row.elements_a, *row.elements_d)}
 
 
-def flexibility(model: Model, posture: Posture, points: list[Mass]) -> np.ndarray:
-    """(3 P, 3 P) m/N: motion of every point by a push along x, y, z of the base at every point."""
+def flexibility(model: Model, posture: Posture, points: list[Mass], postures: int) -> np.ndarray:
+    """(N, 3 P, 3 P) m/N at N postures: motion of every point by pushes along x, y, z of the base.
+
+    All pushes at all postures are one posture of N times 4 times 3 P rows.
+    """
     count = 3 * len(points)
-    weight = sum(p.mass for p in points) * float(np.linalg.norm(posture.gravity)) or 1.0
-    sizes = _PUSH * weight * np.repeat([1.0, 2.0, -1.0, -2.0], count)
-    which = np.tile(np.repeat(np.arange(len(points)), 3), 4)
-    along = np.tile(np.arange(count) % 3, 4)
+    weight = (
+        float(np.max(sum(p.mass for p in points))) * float(np.linalg.norm(model.arm.gravity_mps2))
+        or 1.0
+    )
+    sizes = np.tile(_PUSH * weight * np.repeat([1.0, 2.0, -1.0, -2.0], count), postures)
+    which = np.tile(np.repeat(np.arange(len(points)), 3), 4 * postures)
+    along = np.tile(np.arange(count) % 3, 4 * postures)
+
+    def rows(scalars: tuple[Scalar, ...]) -> tuple[Any, ...]:
+        return tuple(x if np.ndim(x) == 0 else np.repeat(x, 4 * count) for x in scalars)
+
+    frames = [Frame(*(rows(part) for part in frame)) for frame in posture.frames]
     pushes: dict[int, list[tuple[Scalar, Vec]]] = {}
     for k, p in enumerate(points):
-        pushes.setdefault(p.station, []).append(((which == k).astype(float), p.at))
+        pushes.setdefault(p.station, []).append(((which == k).astype(float), rows(p.at)))
     x, y, z = (np.where(along == axis, sizes, 0.0) for axis in range(3))
+    context = posture.context.take(np.repeat(np.arange(postures), 4 * count))
     pushed = _Pushed(
-        posture.chain, posture.q, posture.context, posture.frames, posture.lengths, (x, y, z),
-        pushes=pushes,
+        posture.chain, rows(posture.q), context, frames, list(rows(tuple(posture.lengths))),
+        (x, y, z), pushes=pushes,
     )  # fmt: skip
-    moved = np.zeros((len(points), 3, count))
+    moved = np.zeros((postures, len(points), 3, count))
     carriers = np.array([p.station for p in points])
-    places = np.array([posture.frames[p.station].transform(p.at) for p in points], float)
+    places = _points([posture.frames[p.station].transform(p.at) for p in points], postures)
     for station, twist in model.twists(pushed).items():
-        frame = posture.frames[station]
         d, delta = (
-            np.stack([np.broadcast_to(x, 4 * count) for x in frame.rotate(part)])
-            for part in (twist[:3], twist[3:])
+            _slope(np.stack([np.broadcast_to(x, 4 * count * postures) for x in turned]), postures)
+            / (2.0 * _PUSH * weight)
+            for turned in (frames[station].rotate(part) for part in (twist[:3], twist[3:]))
         )
-        d, delta = (_slope(x) / (2.0 * _PUSH * weight) for x in (d, delta))
         after = carriers >= station
-        levers = places[after] - np.array(frame.p, float)
-        moved[after] += d + np.cross(delta, levers[:, :, None], axisa=0, axisb=1, axisc=1)
-    bend = moved.reshape(count, count)
-    return 0.5 * (bend + bend.T)
+        levers = places[:, after] - _points([posture.frames[station].p], postures)
+        turned = np.cross(delta[:, None], levers[..., None], axisa=2, axisb=2, axisc=2)
+        moved[:, after] += d[:, None] + turned
+    bends = moved.reshape(postures, count, count)
+    return 0.5 * (bends + bends.swapaxes(1, 2))
 
 
-def _slope(answers: np.ndarray) -> np.ndarray:
-    """Twice the push times the slope between one and two pushes to either side, (3, N)."""
-    up, twice, down, back = np.split(answers, 4, axis=1)
+def _points(places: Sequence[Vec], postures: int) -> np.ndarray:
+    """(N, P, 3) of P places with scalars or (N,) in them."""
+    return np.array(
+        [[np.broadcast_to(x, postures) for x in place] for place in places], float
+    ).transpose(2, 0, 1)
+
+
+def _slope(answers: np.ndarray, postures: int) -> np.ndarray:
+    """Twice the push times the slope between one and two pushes to either side, (N, 3, P)."""
+    up, twice, down, back = answers.reshape(3, postures, 4, -1).transpose(2, 1, 0, 3)
     return np.asarray((twice - up) - (back - down))
 
 
-def _carried(posture: Posture, point: Mass) -> np.ndarray:
-    """(3, n): motion of a point by a unit of every joint, the bend held."""
+def _carried(posture: Posture, point: Mass, postures: int) -> np.ndarray:
+    """(N, 3, n): motion of a point by a unit of every joint, the bend held."""
     place = posture.frames[point.station].transform(point.at)
-    return np.array([linear for linear, _ in geometric(posture, place, point.station)], float).T
+    columns = [linear for linear, _ in geometric(posture, place, point.station)]
+    return _points(columns, postures).swapaxes(1, 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.optimize import brentq
 from longarm_comp.core.compensation.retime import Timed
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.vibration.modes import Modes
-from longarm_comp.math.shaper import Shaper, Way
+from longarm_comp.math.shaper import Way
 
 SMALL_M = 1e-4
 """A ring below it is over: what a good camera sees of one picture."""
@@ -49,37 +50,76 @@ class Ring:
         return float(brentq(lambda t: np.log(self.size_m(t) / limit_m), 0.0, late + 1e-9))
 
 
-def left_by(modes: Modes, times: np.ndarray, joints: np.ndarray, damping: float) -> Ring:
-    """The ring at the end of a motion from rest to rest; the joints go straight in between.
+def amplitudes(
+    way: Sequence[Modes],
+    where: np.ndarray,
+    times: np.ndarray,
+    joints: np.ndarray,
+    damping: float,
+    factors: np.ndarray,
+) -> np.ndarray:
+    """(F, k, P) amplitudes at the end of P motions from rest; the joints go straight in between.
+
+    The modes change on the way: where one posture's follow upon another's, the masses go on where
+    they are, and as fast.
 
     Args:
-        modes: at its end.
-        times: (M,) s, increasing, far closer than a period. joints: (M, n).
+        way: modes at places of the way. where: (M,) rising, the place at each time.
+        times: (M,) s, increasing, far closer than a period. joints: (M, n, P).
         damping: share of critical damping of every mode.
+        factors: (F,) by which all frequencies are multiplied, each in turn.
     """
     if not 0.0 < damping < 1.0:
         raise InputError("ringing", "damping", damping, "above 0 and below 1")
-    speeds = np.diff(joints, axis=0) / np.diff(times)[:, None]
-    kicks = np.diff(speeds, axis=0, prepend=0.0, append=0.0) @ modes.driven.T  # (M, k)
-    damped = modes.omega * np.sqrt(1.0 - damping**2)
-    rate = -damping * modes.omega + 1j * damped
-    since = np.exp(np.multiply.outer(times[-1] - times, rate))
-    return Ring(rate, modes.tip, (kicks * since).sum(axis=0) / (1j * damped))
+    count = min(len(modes.omega) for modes in way)
+    rates = [np.multiply.outer(factors, _rates(modes, damping)[:count])[..., None] for modes in way]
+    speeds = np.diff(joints, axis=0) / np.diff(times)[:, None, None]
+    wave = np.zeros((len(factors), count, joints.shape[2]), complex)
+    here, before = int(where[0]), np.zeros(joints.shape[1:])
+    for step, took, speed in zip(where, np.diff(times, append=times[-1]),
+                                 [*speeds, np.zeros_like(before)], strict=True):  # fmt: skip
+        while here < step:
+            old, new = way[here], way[here + 1]
+            pull = new.shape[:count] * new.mass
+            pace = old.shape[:count].T @ (wave * rates[here]).real
+            pace = pull @ (pace + (old.carried - new.carried) @ before)
+            place = pull @ old.shape[:count].T @ wave.real
+            rate = rates[here + 1]
+            wave = place + 1j * (rate.real * place - pace) / rate.imag
+            here += 1
+        kick = way[here].driven[:count] @ (speed - before)
+        wave = (wave + kick / (1j * rates[here].imag)) * np.exp(rates[here] * took)
+        before = speed
+    return wave
 
 
-def along(
-    modes: Modes, way: Way, seconds: float, damping: float, shaper: Shaper | None = None
-) -> Ring:
-    """The ring after a motion that takes some seconds from time 0 on, shaped if asked for.
+def _rates(modes: Modes, damping: float) -> np.ndarray:
+    return np.asarray(modes.omega * (-damping + 1j * np.sqrt(1.0 - damping**2)))
 
-    Its time 0 is the motion's end, that of the shaped motion.
-    """
-    if shaper is not None:
-        way, seconds = shaper.shaped(way), seconds + shaper.duration
-    fastest = float(modes.hz.max(initial=1.0 / seconds))
-    # Samples of a move in a period of the fastest mode
-    count = int(np.ceil(32 * max(1.0, fastest * seconds)))
-    times = np.linspace(0.0, seconds, count + 1)
+
+def left_by(modes: Modes, times: np.ndarray, joints: np.ndarray, damping: float) -> Ring:
+    """The ring at the end of a motion (M, n) from rest to rest, by the modes there."""
+    if not len(modes.omega):
+        return Ring(np.zeros(0, complex), modes.tip, np.zeros(0, complex))
+    whole = amplitudes([modes], np.zeros(len(times), int), times, joints[..., None], damping,
+                       np.ones(1))  # fmt: skip
+    return Ring(_rates(modes, damping), modes.tip, whole[0, :, 0])
+
+
+def sampled(modes: Sequence[Modes], seconds: float) -> np.ndarray:
+    """(M,) s from 0 on: times in a motion that are far closer than a period of these modes."""
+    fastest = max(float(each.hz.max(initial=1.0 / seconds)) for each in modes)
+    return np.linspace(0.0, seconds, int(np.ceil(_IN_A_PERIOD * max(1.0, fastest * seconds))) + 1)
+
+
+_IN_A_PERIOD = 16
+"""Samples in a period of the fastest mode: a straight line of the joints between two of them is
+off by a thousandth of the way."""
+
+
+def along(modes: Modes, way: Way, seconds: float, damping: float) -> Ring:
+    """The ring after a motion that takes some seconds from time 0 on; its time 0 is their end."""
+    times = sampled([modes], seconds)
     return left_by(modes, times, way(times), damping)
 
 

@@ -1,74 +1,90 @@
-"""Input shaping: every joint's move is sent in parts, so that their rings cancel.
+"""Input shaping: a move is sent in parts, so that their rings cancel (Singer and Seering 1990).
 
-ZVD (Singer and Seering 1990): three parts half a damped period apart.  Neither a ring at that
-frequency is left nor, to first order, one where the frequency is wrong.  Each joint has the
-frequency that leaves least of all the modes that it drives.
+All joints go in the same parts, so a straight move stays straight, and inside its limits of
+velocity and acceleration.  A part begins later than the move, and ends as much later or more.  The
+shares are those (none negative) that leave least of a ring at the tip, by the modes all along the
+way and for frequencies that may be wrong.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import combinations_with_replacement
+from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import nnls
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.vibration.modes import Modes, modes
-from longarm_comp.math.shaper import Shaper
-
-
-def zvd(omega: np.ndarray, damping: float) -> Shaper:
-    """Shapers of modes of frequencies (n,) rad/s, undamped, and a share of critical damping."""
-    if not 0.0 < damping < 1.0:
-        raise InputError("ringing", "damping", damping, "above 0 and below 1")
-    root = np.sqrt(1.0 - damping**2)
-    decay = np.exp(-np.pi * damping / root)  # of a ring, in half a period
-    weights = np.array([1.0, 2.0 * decay, decay**2]) / (1.0 + decay) ** 2
-    return Shaper(
-        np.repeat(weights[:, None], len(omega), axis=1),
-        np.multiply.outer([0.0, 0.5, 1.0], 2.0 * np.pi / (omega * root)),
-    )
-
-
-def shaper_of(ends: Sequence[Modes], damping: float) -> Shaper | None:
-    """The shaper of every joint's move between two postures; None where nothing bends.
-
-    A move kicks the arm where it begins and where it ends. Among the modes there and the means of
-    two of them, the frequency is taken that leaves least of what the joint's acceleration bends at
-    the tip.
-    """
-    bending = [modes for modes in ends if len(modes.omega)]
-    if not bending:
-        return None
-    pairs = combinations_with_replacement(np.concatenate([m.omega for m in bending]).tolist(), 2)
-    tried = np.unique([np.sqrt(a * b) for a, b in pairs])
-    sent = zvd(tried, damping)
-    left = sum(left_over(sent, m.omega, damping) @ _bends(m) for m in bending)  # (tried, n)
-    return zvd(tried[np.argmin(left, axis=0)], damping)
-
-
-def _bends(modes: Modes) -> np.ndarray:
-    """(k, n) m: how far the tip goes in each mode by a unit of each joint's acceleration."""
-    return np.abs(modes.driven) * (np.linalg.norm(modes.tip, axis=1) / modes.omega**2)[:, None]
-
-
-def left_over(shaper: Shaper, omega: np.ndarray, damping: float) -> np.ndarray:
-    """(n, k): share of a ring that each of n shapers leaves of modes (k,) rad/s, at its end."""
-    rate = -damping * omega + 1j * omega * np.sqrt(1.0 - damping**2)
-    later = shaper.delays[-1] - shaper.delays
-    parts = shaper.weights[..., None] * np.exp(np.multiply.outer(later, rate))
-    return np.asarray(np.abs(parts.sum(axis=0)))
-
+from longarm_comp.core.vibration.modes import Modes, modes_along
+from longarm_comp.core.vibration.ring import amplitudes, sampled
+from longarm_comp.math.shaper import Shaper, Way
 
 USUAL_DAMPING = 0.01
 """Of an arm that declares none, for the shares of a shaper: 0.05 more leave 6 % of a ring."""
+FREQUENCY_SD = 0.05
+"""Of a model's frequencies, as a share: a calibration knows a stiffness to some 10 %."""
+_DELAYS = 7
+"""By which parts may begin and end later: a sixth of the period apart."""
+_PLACES, _KNOWN = 41, 9
+"""Places of a way where modes are asked for, and where they are computed: a joint that goes through
+its range changes them as a cubic in a ninth of it."""
+_ROUNDS = 3
+"""Of shares and of where the arm then is when, each of which needs the other."""
 
 
-def shaping(
-    model: Model, names: list[str], where: str
-) -> Callable[[np.ndarray, np.ndarray], Shaper | None]:
-    """The shaper of a move from joints (n,) to joints (n,), in the order of their names.
+def way_modes(model: Model, way: Way, seconds: float) -> list[Modes]:
+    """Modes evenly along a motion that takes some seconds from time 0 on."""
+    times, share = _progress(way, seconds)
+    return modes_along(model, way(np.interp(np.linspace(0.0, 1.0, _KNOWN), share, times)), _PLACES)
+
+
+def _progress(way: Way, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times (M,), and the share of the way that is behind the joints at each, 0 to 1."""
+    times = np.linspace(0.0, seconds, 8 * _PLACES)
+    moved = np.abs(np.diff(way(times), axis=0))
+    gone = np.cumsum((moved / np.maximum(moved.sum(axis=0), 1e-12)).max(axis=1))
+    return times, np.append(0.0, gone) / max(float(gone[-1]), 1e-12)
+
+
+def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) -> Shaper | None:
+    """The shaper of a motion from rest to rest, one period longer; None where nothing bends.
+
+    Args:
+        along: modes evenly along the motion. way, seconds: the motion, from time 0 on.
+        damping: share of critical damping.
+    """
+    if not all(len(modes.omega) for modes in along):
+        return None
+    late = np.linspace(0.0, 2.0 * np.pi / min(m.omega[0] for m in along), _DELAYS)
+    begin, end = np.triu_indices(_DELAYS)
+    parts = Shaper(np.full(len(begin), 1.0 / len(begin)), late[begin], late[end])
+    times = sampled(along, seconds + parts.duration)
+    joints = np.moveaxis(parts.parts(way, times, seconds), 0, 2)
+    progress = np.interp(parts.since(times, seconds), *_progress(way, seconds))
+    # A normal distribution by three points (Gauss and Hermite)
+    factors = 1.0 + FREQUENCY_SD * np.sqrt(3.0) * np.array([-1.0, 0.0, 1.0])
+    chances = np.sqrt([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])[:, None, None]
+    for _ in range(_ROUNDS):
+        where = np.rint((len(along) - 1) * (parts.weights @ progress)).astype(int)
+        left = amplitudes(along, where, times, joints, damping, factors)
+        sizes = np.linalg.norm(along[-1].tip[: left.shape[1]], axis=1)[:, None]
+        left = (chances * sizes * left).reshape(-1, len(begin))
+        rows = np.concatenate([left.real, left.imag])
+        heavy = _SUM_ONE * np.abs(rows).max()  # the last row: the shares add up to 1
+        weights, _ = nnls(np.vstack([rows, np.full(len(begin), heavy)]),
+                          np.append(np.zeros(len(rows)), heavy))  # fmt: skip
+        parts = replace(parts, weights=weights / weights.sum())
+    used = parts.weights > 0.0
+    return Shaper(parts.weights[used], parts.begins[used], parts.ends[used])
+
+
+_SUM_ONE = 1e3
+"""Weight of the condition that shares add up to 1, in the largest ring of one part."""
+
+
+def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float], Shaper | None]:
+    """The shaper of a motion from rest: joints by time, in the order of their names, and seconds.
 
     Raises:
         InputError: names ``where``: a joint of the arm is not among the names.
@@ -78,15 +94,14 @@ def shaping(
         if name not in names:
             raise InputError(where, f"servo of {name}", "missing", ", ".join(names))
     order = [names.index(name) for name in arm.joint_names]
-    damping = arm.damping or USUAL_DAMPING
 
-    def of(start: np.ndarray, end: np.ndarray) -> Shaper | None:
-        made = shaper_of([modes(model, q[order]) for q in (start, end)], damping)
-        if made is None:
+    def of(way: Way, seconds: float) -> Shaper | None:
+        def mine(times: np.ndarray) -> np.ndarray:
+            return way(times)[:, order]
+
+        if not seconds > 0.0 or not np.ptp(mine(np.linspace(0.0, seconds, _PLACES)), axis=0).any():
             return None
-        weights, delays = np.zeros((2, 3, len(names)))
-        weights[0] = 1.0  # a servo beside the arm goes as it is sent
-        weights[:, order], delays[:, order] = made.weights, made.delays
-        return Shaper(weights, delays)
+        along = way_modes(model, mine, seconds)
+        return shaper_of(along, mine, seconds, arm.damping or USUAL_DAMPING)
 
     return of
