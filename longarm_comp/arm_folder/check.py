@@ -28,7 +28,7 @@ from longarm_comp.core.arm.beam import Beam, Rect, Tube
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.model.model import unstack
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.devices.servo_config import ServoConfig
 
@@ -99,7 +99,10 @@ def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[FolderFinding]:
         element = (row.elements_a if beam.role == "a" else row.elements_d)[0]
         fell = np.array([float(v) for v in posture.gravity_in(element.station)])
         across = [(element.axis + 1) % 3, (element.axis + 2) % 3]
-        text = f"{_section(beam)}; {_stiffness(beam)}; {1e3 * beam.mass_kg:.4g} g"
+        first, second, torsion = beam.stiffness
+        bending = f"{first:.3g}" if first == second else f"{first:.3g} and {second:.3g}"
+        stiff = f"EI {bending}, GJ {torsion:.3g} N m^2"
+        text = f"{_section(beam)}; {stiff}; {1e3 * beam.mass_kg:.4g} g"
         if isinstance(beam.section, Rect):
             text += _standing(beam.section, fell[across], float(np.linalg.norm(fell)))
         yield declared(f"arm.yaml: links.{beam.name}", text)
@@ -110,14 +113,8 @@ def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[FolderFinding]:
     )
     said = f"held out to {out.max():.2f} m ({joints}) the tip sags by {sag:.3g} mm. Measure it: "
     yield declared("arm.yaml: links", said + "twice as much or half is a wrong section or side")
-    yield from _ringing(model, at)
-
-
-def _ringing(model: Model, at: np.ndarray) -> Iterator[FolderFinding]:
-    """How it rings there."""
-    hz = modes(model, at).hz
+    hz, known = modes(model, at).hz, model.arm.damping
     if len(hz):
-        known = model.arm.damping
         more = f"damping {known:g}" if known else "how long: longarm modes, and `damping`"
         yield declared("arm.yaml: damping", f"there it rings at {hz[0]:.3g} Hz; {more}")
 
@@ -136,12 +133,6 @@ def _section(beam: Beam) -> str:
         return f"tube {1e3 * section.od_m:.4g}{inner} mm"
     wall = f"wall {1e3 * section.wall_m:.4g}" if section.wall_m else "solid"
     return f"{1e3 * section.width_m:.4g} wide x {1e3 * section.height_m:.4g} high mm, {wall}"
-
-
-def _stiffness(beam: Beam) -> str:
-    first, second, torsion = beam.stiffness
-    bending = f"{first:.3g}" if first == second else f"{first:.3g} and {second:.3g}"
-    return f"EI {bending}, GJ {torsion:.3g} N m^2"
 
 
 def _standing(section: Rect, fell: np.ndarray, gravity: float) -> str:

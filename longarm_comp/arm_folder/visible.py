@@ -112,7 +112,8 @@ class View:
                     for side, seen in zip(("left", "right"), found, strict=True)
                     if seen[k].mean() < self.share
                 ]
-                why.append(f"out of view of {_cameras(sides)} ({self._where(middle[k])})")
+                who = f"the {sides[0]} camera" if len(sides) == 1 else "both cameras"
+                why.append(f"out of view of {who} ({self._where(middle[k])})")
             # A tag that is turned further from a camera is not found
             elif facing[k] < np.cos(np.radians(75.0)):
                 turned = np.degrees(np.arccos(np.clip(facing[k], -1.0, 1.0)))
@@ -153,10 +154,6 @@ class View:
         if beside >= above:
             return "to the left" if x < width / 2 else "to the right"
         return "above" if y < height / 2 else "below"
-
-
-def _cameras(sides: list[str]) -> str:
-    return f"the {sides[0]} camera" if len(sides) == 1 else "both cameras"
 
 
 def view_beside(arm: Path) -> View | None:

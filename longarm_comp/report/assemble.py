@@ -189,7 +189,8 @@ def _provenance(seed: int, data_sha256: str, uses: tuple[str, ...]) -> dict[str,
 
 def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dict[str, Any]:
     ends, parameters = diagnosis.intervals_of(found), []
-    left_out = _left_out(diagnosis, found)
+    written = {t.key for t in diagnosis.model.terms}
+    left_out = written.isdisjoint(t.key for t in found.terms)
     for slot in diagnosis.search.fit.slots:
         interval = ends.get((*slot.owner.key, slot.parameter.name))
         if interval is None:
@@ -229,11 +230,6 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
         "doubts": [f"{p.name} could stand for its {p.part}" for p in found.partial_aliases],
         "action": first.advice(diagnosis.arm),
     }
-
-
-def _left_out(diagnosis: Diagnosis, found: EffectFinding) -> bool:
-    """Whether the model that is written does without it."""
-    return {t.key for t in found.terms}.isdisjoint(t.key for t in diagnosis.model.terms)
 
 
 def _pair_mm(gain: Gain) -> list[float]:

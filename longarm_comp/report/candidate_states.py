@@ -14,7 +14,6 @@ from longarm_comp.core.identify.evidence import (
     marginal_without,
     score,
 )
-from longarm_comp.core.identify.findings import EffectFinding
 from longarm_comp.core.identify.visible_size import Smallest, detectable
 
 Label = tuple[str, str]
@@ -80,18 +79,14 @@ def _judged(diagnosis: Diagnosis, one: Smallest) -> tuple[str, str]:
     """State and reason of a candidate that is not in the model."""
     value, need = one.log_bayes_factor, diagnosis.search.need
     alike = [f for f in diagnosis.findings if one.candidate.name in f.names[1:]]
-    if alike and _overlaps(alike[0], one.candidate):
+    places = set(one.candidate.where)  # of a look-alike: one of the finding's, or none of its own
+    if alike and (places & set(alike[0].where) or "arm" in places):
         return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
     if value >= need:
         return "rejected", f"log Bayes factor {value:.1f}, but the rest makes it superfluous"
     if not one.visible:
         return "invisible", _unseen(one)
     return "rejected", f"log Bayes factor {value:.1f}, needs {need:.1f}"
-
-
-def _overlaps(found: EffectFinding, candidate: Candidate) -> bool:
-    """Whether a look-alike sits at a place of the finding, or has no place of its own."""
-    return bool(set(candidate.where) & set(found.where)) or "arm" in candidate.where
 
 
 def _unseen(one: Smallest) -> str:

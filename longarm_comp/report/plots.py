@@ -86,7 +86,10 @@ def still_scene(rows: SeenRows, stages: tuple[str, ...]) -> Figure:
     """The residual arrows on the arm, one panel a stage, all with one exaggeration."""
     drawn = Figure(figsize=(9, 4.6))
     times = exaggeration(rows, stages)
-    low, high = _cube(points_of(rows))
+    points = points_of(rows)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    half = max(float(np.ptp(points, axis=0).max()) / 2, 1e-3)
+    low, high = middle - half, middle + half
     for k, stage in enumerate(stages):
         panel = drawn.add_subplot(1, len(stages), k + 1, projection="3d")
         for line in rows.arms_m:
@@ -107,12 +110,6 @@ def still_scene(rows: SeenRows, stages: tuple[str, ...]) -> Figure:
         panel.set_title(f"{look.label}: arrows × {times:g}")
     drawn.subplots_adjust(left=0.01, right=0.94, bottom=0.02, top=0.94, wspace=0.08)
     return drawn
-
-
-def _cube(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, half = (low + high) / 2, max(float(np.ptp(points, axis=0).max()) / 2, 1e-3)
-    return middle - half, middle + half
 
 
 def correlations(entry: Correlation) -> Figure:

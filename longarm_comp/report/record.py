@@ -257,7 +257,10 @@ def checked(report: dict[str, Any]) -> DiagnosisReport:
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in fault["loc"]) or "report"
-        raise InputError("report.json", field, fault["input"], _allowed(fault)) from error
+        allowed = str(fault["msg"])
+        if fault["type"] == "extra_forbidden":
+            allowed = f"no key of this name; known: {', '.join(_known(fault['loc'][:-1]))}"
+        raise InputError("report.json", field, fault["input"], allowed) from error
 
 
 def read_report(folder: str | Path) -> DiagnosisReport:
@@ -301,12 +304,6 @@ def rounded(value: Any, to: Callable[[float], float]) -> Any:
     if isinstance(value, dict):
         return {key: rounded(entry, to) for key, entry in value.items()}
     return value
-
-
-def _allowed(fault: Any) -> str:
-    if fault["type"] != "extra_forbidden":
-        return str(fault["msg"])
-    return f"no key of this name; known: {', '.join(_known(fault['loc'][:-1]))}"
 
 
 def _known(path: tuple[int | str, ...]) -> list[str]:

@@ -119,7 +119,10 @@ def _arrow_lines(
 ) -> dict[str, Any]:
     points = _outlines(found, head_m)
     xyz = [[None if np.isnan(v) else float(v) for v in axis] for axis in points.reshape(-1, 3).T]
-    notes = [_note(k, e) for k, e in zip(found.index, found.error_m, strict=True)]
+    notes = [
+        f"row {k}: ({x:+.2f}, {y:+.2f}, {z:+.2f}) mm"
+        for k, (x, y, z) in zip(found.index, 1e3 * found.error_m, strict=True)
+    ]
     color = LOOKS[found.stage].color
     return {
         "type": "scatter3d",
@@ -156,11 +159,6 @@ def _outlines(found: Arrows, head_m: float) -> np.ndarray:
         # Half width of a head over its length
         points += [neck + 0.45 * size * sideways, found.stop_m]
     return np.stack([*points[:-1], gap], axis=1)
-
-
-def _note(index: int, error_m: np.ndarray) -> str:
-    x, y, z = error_m * 1e3
-    return f"row {index}: ({x:+.2f}, {y:+.2f}, {z:+.2f}) mm"
 
 
 def _layout() -> dict[str, Any]:

@@ -81,9 +81,13 @@ class _Recorder:
         times = session.t_s if session.t_s is not None else np.arange(len(session)) * PERIOD_S
         # a clock of 0 would read as "no stamp"
         stamps = 1_000_000_000_000 + np.round((times - times[0]) * 1e9).astype(np.int64)
-        dwell = int(1e9 * min(2.0, _shortest(times) / 4))  # from a command to its sighting
+        steps = np.diff(times)
+        shortest = float(steps[steps > 0].min()) if (steps > 0).any() else PERIOD_S
+        dwell = int(1e9 * min(2.0, shortest / 4))  # from a command to its sighting
         for i, stamp in enumerate(stamps):
-            self._command(int(stamp) - dwell, _path(session, i))
+            q, begun = session.q[i], session.run_up[i]
+            by = [] if np.isnan(begun).all() else [np.where(np.isnan(begun), q, begun)]
+            self._command(int(stamp) - dwell, [*by, q])
             self._circumstances(int(stamp) - dwell // 2, session, i)
             self._sighting(int(stamp), session, i)
             self._row(int(stamp) + dwell // 2, session, i)
@@ -177,14 +181,3 @@ def _stated(session: Session, i: int) -> bool:
     """Whether a row's orientation says how well it is known, so that a sighting can carry it."""
     stated = session.sigmas.get("orientation")
     return bool(session.turned[i] and stated is not None and np.isfinite(stated[i]))
-
-
-def _shortest(times: np.ndarray) -> float:
-    steps = np.diff(times)
-    return float(steps[steps > 0].min()) if (steps > 0).any() else PERIOD_S
-
-
-def _path(session: Session, i: int) -> list[np.ndarray]:
-    """The way-points of a row: by the run-ups, where there are any."""
-    q, begun = session.q[i], session.run_up[i]
-    return [q] if np.isnan(begun).all() else [np.where(np.isnan(begun), q, begun), q]

@@ -121,7 +121,10 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
     check_header(table.where, table.header, joints)
     _check_measured(table)
     if joint_columns is None:
-        _refuse_further_joints(table, arm)
+        for name in table.header:
+            if re.fullmatch(r"[qQ]_?\d+", name) and name not in joints:
+                allowed = f"q1..q{arm.n} of arm {arm.name}"
+                raise InputError(table.where, f"column {name}", "unknown", allowed)
     check_unknown(table.where, table.header, known, kept=_free(table.header, joint_columns))
     columns, labels = recorded_besides(table, set(known))
     readings, sigmas = _read_readings(table)
@@ -210,14 +213,6 @@ def _free(header: Sequence[str], joint_columns: Sequence[str] | None) -> set[str
     if joint_columns is not None:
         made |= {name for name in header if re.fullmatch(r"q\d+", name)}
     return made
-
-
-def _refuse_further_joints(table: Table, arm: Arm) -> None:
-    for name in table.header:
-        if re.fullmatch(r"[qQ]_?\d+", name) and name not in joint_names(arm.n):
-            raise InputError(
-                table.where, f"column {name}", "unknown", f"q1..q{arm.n} of arm {arm.name}"
-            )
 
 
 def read_approach(table: Table, n: int) -> np.ndarray | None:

@@ -54,7 +54,7 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
         q: (N, n) joints to judge them at, rad and m.
         context: circumstances of these poses.
     """
-    old, new = ({_key(t): t for t in model.terms} for model in (before, after))
+    old, new = ({(t.name, t.place): t for t in model.terms} for model in (before, after))
     seen = after.measured(q, context)
     found = []
     for group in _groups(old, new):
@@ -63,11 +63,12 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
         moved = after.with_terms(list(terms.values())).measured(q, context) - seen
         first = new.get(group[0]) or old[group[0]]
         single = len(group) == 1 and _name(first) == first.name
+        kind = "added" if group[0] not in old else "changed" if group[0] in new else "removed"
         found.append(
             Change(
                 what=_name(first),
                 where=first.where if single else "",
-                kind="changed" if not single else _kind(group[0], old, new),
+                kind=kind if single else "changed",
                 values=_values(old.get(group[0]), new.get(group[0]), after) if single else (),
                 tip_mm=1e3 * float(np.sqrt((moved**2).sum(axis=1).mean())),
             )
@@ -90,22 +91,10 @@ def _groups(
     return list(together.values())
 
 
-def _key(term: Term) -> tuple[str, str]:
-    return term.name, term.place
-
-
 def _name(term: Term) -> str:
     if isinstance(term, Bias):
         return CAMERA
     return GEOMETRY if term.geometry else term.name
-
-
-def _kind(
-    key: tuple[str, str], old: dict[tuple[str, str], Term], new: dict[tuple[str, str], Term]
-) -> str:
-    if key not in old:
-        return "added"
-    return "changed" if key in new else "removed"
 
 
 def _values(

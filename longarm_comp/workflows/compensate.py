@@ -201,7 +201,10 @@ def compensate(
         raise InputError("compensate", "method", chosen.value, allowed)
     goals, contexts, numbers = goals_of(model, targets, context)
     placements = placements_of(model, targets, goals, contexts, frame or "")
-    starts = None if seed is None else _starts(seed, len(goals))
+    starts = None if seed is None else np.asarray(seed, dtype=float)
+    if starts is not None and starts.ndim == 2 and len(starts) != len(goals):
+        allowed = f"one row or {len(goals)}"
+        raise InputError("compensate", "seed", f"{len(starts)} rows", allowed)
     options = CompensationOptions(chosen, Settling(**settling), tuple(locked), run_up, realisable)
     at, came = (None, History.unknown(model.arm.n)) if history is None else last(history, model)
     arrivals = []
@@ -280,13 +283,6 @@ def method_of(given: Method | str) -> Method:
         raise InputError("compensate", "method", given, allowed) from None
 
 
-def _starts(seed: ArrayLike, count: int) -> np.ndarray:
-    given = np.asarray(seed, dtype=float)
-    if given.ndim == 2 and len(given) != count:
-        raise InputError("compensate", "seed", f"{len(given)} rows", f"one row or {count}")
-    return given
-
-
 def goals_of(
     model: Model, targets: ArrayLike | Targets, context: Context | None
 ) -> tuple[list[np.ndarray], list[Context], np.ndarray]:
@@ -295,7 +291,10 @@ def goals_of(
         if context is not None:
             raise InputError("compensate", "context", "given", "None: the targets have their own")
         all_contexts = targets.context(model.arm.n)
-        goals = [_goal(targets, row) for row in range(len(targets))]
+        goals = [
+            xyz if np.isnan(turn[0]) else quaternion.pose(xyz, turn)
+            for xyz, turn in zip(targets.xyz, targets.quaternion, strict=True)
+        ]
         return goals, [all_contexts.take(row) for row in range(len(targets))], targets.index
     try:
         given = np.asarray(targets, dtype=float)
@@ -307,12 +306,6 @@ def goals_of(
         raise InputError("compensate", "targets", f"shape {given.shape}", allowed)
     all_contexts = context or Context.empty()
     return list(given), [all_contexts.take(row) for row in range(len(given))], np.arange(len(given))
-
-
-def _goal(targets: Targets, row: int) -> np.ndarray:
-    if np.isnan(targets.quaternion[row, 0]):
-        return targets.xyz[row]
-    return quaternion.pose(targets.xyz[row], targets.quaternion[row])
 
 
 def _line(index: int, arrival: Arrival, placed: Placement | None) -> dict[str, Any]:

@@ -83,7 +83,8 @@ def write_effects(found: Diagnosis, path: Path) -> None:
     causes = [c for c in found.causes if c.compensated]
     if not causes:
         raise JobError("nothing was found without a name, so there is no effect to write")
-    names = [f"found_{number}_{_word(c.where[0])}" for number, c in enumerate(causes, 1)]
+    places = (re.sub(r"[^a-z0-9]+", "_", c.where[0].lower()).strip("_") for c in causes)
+    names = [f"found_{number}_{place}" for number, place in enumerate(places, 1)]
     text = _HEAD.format(arm=_plain(found.arm.name))
     text += "".join(_class(found, c, name) for c, name in zip(causes, names, strict=True))
     write_text(path, text)
@@ -108,10 +109,6 @@ def _class(found: Diagnosis, cause: Cause, name: str) -> str:
         parts=parts,
         fields=fields,
     )
-
-
-def _word(where: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "_", where.lower()).strip("_")
 
 
 def _plain(text: str) -> str:
@@ -208,7 +205,8 @@ def _stored(
         interval = found.intervals[k]
         intervals[slot.term, slot.parameter.name] = (interval.low, interval.high)
     added = {t.key for t in found.search.chosen}
-    held = {} if before is None else _origins(before)
+    stored = () if before is None else (*before.geometry, *before.effects, *before.camera)
+    held = {(t.effect, t.where): t.origin for t in stored}
     origins = {}
     for number, term in enumerate(model.terms):
         new = f"{found.verdict}, session {session_hash[:16]}, seed {found.seed}"
@@ -228,8 +226,3 @@ def _stored(
         origins=origins,
         intervals=intervals,
     )
-
-
-def _origins(stored: StoredModel) -> dict[tuple[str, str], str]:
-    terms = (*stored.geometry, *stored.effects, *stored.camera)
-    return {(t.effect, t.where): t.origin for t in terms}

@@ -167,7 +167,9 @@ def fleet(
     made: dict[str, Diagnosed] = {}
     known, left = _known(output / WRITTEN), []
     for member, mine in zip(found, tables, strict=True):
-        kind, key = tables.index(mine), _made_of(member, options)
+        files = [p for p in (member.arm, member.session, member.model) if p is not None]
+        made_of = repr((*options, *map(file_hash, files)))
+        kind, key = tables.index(mine), hashlib.sha256(made_of.encode()).hexdigest()
         before = known.get(member.name)
         if before is not None and before.made_of == key and before.verdict != "failed":
             made[member.name] = replace(before, kind=kind)
@@ -195,12 +197,6 @@ def _known(path: Path) -> dict[str, Diagnosed]:
 def _write(arms: Iterable[Diagnosed], output: Path) -> None:
     text = json.dumps({"schema": SCHEMA, "arms": [arm.row for arm in arms]}, indent=1)
     write_text(output / WRITTEN, text + "\n")
-
-
-def _made_of(member: Member, options: tuple[object, ...]) -> str:
-    files = [p for p in (member.arm, member.session, member.model) if p is not None]
-    told = repr((*options, *map(file_hash, files)))
-    return hashlib.sha256(told.encode()).hexdigest()
 
 
 def _worked(

@@ -123,6 +123,10 @@ def train(
     check_placed(base, located)
     if partly := int((whole.seen & ~whole.located).sum()):
         note(f"{whole.source}: {partly} rows hold no whole position: the network leaves them out")
+    factors = None if weights is None else np.asarray(weights, dtype=float)
+    if factors is not None and factors.shape != whole.located.shape:
+        allowed = f"shape {whole.located.shape}"
+        raise InputError("train", "weights", f"shape {factors.shape}", allowed)
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, physics_mark(model, deflection))
     predictor = networks.train(
         *rows,
@@ -131,7 +135,7 @@ def train(
         seed=seed,
         ensemble=ensemble,
         hidden=hidden,
-        weights=None if weights is None else _of_rows(weights, whole.located),
+        weights=None if factors is None else factors[whole.located],
         progress=lambda k, of: progress(f"{k} of {of} networks", k / of),
         provenance=origin,
     )
@@ -143,10 +147,3 @@ def train(
         before=Errors.of(residual),
         after=Errors.of(left),
     )
-
-
-def _of_rows(weights: ArrayLike, seen: np.ndarray) -> np.ndarray:
-    given = np.asarray(weights, dtype=float)
-    if given.shape != seen.shape:
-        raise InputError("train", "weights", f"shape {given.shape}", f"shape {seen.shape}")
-    return given[seen]

@@ -193,9 +193,12 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
     rotation, offset = np.zeros((groups, 3, 3)), np.zeros((groups, 3))
     counts = np.bincount(rows.group, minlength=groups)
     for g in sorted(range(groups), key=lambda g: -counts[g]):
-        mine = rows.group == g
-        like = rotation[np.argmax(counts)]
-        rotation[g], offset[g] = _base(point[mine], rows.seen[mine], like)
+        at, seen = point[rows.group == g], rows.seen[rows.group == g]
+        if counts[g] < MIN_ROWS:  # turned like the base of most rows
+            rotation[g] = rotation[np.argmax(counts)]
+            offset[g] = np.median(seen - at @ rotation[g].T, axis=0)
+        else:
+            rotation[g], offset[g] = robust_kabsch(at, seen, TURNS)
     made = _look(rows, rotation, offset, tip)
     for _ in range(STEPS if tips else 0):
         following = _step(rows, made)
@@ -207,13 +210,6 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
         if settled:
             break
     return made
-
-
-def _base(point: np.ndarray, seen: np.ndarray, like: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One base, its worst rows counted less; with too few rows it is turned `like` another."""
-    if len(point) < MIN_ROWS:
-        return like, np.median(seen - point @ like.T, axis=0)
-    return robust_kabsch(point, seen, TURNS)
 
 
 def _look(

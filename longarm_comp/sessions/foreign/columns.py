@@ -130,9 +130,12 @@ def understand(
         if place in told:
             key = told[place]
             name, _, own = given[key].partition(":")
-            if own:
-                unit = _unit(where, own, f"--map {key}")
-            _check_name(where, name, key)
+            if own and own not in KNOWN:
+                raise InputError(where, f"--map {key}", own, f"a unit: {', '.join(KNOWN)}")
+            unit = KNOWN[own] if own else unit
+            if not re.fullmatch(r"[A-Za-z_]\w*", name):
+                allowed = "a column of a session: q1..qn, x, y, z, ..."
+                raise InputError(where, f"--map {key}", name, allowed)
         else:
             name = (meaning(source, arm) or meaning(stem, arm) or "") if stem else ""
             if name in meant:  # what the user says wins
@@ -153,17 +156,6 @@ def understand(
         fits = None if timed else _fitting(where, name, source, unit, defaults, arm)
         found[name] = Column(name, source, place, fits)
     return sorted(found.values(), key=lambda c: _order(c.name))
-
-
-def _unit(where: str, text: str, field: str) -> Unit:
-    if text not in KNOWN:
-        raise InputError(where, field, text, f"a unit: {', '.join(KNOWN)}")
-    return KNOWN[text]
-
-
-def _check_name(where: str, name: str, key: str) -> None:
-    if not re.fullmatch(r"[A-Za-z_]\w*", name):
-        raise InputError(where, f"--map {key}", name, "a column of a session: q1..qn, x, y, z, ...")
 
 
 def _fitting(

@@ -55,7 +55,8 @@ def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]
             if keys:
                 lonely.append(f"{where}: no partner of {column} {', '.join(keys[:20])}")
         kept = [k for k in range(len(table.names)) if k != there]
-        names = [_free(table.names[k], made.names, table.where) for k in kept]
+        names = [table.names[k] for k in kept]
+        names = [f"{Path(table.where).stem} {n}" if n in made.names else n for n in names]
         rows = tuple(
             (line, (*row, *(table.rows[p][1][k] for k in kept)))
             for (line, row), p in zip(made.rows, partner, strict=True)
@@ -160,10 +161,6 @@ def _pointed(cells: Cells) -> Cells:
         for line, row in cells.rows
     )
     return replace(cells, rows=rows, decimal=".")
-
-
-def _free(name: str, taken: Collection[str], where: str) -> str:
-    return f"{Path(where).stem} {name}" if name in taken else name
 
 
 def _all(tables: Sequence[Cells]) -> str:
