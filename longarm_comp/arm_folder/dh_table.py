@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from longarm_comp.core.errors import InputError
 
@@ -27,36 +28,121 @@ MATERIALS = {
 }
 """Young's modulus (Pa), Poisson's ratio and density (kg/m^3): usual values, not this arm's."""
 
-_TYPES = ("revolute", "prismatic", "fixed")
-_RANGE = re.compile(r"(-?[\d.]+)\.\.(-?[\d.]+)")
-_TUBE = re.compile(r"([\d.]+)(?:/([\d.]+))?")
+
+def _limits(text: Any) -> tuple[float, float]:
+    found = re.fullmatch(r"(-?[\d.]+)\.\.(-?[\d.]+)", str(text))
+    try:
+        low, high = map(float, found.groups() if found else ())
+    except ValueError:
+        low, high = 1.0, 0.0
+    if not low < high:
+        raise ValueError("LOWER..UPPER, LOWER below UPPER, for instance -30..30")
+    return low, high
 
 
-@dataclass(frozen=True)
-class _Question:
-    """One answer of a row: its key, what is asked, what stands there if nothing is said."""
+def _tube(text: Any) -> tuple[float, float]:
+    """Outer and inner diameter, m."""
+    found = re.fullmatch(r"([\d.]+)(?:/([\d.]+))?", str(text))
+    try:
+        outer, inner = (float(v or 0) for v in found.groups()) if found else (0.0, 1.0)
+    except ValueError:
+        outer, inner = 0.0, 1.0
+    if (outer and outer <= inner) or (not outer and inner):
+        raise ValueError("OUTER/INNER or OUTER in mm, for instance 30/26; 0: rigid")
+    return outer / 1e3, inner / 1e3
 
-    key: str
-    text: str
-    default: str = ""
-    asked: bool = True
+
+def _mimic(text: Any) -> tuple[str, float] | None:
+    leader, star, factor = str(text).partition("*")
+    try:
+        return (leader, float(factor) if star else 1.0) if leader else None
+    except ValueError:
+        raise ValueError("NAME or NAME*FACTOR") from None
 
 
-_QUESTIONS = (
-    _Question("type", "type (revolute, prismatic, fixed)", "revolute"),
-    _Question("alpha", "alpha: angle from the last z to this z about the last x, deg", "0"),
-    _Question("a", "a: distance from the last z to this z along the last x, m", "0"),
-    _Question("d", "d: distance from the last x to this x along this z, m", "0"),
-    _Question("theta", "theta: angle from the last x to this x about this z, deg", "0"),
-    _Question("limits", "limits, deg or m, LOWER..UPPER", "-45..45"),
-    _Question("tube_a", "tube along a: outer/inner diameter, mm; 0: rigid", "0"),
-    _Question("tube_d", "tube along d: outer/inner diameter, mm; 0: rigid", "0"),
-    _Question("material", f"material of the tubes ({', '.join(MATERIALS)})", "aluminium"),
-    _Question("servo_kg", "mass of the servo that sits at this joint's frame, kg", "0"),
-    _Question("name", "name", "", asked=False),
-    _Question("mimic", "moves with another joint: NAME or NAME*FACTOR", "", asked=False),
-)
-_KEYS = {question.key: question for question in _QUESTIONS}
+Limits = Annotated[tuple[float, float], BeforeValidator(_limits)]
+Tube = Annotated[tuple[float, float], BeforeValidator(_tube)]
+Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_mimic)]
+
+
+class _Row(BaseModel):
+    """Answers of one row; what has a description is asked, in this order."""
+
+    model_config = ConfigDict(validate_default=True, allow_inf_nan=False, str_strip_whitespace=True)
+
+    type: Literal["revolute", "prismatic", "fixed"] = Field(
+        "revolute", description="type (revolute, prismatic, fixed)"
+    )
+    alpha: float = Field(
+        "0", description="alpha: angle from the last z to this z about the last x, deg"
+    )
+    a: float = Field("0", description="a: distance from the last z to this z along the last x, m")
+    d: float = Field("0", description="d: distance from the last x to this x along this z, m")
+    theta: float = Field(
+        "0", description="theta: angle from the last x to this x about this z, deg"
+    )
+    limits: Limits = Field("-45..45", description="limits, deg or m, LOWER..UPPER")
+    tube_a: Tube = Field("0", description="tube along a: outer/inner diameter, mm; 0: rigid")
+    tube_d: Tube = Field("0", description="tube along d: outer/inner diameter, mm; 0: rigid")
+    material: str = Field(
+        "aluminium", description=f"material of the tubes ({', '.join(MATERIALS)})"
+    )
+    servo_kg: float = Field(
+        "0", description="mass of the servo that sits at this joint's frame, kg"
+    )
+    name: str = ""
+    mimic: Mimic = Field("")
+
+    @classmethod
+    def of(cls, number: int, given: Mapping[str, str]) -> _Row:
+        """From answers. Raises InputError."""
+        try:
+            return cls.model_validate(given)
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            key, allowed = str(fault["loc"][0]), fault["msg"].removeprefix("Value error, ")
+            raise InputError("init", f"joint {number}, {key}", fault["input"], allowed) from error
+
+    def joint(self, number: int) -> dict[str, Any]:
+        """An entry of `joints`."""
+        row: dict[str, Any] = {"id": number, **({"name": self.name} if self.name else {})}
+        row |= {
+            "type": self.type,
+            "a_m": self.a,
+            "alpha_deg": self.alpha,
+            "d_m": self.d,
+            "theta_offset_deg": self.theta,
+        }
+        if self.mimic:
+            return {**row, "mimic": {"joint": self.mimic[0], "multiplier": self.mimic[1]}}
+        if self.type != "fixed":
+            row["limits_deg" if self.type == "revolute" else "limits_m"] = list(self.limits)
+        return row
+
+    def beam(self, number: int, role: str) -> list[dict[str, Any]]:
+        """The entry of `links` along a or d, where there is one."""
+        (outer, inner), length = getattr(self, f"tube_{role}"), abs(getattr(self, role))
+        if not outer:
+            return []
+        where = f"joint {number}, "
+        if self.material not in MATERIALS:
+            raise InputError("init", f"{where}material", self.material, ", ".join(MATERIALS))
+        if not length:
+            raise InputError("init", f"{where}tube_{role}", 1e3 * outer, f"0, because {role} is 0")
+        modulus, poisson, density = MATERIALS[self.material]
+        slides = role == "d" and self.type == "prismatic"
+        mass = density * math.pi / 4 * (outer**2 - inner**2) * length
+        return [{
+            "name": f"tube_{number}{role}",
+            "row": number,
+            "role": role,
+            "length_m": "rest" if slides else length,
+            "section": {"type": "tube", "od_m": round(outer, 6), "id_m": round(inner, 6)},
+            "E_pa": modulus,
+            "poisson": poisson,
+            "mass_kg": round(mass, 4),
+            "body_length_m": length,
+        }]  # fmt: skip
 
 
 def ask_rows(ask: Ask, count: int) -> list[dict[str, str]]:
@@ -64,9 +150,9 @@ def ask_rows(ask: Ask, count: int) -> list[dict[str, str]]:
     rows = []
     for number in range(1, count + 1):
         row: dict[str, str] = {}
-        for question in _QUESTIONS:
-            if question.asked and _applies(question.key, row):
-                row[question.key] = ask(f"joint {number}, {question.text}", question.default)
+        for key, field in _Row.model_fields.items():
+            if field.description and _applies(key, row):
+                row[key] = ask(f"joint {number}, {field.description}", str(field.default))
         rows.append(row)
     return rows
 
@@ -76,34 +162,36 @@ def row_of(flag: str) -> dict[str, str]:
     row = {}
     for word in flag.split():
         key, equals, value = word.partition("=")
-        if not equals or key not in _KEYS:
-            raise InputError("init", "--joint", word, f"KEY=VALUE, keys {', '.join(_KEYS)}")
+        if not equals or key not in _Row.model_fields:
+            keys = ", ".join(_Row.model_fields)
+            raise InputError("init", "--joint", word, f"KEY=VALUE, keys {keys}")
         row[key] = value
     return row
 
 
 def arm_of(
-    name: str, rows: Sequence[Mapping[str, str]], tip: Sequence[float], payload_kg: float
+    name: str, given: Sequence[Mapping[str, str]], tip: Sequence[float], payload_kg: float
 ) -> dict[str, Any]:
     """What arm.yaml holds for rows of answers; `tip` (3,) m in the last frame."""
-    if not rows:
+    if not given:
         raise InputError("init", "--joint", "none", "at least one joint")
-    joints, links, masses = [], [], []
-    for number, given in enumerate(rows, 1):
-        row = _Row(number, given)
-        joints.append(row.joint())
-        links += row.links()
-        masses += row.masses()
+    rows = [(number, _Row.of(number, answers)) for number, answers in enumerate(given, 1)]
     data: dict[str, Any] = {
         "name": name,
         "convention": "mdh_craig",
-        "tip": {"frame": len(joints), "position_m": list(tip)},
+        "tip": {"frame": len(rows), "position_m": list(tip)},
     }
     if payload_kg:
-        data["payload"] = {
-            "mass_kg": payload_kg, "frame": len(joints), "position_m": list(tip)
-        }  # fmt: skip
-    return data | {"joints": joints, "links": links, "point_masses": masses}
+        data["payload"] = {"mass_kg": payload_kg, "frame": len(rows), "position_m": list(tip)}
+    return data | {
+        "joints": [row.joint(k) for k, row in rows],
+        "links": [beam for k, row in rows for role in "ad" for beam in row.beam(k, role)],
+        "point_masses": [
+            {"name": f"servo{k}", "frame": k, "mass_kg": row.servo_kg}
+            for k, row in rows
+            if row.servo_kg
+        ],
+    }
 
 
 def _applies(key: str, row: Mapping[str, str]) -> bool:
@@ -115,106 +203,3 @@ def _applies(key: str, row: Mapping[str, str]) -> bool:
     if key == "material":
         return any(row.get(tube, "0") != "0" for tube in ("tube_a", "tube_d"))
     return True
-
-
-@dataclass(frozen=True)
-class _Row:
-    number: int
-    given: Mapping[str, str]
-
-    def text(self, key: str) -> str:
-        return self.given.get(key, _KEYS[key].default).strip()
-
-    def number_of(self, key: str) -> float:
-        try:
-            value = float(self.text(key))
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise self.error(key, "a number")
-        return value
-
-    def error(self, key: str, allowed: str) -> InputError:
-        return InputError("init", f"joint {self.number}, {key}", self.text(key), allowed)
-
-    def joint(self) -> dict[str, Any]:
-        kind = self.text("type")
-        if kind not in _TYPES:
-            raise self.error("type", ", ".join(_TYPES))
-        row: dict[str, Any] = {"id": self.number}
-        if self.text("name"):
-            row["name"] = self.text("name")
-        row |= {
-            "type": kind,
-            "a_m": self.number_of("a"),
-            "alpha_deg": self.number_of("alpha"),
-            "d_m": self.number_of("d"),
-            "theta_offset_deg": self.number_of("theta"),
-        }
-        if self.text("mimic"):
-            leader, star, factor = self.text("mimic").partition("*")
-            try:
-                multiplier = float(factor) if star else 1.0
-            except ValueError:
-                raise self.error("mimic", "NAME or NAME*FACTOR") from None
-            return {**row, "mimic": {"joint": leader, "multiplier": multiplier}}
-        if kind != "fixed":
-            row["limits_deg" if kind == "revolute" else "limits_m"] = self.limits()
-        return row
-
-    def limits(self) -> list[float]:
-        found = _RANGE.fullmatch(self.text("limits"))
-        try:
-            low, high = (float(v) for v in found.groups()) if found else (1.0, 0.0)
-        except ValueError:
-            low, high = 1.0, 0.0
-        if not low < high:
-            raise self.error("limits", "LOWER..UPPER, LOWER below UPPER, for instance -30..30")
-        return [low, high]
-
-    def links(self) -> list[dict[str, Any]]:
-        made = []
-        for role in ("a", "d"):
-            outer, inner = self.tube(f"tube_{role}")
-            if outer:
-                made.append(self.beam(role, outer, inner))
-        return made
-
-    def tube(self, key: str) -> tuple[float, float]:
-        """Outer and inner diameter, m."""
-        found = _TUBE.fullmatch(self.text(key))
-        try:
-            outer, inner = (float(v or 0) for v in found.groups()) if found else (0.0, 1.0)
-        except ValueError:
-            outer, inner = 0.0, 1.0
-        if (outer and outer <= inner) or (not outer and inner):
-            raise self.error(key, "OUTER/INNER or OUTER in mm, for instance 30/26; 0: rigid")
-        return outer / 1e3, inner / 1e3
-
-    def beam(self, role: str, outer: float, inner: float) -> dict[str, Any]:
-        material = self.text("material")
-        if material not in MATERIALS:
-            raise self.error("material", ", ".join(MATERIALS))
-        modulus, poisson, density = MATERIALS[material]
-        length = abs(self.number_of(role))
-        if not length:
-            raise self.error(f"tube_{role}", f"0, because {role} is 0")
-        slides = role == "d" and self.text("type") == "prismatic"
-        mass = density * math.pi / 4 * (outer**2 - inner**2) * length
-        return {
-            "name": f"tube_{self.number}{role}",
-            "row": self.number,
-            "role": role,
-            "length_m": "rest" if slides else length,
-            "section": {"type": "tube", "od_m": round(outer, 6), "id_m": round(inner, 6)},
-            "E_pa": modulus,
-            "poisson": poisson,
-            "mass_kg": round(mass, 4),
-            "body_length_m": length,
-        }
-
-    def masses(self) -> list[dict[str, Any]]:
-        mass = self.number_of("servo_kg")
-        if not mass:
-            return []
-        return [{"name": f"servo{self.number}", "frame": self.number, "mass_kg": mass}]
