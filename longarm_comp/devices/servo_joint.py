@@ -13,7 +13,7 @@ from longarm_comp.core.yaml_file import Declared, Misdeclared
 from longarm_comp.devices.servo_bus import ServoModel, models
 
 Positive = Annotated[float, Field(gt=0.0)]
-Transmission = Annotated[float, Field(ge=1e-6, le=1e6)]
+_Transmission = Annotated[float, Field(ge=1e-6, le=1e6)]
 """Ratio, or travel per turn in m, of any gear, screw or pinion: beyond it the unit is wrong."""
 
 
@@ -31,13 +31,13 @@ class JointConfig(ServoSettings):
     type: Literal["revolute", "prismatic"] = Field(description="revolute or prismatic")
     zero_ticks: float = Field(description="encoder reading at joint value 0")
     direction: Literal[1, -1] = Field(1, description="+1 when ticks grow with the joint value")
-    gear_ratio: Transmission = Field(
+    gear_ratio: _Transmission = Field(
         1.0, description="servo turns for one turn of the joint, of the screw or of the pinion"
     )
-    screw_lead_m: Transmission | None = Field(
+    screw_lead_m: _Transmission | None = Field(
         None, description="travel of a prismatic joint by a turn of its screw, m"
     )
-    pinion_radius_m: Transmission | None = Field(
+    pinion_radius_m: _Transmission | None = Field(
         None, description="of a prismatic joint's pinion instead, m"
     )
     multi_turn: bool = Field(

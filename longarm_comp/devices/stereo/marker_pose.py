@@ -45,7 +45,7 @@ class MarkerPose:
         """A point (3,) m fixed to the marker, seen in the rig frame; the pose covariance there."""
         arm = self.transform[:3, :3] @ in_marker
         lever = np.eye(6)
-        lever[:3, 3:] = -cross_matrices(arm[None])[0]
+        lever[:3, 3:] = -_cross_matrices(arm[None])[0]
         return self.transform[:3, 3] + arm, lever @ self.covariance @ lever.T
 
 
@@ -77,7 +77,7 @@ def marker_pose(
         in_front(rig, arm + translation)
         residuals, by_point = stereo_residuals(rig, arm + translation, left_px, right_px)
         by_pose = np.concatenate(
-            [by_point, -by_point @ cross_matrices(arm), by_point @ arm[..., None]], axis=2
+            [by_point, -by_point @ _cross_matrices(arm), by_point @ arm[..., None]], axis=2
         ).reshape(-1, 7)
         normal = by_pose.T @ by_pose
         normal[6, 6] += prior
@@ -99,6 +99,6 @@ def marker_pose(
     return MarkerPose(transform, covariance, float(np.exp(log_scale)), residuals, sigma)
 
 
-def cross_matrices(vectors: Array) -> Array:
+def _cross_matrices(vectors: Array) -> Array:
     """(N, 3, 3) matrices S with ``S w = v x w`` for v of `vectors` (N, 3)."""
     return -np.cross(vectors[:, None], np.eye(3))

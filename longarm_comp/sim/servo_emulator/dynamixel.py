@@ -3,44 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import IntEnum
 
-from longarm_comp.sim.servo_emulator.motor import (
-    CURRENT,
-    OVERHEAT,
-    OVERLOAD,
-    SENSOR,
-    VOLTAGE,
-    Motor,
-)
-from longarm_comp.sim.servo_emulator.wire import PING, READ, WRITE, Device, RegisterWire
+from longarm_comp.sim.servo_emulator.motor import Motor
+from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire, Told
 
 BULK_READ = 0x92
-MODEL, FIRMWARE, ID, MODE, MAX_POSITION, MIN_POSITION = 0, 6, 7, 11, 48, 52
-TORQUE, HARDWARE_ERROR, PROFILE_VELOCITY, GOAL = 64, 70, 112, 116
-MOVING, LOAD, VELOCITY, POSITION, VOLTS, TEMPERATURE = 122, 126, 128, 132, 144, 146
-MEMORY = 147
-BAD_INSTRUCTION, BAD_RANGE, OVER_LIMIT, NO_ACCESS = 2, 4, 6, 7
-_HARDWARE_BITS = {VOLTAGE: 1, OVERHEAT: 4, SENSOR: 8, CURRENT: 16, OVERLOAD: 32}
+_HARDWARE_BITS = {"voltage": 1, "overheat": 4, "sensor": 8, "current": 16, "overload": 32}
 _SPEED_UNIT = 0.229 * 4096 / 60  # ticks/s
 _EXTENDED = 4
+
+
+class _At(IntEnum):
+    """Addresses in the control table, and its length."""
+
+    MODEL, FIRMWARE, ID, MODE, MAX_POSITION, MIN_POSITION = 0, 6, 7, 11, 48, 52
+    TORQUE, HARDWARE_ERROR, PROFILE_VELOCITY, GOAL = 64, 70, 112, 116
+    MOVING, LOAD, VELOCITY, POSITION, VOLTS, TEMPERATURE = 122, 126, 128, 132, 144, 146
+    MEMORY = 147
+
+
+class _Refused(IntEnum):
+    """Error codes of a status frame."""
+
+    BAD_INSTRUCTION, BAD_RANGE, OVER_LIMIT, NO_ACCESS = 2, 4, 6, 7
 
 
 class DynamixelWire(RegisterWire):
     """XL430-W250; the rest of the X series shares its table."""
 
     name = "dynamixel"
-    kept_below = TORQUE
+    kept_below = _At.TORQUE
     word = 2
-    answers_all = (PING,)
+    answers_all = (Told.PING,)
 
     def device(self, servo_id: int, motor: Motor) -> Device:
-        device = Device(servo_id, bytearray(MEMORY), motor)
-        device.put(MODEL, 2, motor.spec.model or 1060)
-        device.put(FIRMWARE, 1, 45)
-        device.put(ID, 1, servo_id)
-        device.put(MODE, 1, 3)
-        device.put(MAX_POSITION, 4, 4095)
-        device.put(GOAL, 4, round(motor.position) & 0xFFFFFFFF)
+        device = Device(servo_id, bytearray(_At.MEMORY), motor)
+        device.put(_At.MODEL, 2, motor.spec.model or 1060)
+        device.put(_At.FIRMWARE, 1, 45)
+        device.put(_At.ID, 1, servo_id)
+        device.put(_At.MODE, 1, 3)
+        device.put(_At.MAX_POSITION, 4, 4095)
+        device.put(_At.GOAL, 4, round(motor.position) & 0xFFFFFFFF)
         device.kept = bytes(device.memory)
         return device
 
@@ -82,54 +86,59 @@ class DynamixelWire(RegisterWire):
         return [self.status(device, *self.read(device, *block)) for device, block in asked]
 
     def carry_out(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
-        if instruction == PING:
-            return 0, bytes(device.memory[MODEL : MODEL + 2]) + bytes((device.memory[FIRMWARE],))
-        if instruction not in (READ, WRITE):
-            return BAD_INSTRUCTION, b""
+        if instruction == Told.PING:
+            model, firmware = _At.MODEL, _At.FIRMWARE
+            return 0, bytes(
+                device.memory[model : model + 2] + device.memory[firmware : firmware + 1]
+            )
+        if instruction not in (Told.READ, Told.WRITE):
+            return _Refused.BAD_INSTRUCTION, b""
         return super().carry_out(device, instruction, params)
 
     def read(self, device: Device, address: int, length: int) -> tuple[int, bytes]:
-        if address + length > MEMORY:
-            return BAD_RANGE, b""
+        if address + length > _At.MEMORY:
+            return _Refused.BAD_RANGE, b""
         _refresh(device)
         return 0, bytes(device.memory[address : address + length])
 
     def write(self, device: Device, address: int, data: bytes) -> int:
         end = address + len(data)
         motor = device.motor
-        if end > MEMORY or (address < TORQUE and motor.torque_on) or end > MOVING:
-            return NO_ACCESS
-        if address <= GOAL < end:
-            goal = int.from_bytes(data[GOAL - address : GOAL - address + 4], "little", signed=True)
-            low, high = device.get(MIN_POSITION, 4), device.get(MAX_POSITION, 4)
-            if device.get(MODE, 1) == _EXTENDED:
+        if end > _At.MEMORY or (address < _At.TORQUE and motor.torque_on) or end > _At.MOVING:
+            return _Refused.NO_ACCESS
+        if address <= _At.GOAL < end:
+            goal = int.from_bytes(
+                data[_At.GOAL - address : _At.GOAL - address + 4], "little", signed=True
+            )
+            low, high = device.get(_At.MIN_POSITION, 4), device.get(_At.MAX_POSITION, 4)
+            if device.get(_At.MODE, 1) == _EXTENDED:
                 low, high = -1048575, 1048575
             if not low <= goal <= high:
-                return OVER_LIMIT
+                return _Refused.OVER_LIMIT
             motor.goal = float(goal)
         device.memory[address:end] = data
-        device.kept, device.servo_id = bytes(device.memory), device.get(ID, 1)
-        if address <= TORQUE < end:
+        device.kept, device.servo_id = bytes(device.memory), device.get(_At.ID, 1)
+        if address <= _At.TORQUE < end:
             if not motor.torque_on:
                 motor.goal = motor.position
-            motor.switch(device.get(TORQUE, 1) == 1)
-        if address <= PROFILE_VELOCITY < end:
-            motor.speed_limit = device.get(PROFILE_VELOCITY, 4) * _SPEED_UNIT
+            motor.switch(device.get(_At.TORQUE, 1) == 1)
+        if address <= _At.PROFILE_VELOCITY < end:
+            motor.speed_limit = device.get(_At.PROFILE_VELOCITY, 4) * _SPEED_UNIT
         return 0
 
 
 def _refresh(device: Device) -> None:
     """Bring the read-only part of the memory up to date."""
     motor = device.motor
-    device.put(TORQUE, 1, int(motor.torque_on))
-    device.put(HARDWARE_ERROR, 1, sum(_HARDWARE_BITS[name] for name in motor.alarms))
-    device.put(GOAL, 4, round(motor.goal) & 0xFFFFFFFF)
-    device.put(MOVING, 1, int(motor.moving))
-    device.put(LOAD, 2, round(motor.effort * motor.spec.load_units) & 0xFFFF)
-    device.put(VELOCITY, 4, round(motor.velocity / _SPEED_UNIT) & 0xFFFFFFFF)
-    device.put(POSITION, 4, motor.reading & 0xFFFFFFFF)
-    device.put(VOLTS, 2, round(motor.voltage_v * 10))
-    device.put(TEMPERATURE, 1, round(motor.temperature_c))
+    device.put(_At.TORQUE, 1, int(motor.torque_on))
+    device.put(_At.HARDWARE_ERROR, 1, sum(_HARDWARE_BITS[name] for name in motor.alarms))
+    device.put(_At.GOAL, 4, round(motor.goal) & 0xFFFFFFFF)
+    device.put(_At.MOVING, 1, int(motor.moving))
+    device.put(_At.LOAD, 2, round(motor.effort * motor.spec.load_units) & 0xFFFF)
+    device.put(_At.VELOCITY, 4, round(motor.velocity / _SPEED_UNIT) & 0xFFFFFFFF)
+    device.put(_At.POSITION, 4, motor.reading & 0xFFFFFFFF)
+    device.put(_At.VOLTS, 2, round(motor.voltage_v * 10))
+    device.put(_At.TEMPERATURE, 1, round(motor.temperature_c))
 
 
 def _shifted(register: int) -> int:

@@ -2,40 +2,40 @@
 
 from __future__ import annotations
 
-from longarm_comp.sim.servo_emulator.motor import (
-    CURRENT,
-    OVERHEAT,
-    OVERLOAD,
-    SENSOR,
-    VOLTAGE,
-    Motor,
-)
+from enum import IntEnum
+
+from longarm_comp.sim.servo_emulator.motor import Motor
 from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire
 
-FIRMWARE, MODEL, ID, MIN_ANGLE, MAX_ANGLE, MAX_TEMPERATURE = 0, 3, 5, 9, 11, 13
-TORQUE, GOAL, GOAL_SPEED, LOCK = 40, 42, 46, 55
-POSITION, SPEED, LOAD, VOLTS, TEMPERATURE, STATUS, MOVING, AMPS = 56, 58, 60, 62, 63, 65, 66, 69
-MEMORY = 87
-_STATUS_BITS = {VOLTAGE: 1, SENSOR: 2, OVERHEAT: 4, CURRENT: 8, OVERLOAD: 32}
+_STATUS_BITS = {"voltage": 1, "sensor": 2, "overheat": 4, "current": 8, "overload": 32}
+
+
+class _At(IntEnum):
+    """Addresses in the memory table, and its length."""
+
+    FIRMWARE, MODEL, ID, MIN_ANGLE, MAX_ANGLE, MAX_TEMPERATURE = 0, 3, 5, 9, 11, 13
+    TORQUE, GOAL, GOAL_SPEED, LOCK = 40, 42, 46, 55
+    POSITION, SPEED, LOAD, VOLTS, TEMPERATURE, STATUS, MOVING, AMPS = 56, 58, 60, 62, 63, 65, 66, 69
+    MEMORY = 87
 
 
 class FeetechWire(RegisterWire):
     """STS3215."""
 
     name = "feetech"
-    kept_below = TORQUE
+    kept_below = _At.TORQUE
     word = 1
 
     def device(self, servo_id: int, motor: Motor) -> Device:
-        device = Device(servo_id, bytearray(MEMORY), motor)
-        device.put(FIRMWARE, 2, 3 | 10 << 8)
-        device.put(MODEL, 2, motor.spec.model or 777)
-        device.put(ID, 1, servo_id)
-        device.put(MIN_ANGLE, 2, 0)
-        device.put(MAX_ANGLE, 2, 4095)
-        device.put(MAX_TEMPERATURE, 1, round(motor.spec.shutdown_c))
-        device.put(LOCK, 1, 1)
-        device.put(GOAL, 2, _sign_magnitude(round(motor.position), 15))
+        device = Device(servo_id, bytearray(_At.MEMORY), motor)
+        device.put(_At.FIRMWARE, 2, 3 | 10 << 8)
+        device.put(_At.MODEL, 2, motor.spec.model or 777)
+        device.put(_At.ID, 1, servo_id)
+        device.put(_At.MIN_ANGLE, 2, 0)
+        device.put(_At.MAX_ANGLE, 2, 4095)
+        device.put(_At.MAX_TEMPERATURE, 1, round(motor.spec.shutdown_c))
+        device.put(_At.LOCK, 1, 1)
+        device.put(_At.GOAL, 2, _sign_magnitude(round(motor.position), 15))
         device.kept = bytes(device.memory)
         return device
 
@@ -68,44 +68,44 @@ class FeetechWire(RegisterWire):
 
     def write(self, device: Device, address: int, data: bytes) -> int:
         end = address + len(data)
-        if end > POSITION or not data:
+        if end > _At.POSITION or not data:
             return 0
         device.memory[address:end] = data
-        if not device.get(LOCK, 1):
+        if not device.get(_At.LOCK, 1):
             device.kept = bytes(device.memory)  # while locked, changes last until power is lost
-        device.servo_id = device.get(ID, 1)
+        device.servo_id = device.get(_At.ID, 1)
         motor = device.motor
-        if address <= GOAL_SPEED < end:
-            motor.speed_limit = float(device.get(GOAL_SPEED, 2) & 0x7FFF)
-        if address <= TORQUE < end:
+        if address <= _At.GOAL_SPEED < end:
+            motor.speed_limit = float(device.get(_At.GOAL_SPEED, 2) & 0x7FFF)
+        if address <= _At.TORQUE < end:
             motor.clear_alarms()
-            motor.switch(device.get(TORQUE, 1) == 1)
-        if address <= GOAL < end:
+            motor.switch(device.get(_At.TORQUE, 1) == 1)
+        if address <= _At.GOAL < end:
             if not motor.torque_on:
                 motor.switch(True)  # a goal wakes an STS servo up
-            motor.goal = _bounded(device, _signed(device.get(GOAL, 2), 15))
+            motor.goal = _bounded(device, _signed(device.get(_At.GOAL, 2), 15))
         return 0
 
 
 def _refresh(device: Device) -> None:
     """Bring the read-only part of the memory up to date."""
     motor = device.motor
-    device.put(TORQUE, 1, int(motor.torque_on))
+    device.put(_At.TORQUE, 1, int(motor.torque_on))
     ticks = motor.reading
-    if device.get(MAX_ANGLE, 2):
+    if device.get(_At.MAX_ANGLE, 2):
         ticks %= motor.spec.ticks_per_turn  # in ordinary mode the encoder knows one turn only
-    device.put(POSITION, 2, _sign_magnitude(ticks, 15))
-    device.put(SPEED, 2, _sign_magnitude(round(motor.velocity), 15))
-    device.put(LOAD, 2, _sign_magnitude(round(motor.effort * motor.spec.load_units), 10))
-    device.put(VOLTS, 1, round(motor.voltage_v * 10))
-    device.put(TEMPERATURE, 1, round(motor.temperature_c))
-    device.put(STATUS, 1, _status_bits(motor))
-    device.put(MOVING, 1, int(motor.moving))
-    device.put(AMPS, 2, round(abs(motor.effort) * 400))
+    device.put(_At.POSITION, 2, _sign_magnitude(ticks, 15))
+    device.put(_At.SPEED, 2, _sign_magnitude(round(motor.velocity), 15))
+    device.put(_At.LOAD, 2, _sign_magnitude(round(motor.effort * motor.spec.load_units), 10))
+    device.put(_At.VOLTS, 1, round(motor.voltage_v * 10))
+    device.put(_At.TEMPERATURE, 1, round(motor.temperature_c))
+    device.put(_At.STATUS, 1, _status_bits(motor))
+    device.put(_At.MOVING, 1, int(motor.moving))
+    device.put(_At.AMPS, 2, round(abs(motor.effort) * 400))
 
 
 def _bounded(device: Device, goal: int) -> float:
-    low, high = device.get(MIN_ANGLE, 2), device.get(MAX_ANGLE, 2)
+    low, high = device.get(_At.MIN_ANGLE, 2), device.get(_At.MAX_ANGLE, 2)
     return float(max(-30719, min(30719, goal)) if high == 0 else max(low, min(high, goal)))
 
 

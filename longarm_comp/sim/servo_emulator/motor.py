@@ -5,14 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-VOLTAGE, SENSOR, OVERHEAT, CURRENT, OVERLOAD = (
-    "voltage",
-    "sensor",
-    "overheat",
-    "current",
-    "overload",
-)
-
 
 @dataclass(frozen=True)
 class MotorSpec:
@@ -113,7 +105,7 @@ class Motor:
 
     def clear_alarms(self) -> None:
         """Clear the alarms. A servo that is still too hot keeps its alarm."""
-        self.alarms = {OVERHEAT} & self.alarms if self._hot else set()
+        self.alarms = {"overheat"} & self.alarms if self._hot else set()
         self._overloaded_s = 0.0
 
     def advance(self, dt_s: float) -> None:
@@ -178,9 +170,9 @@ class Motor:
         overloaded = abs(self.effort) >= spec.overload_share
         self._overloaded_s = self._overloaded_s + dt_s if overloaded else 0.0
         if self._overloaded_s > spec.overload_s:
-            self._alarm(OVERLOAD)
+            self._alarm("overload")
         if self._hot:
-            self._alarm(OVERHEAT)
+            self._alarm("overheat")
 
     def _alarm(self, name: str) -> None:
         self.alarms.add(name)

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from enum import IntEnum
 from typing import ClassVar
 
 from longarm_comp.sim.servo_emulator.motor import Motor
 
 BROADCAST = 0xFE
-PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
-"""Instructions that Feetech has taken over from Dynamixel."""
+
+
+class Told(IntEnum):
+    """Instructions that Feetech has taken over from Dynamixel."""
+
+    PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
 
 
 class Device:
@@ -75,10 +80,10 @@ class RegisterWire(Wire):
 
     def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
         target, instruction, params = self.parts(frame)
-        if instruction in (SYNC_READ, SYNC_WRITE):
+        if instruction in (Told.SYNC_READ, Told.SYNC_WRITE):
             address, length = self.words(params)
             rest = params[2 * self.word :]
-            if instruction == SYNC_READ:
+            if instruction == Told.SYNC_READ:
                 asked = [devices[i] for i in rest if i in devices]
                 return [self.status(d, *self.read(d, address, length)) for d in asked]
             for start in range(0, len(rest) - length, length + 1):
@@ -94,9 +99,9 @@ class RegisterWire(Wire):
 
     def carry_out(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
         """An instruction to one servo: error code and data of its answer."""
-        if instruction == READ:
+        if instruction == Told.READ:
             return self.read(device, *self.words(params))
-        if instruction == WRITE:
+        if instruction == Told.WRITE:
             address = int.from_bytes(params[: self.word], "little")
             return self.write(device, address, params[self.word :]), b""
         return 0, b""
