@@ -53,7 +53,7 @@ def _tube(text: Any) -> tuple[float, float]:
 
 
 def _mimic(text: Any) -> tuple[str, float] | None:
-    leader, star, factor = str(text).partition("*")
+    leader, star, factor = str(text or "").partition("*")
     try:
         return (leader, float(factor) if star else 1.0) if leader else None
     except ValueError:
@@ -65,33 +65,30 @@ Tube = Annotated[tuple[float, float], BeforeValidator(_tube)]
 Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_mimic)]
 
 
+def _asked(default: str, question: str) -> Any:
+    """An answer, as text, where nothing is said."""
+    return Field(default, description=question)
+
+
 class _Row(BaseModel):
     """Answers of one row; what has a description is asked, in this order."""
 
     model_config = ConfigDict(validate_default=True, allow_inf_nan=False, str_strip_whitespace=True)
 
-    type: Literal["revolute", "prismatic", "fixed"] = Field(
-        "revolute", description="type (revolute, prismatic, fixed)"
+    type: Literal["revolute", "prismatic", "fixed"] = _asked(
+        "revolute", "type (revolute, prismatic, fixed)"
     )
-    alpha: float = Field(
-        "0", description="alpha: angle from the last z to this z about the last x, deg"
-    )
-    a: float = Field("0", description="a: distance from the last z to this z along the last x, m")
-    d: float = Field("0", description="d: distance from the last x to this x along this z, m")
-    theta: float = Field(
-        "0", description="theta: angle from the last x to this x about this z, deg"
-    )
-    limits: Limits = Field("-45..45", description="limits, deg or m, LOWER..UPPER")
-    tube_a: Tube = Field("0", description="tube along a: outer/inner diameter, mm; 0: rigid")
-    tube_d: Tube = Field("0", description="tube along d: outer/inner diameter, mm; 0: rigid")
-    material: str = Field(
-        "aluminium", description=f"material of the tubes ({', '.join(MATERIALS)})"
-    )
-    servo_kg: float = Field(
-        "0", description="mass of the servo that sits at this joint's frame, kg"
-    )
+    alpha: float = _asked("0", "alpha: angle from the last z to this z about the last x, deg")
+    a: float = _asked("0", "a: distance from the last z to this z along the last x, m")
+    d: float = _asked("0", "d: distance from the last x to this x along this z, m")
+    theta: float = _asked("0", "theta: angle from the last x to this x about this z, deg")
+    limits: Limits = _asked("-45..45", "limits, deg or m, LOWER..UPPER")
+    tube_a: Tube = _asked("0", "tube along a: outer/inner diameter, mm; 0: rigid")
+    tube_d: Tube = _asked("0", "tube along d: outer/inner diameter, mm; 0: rigid")
+    material: str = _asked("aluminium", f"material of the tubes ({', '.join(MATERIALS)})")
+    servo_kg: float = _asked("0", "mass of the servo that sits at this joint's frame, kg")
     name: str = ""
-    mimic: Mimic = Field("")
+    mimic: Mimic = None
 
     @classmethod
     def of(cls, number: int, given: Mapping[str, str]) -> _Row:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -35,7 +36,7 @@ class Panel:
         self._state = gui.add_html("")
         for button in STOPS:
             made = gui.add_button(button.label, color=button.colour, hint=button.hint)
-            made.on_click(lambda _, button=button: press(button))
+            made.on_click(partial(_pressed, press, button))
         self._group(RELEASES, press)
         self._said = gui.add_html("")
         self._job = gui.add_html("", visible=False)
@@ -123,6 +124,10 @@ class Panel:
     def _write(handle: Any, lines: Sequence[str]) -> None:
         style = "font-size:0.85em;line-height:1.4;padding:0 0.75em;overflow-wrap:anywhere"
         _set(handle, "content", f"<div style='{style}'>{''.join(lines)}</div>" if lines else "")
+
+
+def _pressed(press: Callable[[Button], None], button: Button, _: object) -> None:
+    press(button)
 
 
 def _line(text: str, colour: str = _GOOD, *, bold: bool = False, indent: bool = False) -> str:
