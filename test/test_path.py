@@ -82,7 +82,9 @@ def test_the_tip_follows_the_plan_through_sag_play_and_turns(arm: Arm, model: Mo
     assert misses(model, plan.joints, plan).min() > 5e-3  # uncompensated
     assert misses(model, found.timed.joints, plan).max() < 2e-6
     np.testing.assert_array_equal(found.timed.joints[0], plan.joints[0])  # it stands there
-    np.testing.assert_array_equal(found.timed.times, plan.times)  # nothing limits it
+    lasts = np.diff(found.timed.times)  # nothing limits it; its play is taken up first
+    np.testing.assert_allclose(lasts[1:], np.diff(plan.times)[1:])
+    assert 0.1 < lasts[0] < 0.2 and found.timed.stretch == pytest.approx(lasts.sum() / SECONDS)
     shift = np.abs(np.diff(found.timed.joints - plan.joints, axis=0))[1:]
     assert (shift[:, [1, 3, 4, 5, 6]] < 2e-3).all()  # of joints without play nothing jumps
     turned = np.flatnonzero(shift[:, 0] > 3e-3)
@@ -106,6 +108,24 @@ def test_play_is_taken_up_while_its_joint_stands_near_its_turn(arm: Arm) -> None
         assert off[moving].max() < most
     steps = [np.abs(np.diff(path.joints[:, 0] - plan.joints[:, 0])) for path in (quick, gentle)]
     assert steps[0][150:].max() > 0.9 * width and steps[1][150:].max() < 0.5 * width
+
+
+def test_a_path_that_begins_against_its_play_takes_it_up_first_and_gently(arm: Arm) -> None:
+    model = declared_model(arm).plus(FrictionHysteresis(joint=1, width=8e-3))
+    times, joints = plan_of(arm, 101).times, plan_of(arm, 201).joints[:101]
+    assert times is not None and joints is not None
+    span, jerks = arm.upper - arm.lower, []
+    for away in (-0.1, 0.1):  # it came to the start as it goes on, and the other way
+        came = History.unknown(arm.n).after(joints[:1], joints[0] + away)
+        path = compensate_path(
+            model, None, PlannedPath.of_joints(arm, times, joints), start=None, history=came,
+            context_at=lambda arrived: Context(**arrived.fields()),
+        ).timed  # fmt: skip
+        each = np.diff(path.times)
+        middle = path.at(path.times[:-1] + 0.5 * each, 3) / span
+        jerks.append(np.sqrt(np.average((middle**2).sum(axis=1), weights=each)))
+    assert path.stretch > 1.05
+    assert jerks[1] < 1.1 * jerks[0]
 
 
 def test_a_path_of_many_way_points_says_what_single_targets_say(arm: Arm, model: Model) -> None:

@@ -27,11 +27,7 @@ from longarm_comp.core.compensation.result import (
     outside,
     shifted,
 )
-from longarm_comp.core.compensation.retime import (
-    MotionLimits,
-    Timed,
-    planned_times,
-)
+from longarm_comp.core.compensation.retime import MotionLimits, Timed, planned_times
 from longarm_comp.core.compensation.take_up import TakeUp
 from longarm_comp.core.compensation.unknown import (
     missing_column,
@@ -190,13 +186,13 @@ def compensate_path(
     notes: tuple[str, ...] = ()
     way = _Way(model, predictor, plan, start, history, context_at, begun, turn_m, free, options)
     try:
-        answers, came = way.solved(seed)
+        answers, came, later_s = way.solved(seed)
     except _Unanswered as unanswered:
         notes = (str(unanswered),)
         way = replace(way, predictor=None)
-        answers, came = way.solved(seed)
+        answers, came, later_s = way.solved(seed)
     corrected = _corrections(arm, plan, answers.command, int(begun), max_correction_m)
-    timed = _timed(plan, answers.command, limits or MotionLimits.none(arm.n))
+    timed = _timed(plan, answers.command, limits or MotionLimits.none(arm.n), later_s)
     _keep_out(arm, timed)
     return CompensatedPath(timed, answers, corrected, came, (*notes, *way.doubts(answers)))
 
@@ -224,8 +220,8 @@ class _Way:
     def physics(self) -> Model:
         return physics_of(self.model, self.options.method)
 
-    def solved(self, seed: np.ndarray | None) -> tuple[PathAnswers, History]:
-        """Joints at all way-points, and the joints' history at the end."""
+    def solved(self, seed: np.ndarray | None) -> tuple[PathAnswers, History, float]:
+        """Joints at all way-points, their history at the end, how much longer the first way is."""
         settling, count = self.options.settling, len(self.plan.targets)
         learned = self.predictor is not None and self.options.method.learned
         take = TakeUp(self.physics, self.turn_m)
@@ -234,7 +230,7 @@ class _Way:
         lag, passes = np.zeros((count, self.model.arm.n)), 0
         seeds = q = ideal = self._seeds(seed)
         while True:
-            came = self._histories(take.steady(q))
+            came = take.at_once(q, self._histories(take.steady(q)))
             context = self._context(came)
             if passes and learned:
                 error, sigma = self._expected(q, context)
@@ -250,8 +246,9 @@ class _Way:
                 row = int(np.argmax(moved.max(axis=1)))
                 raise PathRefused(Status.NOT_CONVERGED, row, settling.unsettled)
             passes += 1
-        q = self._standing(take.spread(q, lag, came.approach, times))
-        return PathAnswers(ideal, q, error, sigma, context, passes), self._histories(q).latest
+        q, later_s = take.spread(q, lag, came.approach, times)
+        answers = PathAnswers(ideal, self._standing(q), error, sigma, context, passes)
+        return answers, self._histories(q).latest, later_s
 
     def doubts(self, answers: PathAnswers) -> tuple[str, ...]:
         """What is not known where the path begins, and what lies beyond the data."""
@@ -383,9 +380,9 @@ def _corrections(
     return moved
 
 
-def _timed(plan: PlannedPath, joints: np.ndarray, limits: MotionLimits) -> Timed:
+def _timed(plan: PlannedPath, joints: np.ndarray, limits: MotionLimits, later_s: float) -> Timed:
     try:
-        return planned_times(plan.times, joints, limits, plan.joints, plan.velocities)
+        return planned_times(plan.times, joints, limits, plan.joints, plan.velocities, later_s)
     except JobError as error:
         raise PathRefused(Status.NOT_CONVERGED, 0, str(error)) from None
 

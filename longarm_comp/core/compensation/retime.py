@@ -106,6 +106,7 @@ def planned_times(
     limits: MotionLimits,
     planned: np.ndarray | None,
     velocities: np.ndarray | None,
+    later_s: float = 0.0,
 ) -> Timed:
     """Way-points (k, n) at planned times (k,), or later where limits demand it.
 
@@ -113,6 +114,7 @@ def planned_times(
 
     Args:
         planned, velocities: (k, n) of the plan that the way-points correct.
+        later_s: by so much the first way lasts longer, and is gone more slowly.
     """
     first = 0.0 if times is None else float(times[0])
     if len(joints) == 1:
@@ -120,11 +122,14 @@ def planned_times(
     if times is None and limits.bounded:
         return fastest(joints, limits)
     since = np.arange(float(len(joints))) if times is None else times - first
+    first_s, whole_s = float(since[1]), float(since[-1])
+    since = np.append(0.0, since[1:] + later_s)
     slopes = slopes_of(since, joints)
     if velocities is not None and planned is not None:
-        slopes = velocities + slopes_of(since, joints - planned)
+        slopes = slopes_of(since, joints - planned) + velocities
+        slopes[1] -= velocities[1] * later_s / (first_s + later_s)
         slopes[[0, -1]] = 0.0
-    made = retimed(Timed(since, joints, slopes), limits)
+    made = retimed(Timed(since, joints, slopes, since[-1] / whole_s), limits)
     return replace(made, times=made.times + first)
 
 
@@ -155,7 +160,7 @@ def _found(path: Timed, limits: MotionLimits) -> Timed:
         raise JobError("no times keep the limits of velocity and acceleration along the path")
     passed = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(grid) / (paces[1:] + paces[:-1]))])
     at = _LOOKED_AT * np.arange(len(path.times))
-    stretch = float(passed[-1] / path.times[-1])
+    stretch = path.stretch * float(passed[-1] / path.times[-1])
     slower = Timed(passed[at], path.joints, path.velocities * paces[at][:, None], stretch)
     over = max(1.0, slower.excess(limits))  # between way-points it is cubic in time again
     return Timed(slower.times * over, path.joints, slower.velocities / over, stretch * over)
