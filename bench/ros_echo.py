@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.node import run
 from longarm_interfaces.srv import Compensate
 
 _NAMES = [f"joint{k}" for k in range(1, 8)]

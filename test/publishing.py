@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from longarm_comp.jobs.client import GraphClient
+from longarm_comp.jobs.graph_client import GraphClient
 
 
 @contextmanager

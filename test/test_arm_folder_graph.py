@@ -22,8 +22,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.jobs.attend import frozen
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.rehearse import frozen
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.share import folder
 

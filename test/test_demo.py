@@ -20,9 +20,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model_file import load_model
-from longarm_comp.jobs.demo import table
-from longarm_comp.jobs.demo.loop import demonstrate, prepare
-from longarm_comp.jobs.demo.settings import DemoSettings
+from longarm_comp.jobs import demo as table
+from longarm_comp.jobs.demo import DemoSettings, demonstrate, prepare
 from longarm_comp.jobs.targets import Trial
 from longarm_comp.sessions.read import read_session
 

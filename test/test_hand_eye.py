@@ -169,6 +169,7 @@ def test_an_arm_that_rests_gives_a_row_for_every_new_pose(
     from sensor_msgs.msg import JointState
 
     from longarm_comp.jobs import rest_sightings
+    from longarm_comp.jobs.client import ArmClient
     from longarm_comp.nodes import interfaces as graph
     from longarm_comp.nodes.stamps import stamp_of
 
@@ -201,10 +202,10 @@ def test_an_arm_that_rests_gives_a_row_for_every_new_pose(
         told.append(text)
         at[0] = (1, 2, 4, 4)[min(len(told), 4) - 1]
 
-    with publishing(step):
-        session = rest_sightings.sightings_at_rest(ARM, 4, 60.0, tell)
+    with publishing(step), ArmClient(ARM) as client:
+        session = rest_sightings.sightings_at_rest(client, 4, 60.0, tell)
         with pytest.raises(JobError, match="1 of 2 poses"):
-            rest_sightings.sightings_at_rest(ARM, 2, 2.0, told.append)
+            rest_sightings.sightings_at_rest(client, 2, 2.0, told.append)
     kept = [0, 1, 3, 4]
     np.testing.assert_allclose(session.q, poses[kept])
     np.testing.assert_allclose(session.xyz, tips[kept])

@@ -25,7 +25,7 @@ cli.main(["import-urdf", "--help"])
 
 
 @pytest.mark.parametrize(
-    "module", ["longarm_comp.cli.run", "longarm_comp.core.errors", "longarm_comp.cli.import_urdf"]
+    "module", ["longarm_comp.cli.run", "longarm_comp.core.errors", "longarm_comp.cli.urdf"]
 )
 def test_while_it_loads(module: str) -> None:
     ended = subprocess.run(

@@ -24,10 +24,8 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.jobs.apply import apply_on_graph, files_at_work, reload
-from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.demo.loop import TrueTip
-from longarm_comp.jobs.pace import Pace
-from longarm_comp.jobs.parameters import read_parameters, set_parameter
+from longarm_comp.jobs.client import ArmClient, Pace
+from longarm_comp.jobs.demo import TrueTip
 from longarm_comp.jobs.sweep import way_times
 from longarm_comp.jobs.targets import TargetRunner
 from longarm_comp.jobs.verify import choose
@@ -104,7 +102,7 @@ def at_work(client: ArmClient, files: Path, model: Model) -> None:
 def test_verify_says_whether_compensation_helps(
     files: Path, demo_arm_path: Path, client: ArmClient, runner: TargetRunner, tmp_path: Path
 ) -> None:
-    set_parameter(client, "kinematics", "method", "deflection")
+    client.set_parameter("kinematics", "method", "deflection")
     done = longarm("verify", demo_arm_path, "-n", 3, *QUICK, "--json", "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
@@ -116,7 +114,7 @@ def test_verify_says_whether_compensation_helps(
     assert compensated["mean_mm"] < 0.7 * without["mean_mm"]
     for error in report["errors"]:
         assert error["without_mm"][2] < -10.0
-    assert read_parameters(client, "kinematics", "method") == ["deflection"]
+    assert client.parameters("kinematics", "method") == ["deflection"]
 
     at_work(client, files, Model(client.arm))  # nothing bends: it compensates nothing
     targets = tmp_path / "targets.csv"
@@ -174,14 +172,14 @@ def test_after_a_sweep_the_history_is_known(
 def test_a_move_that_is_over_before_the_wait_has_arrived(domain: None, demo_arm_path: Path) -> None:
     arm = Arm.load(demo_arm_path)
     path = np.stack([arm.mid + 0.1 * (arm.upper - arm.mid), arm.mid])
-    tolerance = np.full(arm.n, 1e-3)
+    pace = Pace(dwell_s=0.05, tolerance=1e-3)
     with ArmClient(arm, "nobody_here") as client:
         client.joints = arm.mid.copy()
-        client.arrive(path, tolerance, 0.05, 60.0, start=arm.lower)
+        client.arrive(path, pace, arm.lower)
         with pytest.raises(JobError, match="come to rest"):  # it has not left yet
-            client.arrive(path, tolerance, 0.05, 0.3, start=arm.mid)
+            client.arrive(path, replace(pace, arrive_s=0.3), arm.mid)
         with pytest.raises(JobError, match="come to rest"):
-            client.arrive(path, tolerance, 0.05, 0.3)
+            client.arrive(path, replace(pace, arrive_s=0.3))
 
 
 def test_no_joint_sweeps_faster_than_asked(demo_arm_path: Path) -> None:
@@ -201,18 +199,18 @@ def test_play_grows_while_the_simulation_runs(client: ArmClient, runner: TargetR
     now = lambda: int(client.node.get_clock().now().nanoseconds)  # noqa: E731
     for bad in ("elbow=0.01", "joint1=much", "joint1=-0.1"):
         with pytest.raises(JobError, match=r"joint|more_play"):
-            set_parameter(client, "simulated_arm", "more_play", bad)
+            client.set_parameter("simulated_arm", "more_play", bad)
     stood = np.array(client.joints)
     q = np.clip(stood + 0.1 * (arm.mid - stood), arm.lower, arm.upper)
     client.send(q[None], 0.05)
-    client.arrive(q[None], np.full(arm.n, 5e-4), 0.3, 60.0)
+    client.arrive(q[None], Pace(tolerance=5e-4))
     before = witness(now())
-    set_parameter(client, "simulated_arm", "more_play", "joint1=0.01")
+    client.set_parameter("simulated_arm", "more_play", "joint1=0.01")
     client.spin(0.3)
     after = witness(now())
     radius = np.linalg.norm(before[:2])
     assert np.linalg.norm(after - before) == pytest.approx(0.005 * radius, rel=0.05)
-    set_parameter(client, "simulated_arm", "more_play", "")
+    client.set_parameter("simulated_arm", "more_play", "")
     client.spin(0.3)
     np.testing.assert_allclose(witness(now()), before, atol=1e-6)
 
@@ -222,7 +220,7 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     files: Path, demo_arm_path: Path, client: ArmClient, runner: TargetRunner, tmp_path: Path
 ) -> None:
     at_work(client, files, declared_model(client.arm))
-    set_parameter(client, "kinematics", "method", "both")
+    client.set_parameter("kinematics", "method", "both")
     kept = (files / "model.yaml").read_bytes()
     out = tmp_path / "loop"
     words = ("loop", demo_arm_path, "-o", out, "--rounds", 1, "--poses", 70, "--targets", 3, *QUICK)

@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory
 from bench.slow_path import slow_path
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.client import GraphClient
+from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_comp.nodes.stamps import stamp_ns

@@ -33,10 +33,10 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes import compensator, predictor_client
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.nodes.compensator import Readiness
 from longarm_comp.nodes.kinematics import Kinematics
 from longarm_comp.nodes.messages import joints_message, pose_message
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
-from longarm_comp.nodes.readiness import Readiness
 from longarm_interfaces.srv import Compensate, PredictError
 
 STATUS = Compensate.Response
@@ -155,7 +155,10 @@ def test_a_worker_that_is_quick_is_asked_again(stage: Bench) -> None:
     predictor = SimpleNamespace(answers=False, probe=lambda: probed.append(1))
     kinds = iter(["one model", "one model", "another", "another"])
     compute = SimpleNamespace(kind=lambda: next(kinds), rehearse=lambda: rehearsed.append(1))
-    ready = Readiness(stage.node, Eager(), compute, predictor, compiled=True)
+    state = SimpleNamespace(
+        node=stage.node, worker=Eager(), predictor=predictor, p={"compiled": True}
+    )
+    ready = Readiness(state, compute)
     for _ in range(3):
         ready.look()
     assert len(probed) == 4

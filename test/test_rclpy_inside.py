@@ -16,7 +16,6 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped
 from nodes_bench import ROOT, Bench, bench
-from rclpy.qos import QoSProfile
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.nodes import interfaces as graph
@@ -88,9 +87,6 @@ def test_a_worker_hears_serves_asks_and_counts(stage: Bench) -> None:
     caller = asker.inlets.caller(graph.PREDICT_ERROR)
     asker.start()
     good = graph.TARGET_POSE.publisher(node)
-    deaf = node.create_publisher(
-        PoseStamped, "target_pose", QoSProfile(depth=5, reliability=graph.BEST_EFFORT)
-    )
     answers: list[float] = []
 
     def ask() -> None:
@@ -109,9 +105,7 @@ def test_a_worker_hears_serves_asks_and_counts(stage: Bench) -> None:
         assert len(threads) == 1 and threading.current_thread() not in threads
         stage.connected(good)
         good.publish(PoseStamped())
-        deaf.publish(PoseStamped())
         stage.spin(lambda: heard)
-        stage.spin(lambda: server.inlets.unfit == 1)
         assert server.inlets.lost == 0 and len(heard) == 1
     finally:
         for worker in (server, asker):

@@ -61,7 +61,7 @@ ROOMS = {
     "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
     "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report", "version")),
     "nodes": Room(("cli", "report", "workflows", "scipy")),
-    "view": Room(("click", "scipy"), only=("core", "nodes", "jobs.client")),
+    "view": Room(("click", "scipy"), only=("core", "nodes", "jobs.graph_client")),
 }
 
 MATHS = {

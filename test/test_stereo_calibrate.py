@@ -26,7 +26,7 @@ from longarm_comp.sim.cameras import Conditions, render
 from longarm_comp.sim.marker_images import charuco_plate, tag_plate
 
 if TYPE_CHECKING:
-    from longarm_comp.jobs.client import GraphClient
+    from longarm_comp.jobs.graph_client import GraphClient
 
 TRUE = dataclasses.replace(
     HEAD, baseline_m=0.2, focal_px=640.0, size=(512, 384), d=(-0.15, 0.05, 0.0, 0.0, 0.0),
@@ -211,12 +211,14 @@ def test_a_board_shown_to_the_topics_calibrates_the_head(
     board, said = Board(pictures), []
     original = board_capture.capture
 
-    def capture(target: Any, within: float, tell: Callable[[str], None], **more: Any) -> Any:
+    def capture(
+        client: Any, target: Any, within: float, tell: Callable[[str], None], **more: Any
+    ) -> Any:
         def both(text: str) -> None:
             board.told(text)
             tell(text)
 
-        found = original(target, within, both, **more)
+        found = original(client, target, within, both, **more)
         said.append(gaps(*found))
         return found
 

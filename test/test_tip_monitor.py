@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from small_arm import ARM
@@ -21,15 +23,18 @@ from longarm_comp.nodes.monitoring import TipMonitor
 from longarm_comp.nodes.stamps import stamp_of
 
 
-class NoPredictor:
-    """No predictor is on the graph."""
-
-    present = False
+def monitor_of(settle_s: float = 0.0) -> TipMonitor:
+    """A monitor of an arm without a predictor, warned by one sighting a pose."""
+    p = {"settle_s": settle_s, "sightings": 1, "sigma_m": 1e-3, "run_length": 1e4}
+    given = {"arm": "arm.yaml", "model": "", **{f"monitor.{k}": v for k, v in p.items()}}
+    files = SimpleNamespace(loaded=SimpleNamespace(file_hash=""))
+    node, nobody = SimpleNamespace(get_namespace=lambda: "/"), SimpleNamespace(present=False)
+    return TipMonitor(SimpleNamespace(p=given, files=files, node=node, predictor=nobody))
 
 
 def watched(model: Model, off_prediction: float, off_target: float) -> TipMonitor:
     """Forty rest poses: the tip is off its prediction, and its prediction off the target."""
-    monitor = TipMonitor(NoPredictor(), 0.0, 1, 1e-3, 1e4, lambda: "advice")  # type: ignore[arg-type]
+    monitor = monitor_of()
     rng = np.random.default_rng(1)
     for number in range(40):
         q = ARM.mid + 0.2 * (ARM.upper - ARM.lower) * (rng.random(ARM.n) - 0.5)
@@ -70,7 +75,7 @@ def test_commands_for_other_circumstances_show_at_the_target_alone(model: Model)
 
 
 def test_a_pose_that_is_no_target_is_not_judged_by_one(model: Model) -> None:
-    monitor = TipMonitor(NoPredictor(), 0.0, 1, 1e-3, 1e4, lambda: "advice")  # type: ignore[arg-type]
+    monitor = monitor_of()
     monitor.aimed(ARM.mid, np.zeros(3))
     q = ARM.mid + 0.01
     rest = RestPose(q, History.unknown(ARM.n), model.measured(q), np.full(3, 1e-8), 1)
@@ -80,15 +85,18 @@ def test_a_pose_that_is_no_target_is_not_judged_by_one(model: Model) -> None:
 
 def test_images_of_the_way_that_come_late_are_no_rest_pose() -> None:
     """A busy machine hands them over seconds after the joints came to rest."""
-    monitor = TipMonitor(NoPredictor(), 0.5, 1, 1e-3, 1e4, lambda: "advice")  # type: ignore[arg-type]
+    monitor = monitor_of(0.5)
     monitor.on_command(ARM.mid, History.unknown(ARM.n))
     monitor.on_joints(ARM.mid + 0.1, 9.0)
     monitor.on_joints(ARM.mid, 10.0)
     for taken, now, rests in ((9.9, 14.0, False), (10.4, 14.5, False), (10.6, 15.0, True)):
         seen = PoseWithCovarianceStamped()
         seen.header.stamp = stamp_of(int(1e9 * taken))
-        assert (monitor.on_tip(seen, now) is not None) == rests
+        monitor._state.now_s = now
+        assert (monitor.on_tip(seen) is not None) == rests
     monitor.on_command(ARM.mid, History.unknown(ARM.n))
     monitor.on_joints(ARM.mid, 20.0)
-    assert monitor.on_tip(PoseWithCovarianceStamped(), 20.4) is None  # no stamp: it is of now
-    assert monitor.on_tip(PoseWithCovarianceStamped(), 20.6) is not None
+    monitor._state.now_s = 20.4
+    assert monitor.on_tip(PoseWithCovarianceStamped()) is None  # no stamp: it is of now
+    monitor._state.now_s = 20.6
+    assert monitor.on_tip(PoseWithCovarianceStamped()) is not None

@@ -29,7 +29,7 @@ from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
-from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp, folder, running
 from longarm_comp.nodes.messages import joints_of
@@ -101,9 +101,9 @@ class Stage:
 
     def rest(self, path: np.ndarray, start: np.ndarray | None) -> int:
         """Wait until the arm, sent from ``start``, rests at the end of a path (k, n); when, ns."""
-        tolerance = np.where(self.turning, 3e-4, 3e-5)
+        pace = Pace(dwell_s=0.2, tolerance=np.where(self.turning, 3e-4, 3e-5))
         self.at = path[-1]
-        return self.client.arrive(path, tolerance, 0.2, 60.0, start=start)
+        return self.client.arrive(path, pace, start)
 
     def go(self, q: np.ndarray) -> None:
         """Command joints (n,) and wait."""

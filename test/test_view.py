@@ -69,8 +69,8 @@ class Driver:
         self.targets = graph.TARGET_POSE.publisher(self.node)
         self.collecting = graph.COLLECT_PROGRESS.publisher(self.node)
         mean, foreign = Report(ERROR, MEAN_WORDS), Report(ERROR, "of another namespace")
-        self.own = Health(self.node, {"part": lambda: mean}, 600.0)
-        self.foreign = Health(self.other, {"part": lambda: foreign}, 600.0)
+        self.own, self.foreign = Health(self.node, 600.0), Health(self.other, 600.0)
+        self.own.parts["part"], self.foreign.parts["part"] = lambda: mean, lambda: foreign
         graph.JOINT_TRAJECTORY.subscription(self.node, self.on_trajectory)
         self.node.create_service(SetBool, "servo_driver/estop", self.on_estop)
         self.node.create_service(SetBool, "servo_driver/hold", self.on_hold)

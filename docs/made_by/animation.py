@@ -22,7 +22,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import unstack
 from longarm_comp.core.model.tip_motion import stack
-from longarm_comp.jobs.demo.table import DECLARED, FOUND, ORIGINAL
+from longarm_comp.jobs.demo import DECLARED, FOUND, ORIGINAL
 
 ERROR_TIMES = 10.0
 STOPS = 9

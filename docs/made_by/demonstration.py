@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 import longarm_comp as la
 from longarm_comp.core.model.link_frames import exaggerated, outline
-from longarm_comp.jobs.demo.table import DECLARED, FOUND, LEARNED, ORIGINAL
+from longarm_comp.jobs.demo import DECLARED, FOUND, LEARNED, ORIGINAL
 from longarm_comp.share import folder
 
 RUNS = {

@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, progress
+from longarm_comp.cli.signals import on_graph
 
 
 @click.command()
 @click.argument("diagnosis", type=click.Path(path_type=Path), metavar="DIAGNOSIS")
 @options.path_option("--session", "The session diagnosed; default: the one DIAGNOSIS names.")
-@click.option("--no-network", is_flag=True, help="Train no predictor.")
+@options.without("network", "Train no predictor.")
 @options.namespace
 @options.seed
 @options.effects
 @options.as_json
-def apply(
-    diagnosis: Path,
-    session: Path | None,
-    no_network: bool,
-    namespace: str,
-    seed: int,
-    as_json: bool,
-) -> None:
+def apply(diagnosis: Path, namespace: str, as_json: bool, **how: Any) -> None:
     """Put DIAGNOSIS, a folder of `longarm diagnose`, to work on the running graph.
 
     Replaces the model file that kinematics was started with and trains the predictor again on
@@ -41,19 +36,10 @@ def apply(
     """
     from dataclasses import asdict
 
-    from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.jobs.apply import apply_on_graph
-    from longarm_comp.jobs.client import GraphClient
 
-    with (
-        stop_on_signals() as stop,
-        GraphClient(namespace, stop, "apply") as client,
-        progress("apply") as show,
-    ):
-        done = apply_on_graph(
-            client, diagnosis, session=session, network=not no_network, seed=seed, note=note,
-            progress=show,
-        )  # fmt: skip
+    with on_graph("apply", namespace) as client, progress("apply") as show:
+        done = apply_on_graph(client, diagnosis, note=note, progress=show, **how)
     if as_json:
         print_json({**asdict(done), "undo": done.undo})
         return

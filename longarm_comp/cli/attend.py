@@ -1,28 +1,12 @@
-"""``longarm status``, ``hold``, ``stop`` and ``reset``: what a person asks of a running arm."""
+"""What a person asks of a running arm, and faults of a simulated one, to rehearse."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json
-
-if TYPE_CHECKING:
-    from longarm_comp.jobs.attend import Attendant
-
-
-@contextmanager
-def _attendant(namespace: str, name: str) -> Iterator[Attendant]:
-    from longarm_comp.cli.signals import stop_on_signals
-    from longarm_comp.jobs.attend import Attendant
-    from longarm_comp.jobs.client import GraphClient
-
-    with stop_on_signals() as stop, GraphClient(namespace, stop, name) as client:
-        yield Attendant(client)
+from longarm_comp.cli.signals import on_graph
 
 
 @click.command()
@@ -37,8 +21,10 @@ def status(namespace: str, as_json: bool) -> None:
     """
     from dataclasses import asdict
 
-    with _attendant(namespace, "status") as attendant:
-        found = attendant.standing()
+    from longarm_comp.jobs.attend import Attendant
+
+    with on_graph("status", namespace) as client:
+        found = Attendant(client).standing()
     if as_json:
         print_json(asdict(found))
         return
@@ -56,44 +42,77 @@ def status(namespace: str, as_json: bool) -> None:
         click.echo(f"Next: {found.next}")
 
 
-@click.command()
-@options.namespace
-def hold(namespace: str) -> None:
-    """Stop the running arm smoothly and keep it where it is, torque on; `longarm reset` goes on.
+def _asked_of_the_driver(name: str, what: str) -> click.Command:
+    """The command of one request to the driver; ``name`` is the `Attendant`'s too."""
 
-    Trajectories are refused meanwhile.
+    def ask(namespace: str) -> None:
+        from longarm_comp.jobs.attend import Attendant
+
+        with on_graph(name, namespace) as client:
+            note(getattr(Attendant(client), name)())
+
+    ask.__doc__ = f"{what}\n\n\b\nExample:\n  longarm {name}"
+    return click.command(name)(options.namespace(ask))
+
+
+hold = _asked_of_the_driver(
+    "hold",
+    "Stop the running arm smoothly and keep it where it is, torque on; `longarm reset` goes on.\n\n"
+    "Trajectories are refused meanwhile.",
+)
+stop = _asked_of_the_driver(
+    "stop",
+    "Cut the torque of the running arm now: an arm without brakes drops. No safety function.\n\n"
+    "`longarm reset` switches it on again. To keep a heavy arm up: `longarm hold`.",
+)
+reset = _asked_of_the_driver(
+    "reset",
+    "Go on after a hold, a stop, or a fault whose cause is gone. The arm stays where it is.",
+)
+
+
+def _fault(name: str, parameter: str, metavar: str, what: str, example: str) -> click.Command:
+    """The command of one fault, which a parameter of the simulated arm lists by name."""
+
+    def spoil(name: str, back: bool, namespace: str) -> None:
+        from longarm_comp.jobs import attend
+
+        with on_graph("rehearse", namespace) as client:
+            said = attend.spoil(client, parameter, name, back)
+        note(f"{said}; longarm status says what the arm makes of it")
+
+    words = f"longarm sim {name} {example}"
+    spoil.__doc__ = (
+        f"Rehearse a fault of a simulated arm: {what}.\n\n\b\n"
+        f"Examples:\n  {words}\n  {words} --back"
+    )
+    back = click.option("--back", is_flag=True, help="Put it right again.")
+    named = click.argument("name", metavar=metavar)
+    return click.command(name)(named(back(options.namespace(spoil))))
+
+
+unplug = _fault("unplug", "unplugged", "JOINT", "the servo of JOINT does not answer", "joint2")
+_BLIND = "the camera CAMERA (left or right) sees nothing"
+cover = _fault("cover", "covered", "CAMERA", _BLIND, "left")
+
+
+@click.command()
+@click.argument("node", metavar="NODE")
+@click.option(
+    "--for", "seconds", type=click.FloatRange(0.1), default=10.0, show_default=True, help="s."
+)
+@options.namespace
+def freeze(node: str, seconds: float, namespace: str) -> None:
+    """Rehearse a hang: NODE of a simulated arm stands still for a while, or until Ctrl-C.
 
     \b
     Example:
-      longarm hold
+      longarm sim freeze kinematics --for 20
     """
-    with _attendant(namespace, "hold") as attendant:
-        note(attendant.hold())
+    from longarm_comp.jobs.attend import frozen
 
-
-@click.command()
-@options.namespace
-def stop(namespace: str) -> None:
-    """Cut the torque of the running arm now: an arm without brakes drops. No safety function.
-
-    `longarm reset` switches it on again. To keep a heavy arm up: `longarm hold`.
-
-    \b
-    Example:
-      longarm stop
-    """
-    with _attendant(namespace, "stop") as attendant:
-        note(attendant.stop())
-
-
-@click.command()
-@options.namespace
-def reset(namespace: str) -> None:
-    """Go on after a hold, a stop, or a fault whose cause is gone. The arm stays where it is.
-
-    \b
-    Example:
-      longarm reset
-    """
-    with _attendant(namespace, "reset") as attendant:
-        note(attendant.reset())
+    with on_graph("rehearse", namespace) as client:
+        with frozen(client, node) as process:
+            note(f"{node} (process {process}) stands still for {seconds:g} s")
+            client.stop.wait(seconds)
+        note(f"{node} goes on")

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     metavar="NAME",
     help="Effect to fit besides, on every joint or beam that may have it; repeat for more.",
 )
-@click.option("--no-deflection", is_flag=True, help="Treat the declared beams as stiff.")
+@options.without("deflection", "Treat the declared beams as stiff.")
 @click.option(
     "--fraction", type=float, default=0.2, show_default=True, help="Share of rows held out."
 )
@@ -37,15 +37,7 @@ if TYPE_CHECKING:
 @options.effects
 @options.as_json
 def command(
-    arm: Path,
-    session: Path,
-    kind_of: tuple[Path, ...],
-    output: Path,
-    effects: tuple[str, ...],
-    no_deflection: bool,
-    fraction: float,
-    seed: int,
-    as_json: bool,
+    arm: Path, session: Path, output: Path, effects: tuple[str, ...], as_json: bool, **how: Any
 ) -> None:
     """Fit geometry and declared effects of ARM to SESSION (CSV or bag).
 
@@ -64,17 +56,7 @@ def command(
     declared = Arm.load(arm)
     chosen = [instances(name, declared, "--effect") for name in effects]
     with progress("calibrate") as show:
-        calibration = calibrate(
-            declared,
-            session,
-            effects=chosen,
-            deflection=not no_deflection,
-            fraction=fraction,
-            seed=seed,
-            kind_of=kind_of,
-            note=note,
-            progress=show,
-        )
+        calibration = calibrate(declared, session, effects=chosen, note=note, progress=show, **how)
     calibration.save(output)
     if calibration.placed:
         note("the nominal arm was placed by the rows first: they see it somewhere else")

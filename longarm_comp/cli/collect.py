@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from longarm_comp.cli.output import note, print_json, print_table
 from longarm_comp.core.errors import InputError, JobError, LongarmError
 
 if TYPE_CHECKING:
+    from longarm_comp.jobs.client import Pace
     from longarm_comp.jobs.collect.preview import Preview
     from longarm_comp.jobs.collect.progress import Outcomes, Progress
     from longarm_comp.jobs.collect.run import Collected
@@ -60,14 +62,11 @@ def command(
     sides: str,
     repeats: int,
     in_order: bool,
-    sightings: int,
-    dwell: float | None,
-    move: float,
-    resume: bool,
-    give_up: int,
+    pace: Callable[..., Pace],
     namespace: str,
     seed: int,
     as_json: bool,
+    **how: Any,
 ) -> None:
     """Drive ARM through the plan POSES over ROS and record a session bag.
 
@@ -87,7 +86,6 @@ def command(
     from longarm_comp.core.data.allowed_poses import above
     from longarm_comp.core.data.plan import from_both_sides, with_random_sides
     from longarm_comp.core.model.declared_model import declared_model
-    from longarm_comp.core.vibration.dwell import rest_s
     from longarm_comp.jobs.collect.preview import preview, refuse_blocked, servos_beside
     from longarm_comp.jobs.measurement_schedule import visits
     from longarm_comp.sessions.poses import read_poses
@@ -100,11 +98,11 @@ def command(
     if other is not None:
         plan = other(declared, plan, seed)
     todo = visits(plan, declared, repeats=repeats, shuffle=not in_order, seed=seed)
-    rest = rest_s(declared_model(declared), plan.q, move, dwell)
+    paced = pace(declared_model(declared), plan.q)
     bounded = declared if floor is None else above(declared, floor)
     ahead = preview(
         bounded, todo, view=view_beside(arm), servos=servos_beside(arm, declared.joint_names),
-        rest_s=rest + _LOOK_S * sightings,
+        rest_s=paced.dwell_s + _LOOK_S * paced.sightings,
     )  # fmt: skip
     if picture is not None:
         from longarm_comp.jobs.collect.picture import draw
@@ -115,10 +113,7 @@ def command(
         return
     refuse_blocked(ahead, poses)
     assert output is not None
-    from longarm_comp.jobs.pace import Pace
-
-    pace = Pace(sightings=sightings, dwell_s=rest, move_s=move)
-    done = _drive(ahead, output, namespace, as_json, pace=pace, resume=resume, give_up=give_up)
+    done = _drive(ahead, output, namespace, as_json, pace=paced, **how)
     if as_json:
         print_json({"bag": str(output), **vars(done)})
         return
@@ -134,8 +129,7 @@ def command(
 def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any) -> Collected:
     """Collect; draw what became of each pose, also where it ends early."""
     from longarm_comp.cli.live import shown
-    from longarm_comp.cli.signals import pause_on_stop_key, stop_on_signals
-    from longarm_comp.jobs.client import ArmClient
+    from longarm_comp.cli.signals import on_graph, pause_on_stop_key
     from longarm_comp.jobs.collect.progress import Outcomes
     from longarm_comp.jobs.collect.run import collect
 
@@ -148,9 +142,8 @@ def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any
     done: Collected | None = None
     try:
         with (
-            stop_on_signals() as stop,
+            on_graph("collect", namespace, ahead.arm) as client,
             pause_on_stop_key() as pause,
-            ArmClient(ahead.arm, namespace, stop, "collect") as client,
             shown(ahead.arm, quiet) as show,
         ):
             done = collect(

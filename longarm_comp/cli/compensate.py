@@ -37,11 +37,13 @@ if TYPE_CHECKING:
     help="Frame of the targets: the arm's own base, or that of the measurements of MODEL.",
 )
 @click.option("--seed-q", help="Joints to start from, q1,..,qn (rad, m); default mid-range.")
-@click.option("--lock", multiple=True, metavar="ROW|NAME", help="Joint that stays at its seed.")
+@click.option(
+    "--lock", "locked", multiple=True, metavar="ROW|NAME", help="Joint that stays at its seed."
+)
 @options.path_option(
     "--history", "Session right before the targets, which are executed in order; else unknown."
 )
-@click.option("--no-run-up", is_flag=True, help="Joints move directly, from any side.")
+@options.without("run_up", "Joints move directly, from any side.")
 @click.option("--position-only", is_flag=True, help="Leave the orientation free.")
 @click.option("--single-pass", is_flag=True, help="Correct once, as the paper does.")
 @click.option(
@@ -62,17 +64,14 @@ def command(
     model: Path | None,
     predictor: Path | None,
     method: str | None,
-    frame: str | None,
     seed_q: str | None,
-    lock: tuple[str, ...],
-    history: Path | None,
-    no_run_up: bool,
-    position_only: bool,
-    single_pass: bool,
+    locked: tuple[str, ...],
+    run_up: bool,
     realisable: bool,
     output: Path,
     like: Path | None,
     as_json: bool,
+    **alike: Any,
 ) -> None:
     """Joint commands of ARM that bring its real tip to targets (m).
 
@@ -115,21 +114,12 @@ def command(
     if chosen.learned and chosen is not fitting(learned):
         allowed = f"{fitting(learned).value}: as the predictor was trained"
         raise InputError("compensate", "--method", method, allowed)
-    # more are no row's, and no number that Python reads
-    alike: dict[str, Any] = {
-        "method": chosen,
-        "frame": frame,
-        "history": history,
-        "seed": None if seed_q is None else _joints(seed_q, declared),
-        "locked": [int(v) if v.isdecimal() and len(v) <= 9 else v for v in lock],
-        "position_only": position_only,
-        "single_pass": single_pass,
-    }
+    alike |= {"method": chosen, "seed": None if seed_q is None else _joints(seed_q, declared)}
+    # more digits are no row's, and no number that Python reads
+    alike["locked"] = [int(v) if v.isdecimal() and len(v) <= 9 else v for v in locked]
     answers: Commands
     if path is None:
-        answers = compensate(
-            base, wanted, learned, run_up=not no_run_up, realisable=realisable, **alike
-        )
+        answers = compensate(base, wanted, learned, run_up=run_up, realisable=realisable, **alike)
     else:
         answers = found = compensate_path(
             base, wanted, learned,

@@ -70,8 +70,7 @@ def command(
 
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.files import write_text
-    from longarm_comp.jobs.demo.loop import demonstrate, report
-    from longarm_comp.jobs.demo.settings import DemoSettings
+    from longarm_comp.jobs.demo import DemoSettings, demonstrate, report
 
     settings = DemoSettings(out, poses, targets, speed=speed, seed=seed)
     if second_round:

@@ -21,7 +21,7 @@ STEPS = 6.0
 @options.path_option("--model", "Known model; its effects are never added twice.")
 @options.kind_of
 @options.seed
-@click.option("--no-network", is_flag=True, help="Train no network on the remaining error.")
+@options.without("network", "Train no network on the remaining error.")
 @options.output("diagnosis", "Folder to write.", outputs.DIAGNOSIS, outputs.diagnosed)
 @options.written(
     "--write-effect",
@@ -31,16 +31,7 @@ STEPS = 6.0
 @options.effects
 @options.as_json
 def command(
-    arm: Path,
-    session: Path,
-    test: Path | None,
-    model: Path | None,
-    kind_of: tuple[Path, ...],
-    seed: int,
-    no_network: bool,
-    output: Path,
-    write_effect: Path | None,
-    as_json: bool,
+    arm: Path, session: Path, output: Path, write_effect: Path | None, as_json: bool, **how: Any
 ) -> None:
     """Find the effects that ARM's model lacks in SESSION (CSV or bag), add and prove them.
 
@@ -66,17 +57,7 @@ def command(
             step = next(done)
             show(text, step / (step + STEPS))
 
-        found = diagnose_files(
-            declared,
-            session,
-            output,
-            test=test,
-            model=model,
-            kind_of=kind_of,
-            network=not no_network,
-            seed=seed,
-            progress=say,
-        )
+        found = diagnose_files(declared, session, output, progress=say, **how)
     if write_effect is not None:
         write_effects(found.diagnosis, write_effect)
     report = found.report()

@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from longarm_comp.cli.signals import handled
 from longarm_comp.core.errors import InputError, JobError
 
 
@@ -19,13 +20,11 @@ def agreed(question: str, yes: bool) -> bool:
     """Whether the user says yes; asked on the terminal unless it was said with ``--yes``."""
     if yes:
         return True
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        return click.confirm(question, err=True)
+        with handled({signal.SIGINT: signal.default_int_handler}):
+            return click.confirm(question, err=True)
     except click.Abort:
         raise JobError("nobody said yes: answer the question, or give --yes") from None
-    finally:
-        signal.signal(signal.SIGINT, handler)
 
 
 @dataclass(frozen=True)
@@ -89,13 +88,8 @@ def ended_by_signals() -> Iterator[None]:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, interrupt) for number in numbers}
-    try:
+    with handled(dict.fromkeys((signal.SIGINT, signal.SIGTERM), interrupt)):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def by_name(command: str, flag: str, given: Sequence[str], names: Sequence[str]) -> dict[str, str]:

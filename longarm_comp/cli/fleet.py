@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,18 +24,10 @@ if TYPE_CHECKING:
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
 @click.option("--dask", metavar="ADDRESS", help="Dask scheduler; its workers see the same files.")
-@click.option("--no-network", is_flag=True, help="Train no network on the remaining error.")
+@options.without("network", "Train no network on the remaining error.")
 @options.seed
 @options.as_json
-def command(
-    folder: Path,
-    output: Path,
-    jobs: int,
-    dask: str | None,
-    no_network: bool,
-    seed: int,
-    as_json: bool,
-) -> None:
+def command(folder: Path, output: Path, as_json: bool, **how: Any) -> None:
     """Diagnose every arm in DIR and compare them: which arm drifts, which effect is the kind's.
 
     DIR has a folder an arm, with arm.yaml, sessions (the newest counts) and perhaps the model.yaml
@@ -51,15 +43,7 @@ def command(
     from longarm_comp.workflows.fleet import fleet
 
     with progress("fleet") as show:
-        arms = fleet(
-            folder,
-            output,
-            jobs=jobs,
-            dask=dask,
-            network=not no_network,
-            seed=seed,
-            progress=show,
-        )
+        arms = fleet(folder, output, progress=show, **how)
     draw(
         [arm.name for arm in arms],
         {

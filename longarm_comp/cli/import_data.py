@@ -23,7 +23,7 @@ from longarm_comp.core.errors import InputError
 )
 @click.option("--units", default="", metavar="mm,deg", help="Units of columns that name none.")
 @click.option(
-    "--map", "given", multiple=True, metavar="A=q1,...",
+    "--map", "pairs", multiple=True, metavar="A=q1,...",
     help="Which column is which; with a unit: A=q3:mm. Repeat for more.",
 )  # fmt: skip
 @click.option("--rotation", metavar="CONVENTION:COLUMNS", help="Orientation; see below.")
@@ -38,15 +38,12 @@ def command(
     files: tuple[Path, ...],
     output: Path,
     units: str,
-    given: tuple[str, ...],
-    rotation: str | None,
+    pairs: tuple[str, ...],
     arm: Path | None,
     like: Path | None,
-    sheet: str | None,
-    join: str | None,
     sort: str | None,
-    decimal: str | None,
     as_json: bool,
+    **told: str | None,
 ) -> None:
     """Convert FILE (CSV, TXT or XLSX) of another program to a session.
 
@@ -68,16 +65,9 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.sessions.foreign.convert import Options, import_table
 
-    said = Options(
-        tuple(u.strip() for u in units.split(",") if u.strip()),
-        _pairs(given),
-        rotation,
-        sheet,
-        decimal,
-        None if arm is None else Arm.load(arm),
-        join,
-        sort,
-    )
+    of_columns = tuple(u.strip() for u in units.split(",") if u.strip())
+    declared = None if arm is None else Arm.load(arm)
+    said = Options(of_columns, _pairs(pairs), arm=declared, sort=sort, **told)
     found = import_table(files, said if like is None else said.like(like))
     mapping = found.save(output)
     rows = found.preview()

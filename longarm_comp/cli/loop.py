@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.dialogue import agreed
 from longarm_comp.cli.output import note, print_json, print_rows, progress
+from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
+    from longarm_comp.jobs.client import Pace
     from longarm_comp.report.record import DiagnosisReport
 
 SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")
@@ -25,7 +28,7 @@ SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_a
 @click.option("--rounds", default=3, show_default=True, help="Rounds at most.")
 @click.option("--poses", default=180, show_default=True, help="Poses to measure in a round.")
 @click.option("--targets", default=40, show_default=True, help="Fresh targets to judge by.")
-@click.option("--no-network", is_flag=True, help="Train no predictor.")
+@options.without("network", "Train no predictor.")
 @click.option("--resume", is_flag=True, help="Go on with an interrupted loop.")
 @options.pace
 @options.namespace
@@ -36,17 +39,13 @@ def command(
     arm: Path,
     output: Path,
     yes: bool,
-    rounds: int,
-    poses: int,
     targets: int,
-    no_network: bool,
     resume: bool,
-    sightings: int,
-    dwell: float | None,
-    move: float,
+    pace: Callable[..., Pace],
     namespace: str,
     seed: int,
     as_json: bool,
+    **size: Any,
 ) -> None:
     """Calibrate and check ARM on its running graph, real or simulated, in one command.
 
@@ -65,33 +64,22 @@ def command(
       longarm up arm.yaml --sim --model work/model.yaml --predictor work/predictor.npz
       longarm loop arm.yaml -o loop_1
     """
-    from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.data.plan import sobol
     from longarm_comp.core.model.declared_model import declared_model
-    from longarm_comp.core.vibration.dwell import rest_s
-    from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.loop.run import Loop
     from longarm_comp.jobs.loop.settings import LoopSettings
     from longarm_comp.jobs.loop.summary import write_loop
-    from longarm_comp.jobs.pace import Pace
 
     declared = Arm.load(arm)
-    rest = rest_s(declared_model(declared), sobol(declared, 16, seed).q, move, dwell)
-    settings = LoopSettings(
-        output, rounds, poses, targets, not no_network, seed,
-        Pace(sightings=sightings, dwell_s=rest, move_s=move),
-    )  # fmt: skip
+    paced = pace(declared_model(declared), sobol(declared, 16, seed).q)
+    settings = LoopSettings(output, targets=targets, seed=seed, pace=paced, **size)
 
     def agree(report: DiagnosisReport) -> bool:
         note(f"{report.verdict}: {report.summary}")
         return agreed("Apply this to the model at work?", yes)
 
-    with (
-        stop_on_signals() as stop,
-        ArmClient(declared, namespace, stop, "loop") as client,
-        progress("loop") as show,
-    ):
+    with on_graph("loop", namespace, declared) as client, progress("loop") as show:
         result = Loop(client, settings, agree, resume=resume, say=show).run()
     printed = write_loop(declared.name, settings, result)
     if as_json:

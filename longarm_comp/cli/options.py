@@ -71,7 +71,24 @@ namespace = namespace_of("", "Namespace of the arm.")
 
 
 def pace(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options of a measurement: ``--sightings``, ``--dwell``, ``--move``."""
+    """Options ``--sightings``, ``--dwell``, ``--move``.
+
+    The command gets `pace`: of a model and postures (N, n), the `Pace` with a rest that the arm's
+    ring needs there.
+    """
+
+    @functools.wraps(function)
+    def command(sightings: int, dwell: float | None, move: float, **rest: Any) -> Any:
+        def pace(model: Any, q: Any) -> Any:
+            from longarm_comp.core.vibration.dwell import rest_s
+            from longarm_comp.jobs.client import Pace
+
+            dwell_s = rest_s(model, q, move, dwell)
+            return Pace(sightings=sightings, dwell_s=dwell_s, move_s=move)
+
+        return function(pace=pace, **rest)
+
+    made: Callable[..., Any] = command
     for option in (
         click.option("--move", default=0.5, show_default=True, help="Least time of a move, s."),
         click.option(
@@ -84,8 +101,8 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
             "--sightings", default=5, show_default=True, help="Sightings averaged at each pose."
         ),
     ):
-        function = option(function)
-    return function
+        made = option(made)
+    return made
 
 
 def _load(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tuple[Path, ...]:
@@ -134,6 +151,12 @@ def output(
     )
 
 
+def without(name: str, what: str) -> _Decorator:
+    """Option ``--no-NAME``; the parameter `name` is True unless it is given."""
+    flag = f"--no-{name.replace('_', '-')}"
+    return click.option(flag, name, is_flag=True, callback=lambda c, p, given: not given, help=what)
+
+
 def written(name: str, what: str, kind: Kind) -> _Decorator:
     """An option that names a further file or folder to write."""
     return click.option(*name.split("/"), type=_PATH, help=what, cls=Output, kind=kind)
@@ -163,7 +186,13 @@ def form_of(like: Path | None, output: Path) -> tuple[Any, Path]:
     return form, form.output(output) if given is ParameterSource.DEFAULT else output
 
 
-port = click.option("--port", help="Serial port of the servo bus, for instance /dev/ttyUSB0.")
-protocol = click.option("--protocol", help="Protocol of the servos; default: what answers.")
-baud = click.option("--baud", type=click.IntRange(min=1), help="bit/s; default: what answers.")
-bus_ids = click.option("--ids", default="0-252", show_default=True, help="Ids to ask: 1-20 or 1,2.")
+def servo_line(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Options ``--port``, ``--protocol``, ``--baud``, ``--ids`` of a servo bus."""
+    for option in (
+        click.option("--ids", default="0-252", show_default=True, help="Ids to ask: 1-20 or 1,2."),
+        click.option("--baud", type=click.IntRange(min=1), help="bit/s; default: what answers."),
+        click.option("--protocol", help="Protocol of the servos; default: what answers."),
+        click.option("--port", help="Serial port of the servo bus, for instance /dev/ttyUSB0."),
+    ):
+        function = option(function)
+    return function

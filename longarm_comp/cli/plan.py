@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--view",
+    "view_deg",
     type=click.FloatRange(0, 180, min_open=True),
     metavar="DEG",
     help="Half of the view of the cameras in arm.yaml: the tip must be in it.",
@@ -82,20 +83,15 @@ def command(
     kind: str,
     count: int,
     report: Path | None,
-    model: Path | None,
-    measured: Path | None,
     measure: str,
     points: tuple[tuple[str, float, float, float], ...],
     noise_mm: float,
-    view: float | None,
-    keep_out: tuple[tuple[float, ...], ...],
-    floor: float | None,
     seen: bool,
     picture: Path | None,
     output: Path,
     like: Path | None,
-    seed: int,
     as_json: bool,
+    **given: Any,
 ) -> None:
     """Write N poses to measure ARM at, each with the side that every joint arrives from.
 
@@ -117,14 +113,12 @@ def command(
     if (kind == "next") != (report is not None) and not (optimal and report):
         allowed = "a diagnosis folder with --kind next, i-optimal or d-optimal, only"
         raise InputError("plan", "--report", report, allowed)
-    given: dict[str, Any] = {"report": report, "seed": seed}
+    given |= {"report": report, "seen": _sees(arm) if seen else None}
     if kind != "next":
         given["kind"] = kind
     if optimal:
         given |= {"measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
         given["points"] = {name: place for name, *place in points}
-    given |= {"model": model, "measured": measured, "view_deg": view, "keep_out": keep_out}
-    given |= {"floor": floor, "seen": _sees(arm) if seen else None}
     if picture is not None:
         from longarm_comp.jobs.collect.picture import check_suffix
 
@@ -132,7 +126,7 @@ def command(
     poses = plan(declared, count, note=note, **given)
     write_poses(poses, output, *([form.write] if form else []))
     if picture is not None:
-        _draw(arm, bounded(declared, keep_out, floor), poses, picture)
+        _draw(arm, bounded(declared, given["keep_out"], given["floor"]), poses, picture)
     if as_json:
         facts: dict[str, Any] = {
             "output": str(output),

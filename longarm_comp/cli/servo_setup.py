@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,10 +24,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
-@options.port
-@options.protocol
-@options.baud
-@options.bus_ids
+@options.servo_line
 @click.option("--id", "id_of", multiple=True, metavar="JOINT=ID", help="Servo id of a joint.")
 @click.option(
     "--sweep-s",
@@ -52,7 +49,7 @@ if TYPE_CHECKING:
 @click.option("--nudge", default=5.0, show_default=True, help="Size of a nudge, deg or mm.")
 @click.option("--yes", is_flag=True, help="Go on at every stop: the arm is held or supported.")
 @options.as_json
-def command(folder: Path, as_json: bool, **answers: object) -> None:
+def command(folder: Path, as_json: bool, **answers: Any) -> None:
     """Find ids, zeros and directions of DIR's servos, and write DIR/servo_driver.yaml.
 
     Port; scan; torque off; every joint moved by hand through its travel (live table); zeros from
@@ -70,7 +67,7 @@ def command(folder: Path, as_json: bool, **answers: object) -> None:
     from longarm_comp.cli.dialogue import ended_by_signals
     from longarm_comp.cli.setup_answers import SetupAnswers
 
-    given = SetupAnswers.of(folder, **answers)  # type: ignore[arg-type]
+    given = SetupAnswers.of(folder, **answers)
     with ended_by_signals():
         _run(folder, given, as_json)
 
@@ -91,7 +88,7 @@ def _run(folder: Path, given: SetupAnswers, as_json: bool) -> None:
         bus.reply_timeout_s, bus.retries,
     )  # fmt: skip
     with closing(servo_bus), ServoSetup(servo_bus, joints).safely() as setup:
-        sweep = {} if given.no_sweep else _swept(setup, given)
+        sweep = {} if given.flags["no_sweep"] else _swept(setup, given)
         pose, rest = _held(setup, given)
         directions = given.directions | _directions(setup, given)
     joints = _with_zeros(setup.joints, directions, sweep, pose, rest, given)
@@ -123,17 +120,17 @@ def _run(folder: Path, given: SetupAnswers, as_json: bool) -> None:
 
 def _line(given: SetupAnswers) -> Scan:
     """The bus: as the file has it, or whatever answers."""
-    from longarm_comp.cli.servo_scan import asked_port, refuse_clashes, scanned, show
+    from longarm_comp.cli.servo import asked_port, refuse_clashes, scanned, show
 
-    bus = given.config.bus
-    port = asked_port(given.dialogue, given.port, bus.port)
+    bus, flags = given.config.bus, given.flags
+    port = asked_port(given.dialogue, flags["port"], bus.port)
+    protocol, baud, ids = (flags[name] for name in ("protocol", "baud", "ids"))
     try:
-        found = scanned(port, given.protocol or bus.protocol, given.baud or bus.baudrate,
-                        given.asked_ids)  # fmt: skip
+        found = scanned(port, protocol or bus.protocol, baud or bus.baudrate, ids)
     except JobError:
-        if given.protocol and given.baud:
+        if protocol and baud:
             raise
-        found = scanned(port, given.protocol, given.baud, given.asked_ids)
+        found = scanned(port, protocol, baud, ids)
     show(found, on_stderr=True)
     refuse_clashes(found)
     return found
@@ -143,7 +140,7 @@ def _swept(setup: ServoSetup, given: SetupAnswers) -> Sweep:
     from longarm_comp.cli.sweep_table import swept
     from longarm_comp.devices.servo_setup import sweep_faults
 
-    sweep = swept(setup, given.sweep_s)
+    sweep = swept(setup, given.flags["sweep_s"])
     faults = [
         fault
         for name, joint in setup.joints.items()
@@ -157,8 +154,8 @@ def _swept(setup: ServoSetup, given: SetupAnswers) -> Sweep:
 def _held(setup: ServoSetup, given: SetupAnswers) -> tuple[dict[str, float], dict[int, float]]:
     """Joint values of the held pose (rad, m) and ticks by id; no ticks: zeros from the sweep."""
     dialogue = given.dialogue
-    source = given.zero or (
-        "pose" if given.no_sweep
+    source = given.flags["zero"] or (
+        "pose" if given.flags["no_sweep"]
         else dialogue.choose("--zero", "zeros from", ("pose", "sweep"), "pose")
     )  # fmt: skip
     if source == "sweep":
@@ -186,7 +183,7 @@ def _directions(setup: ServoSetup, given: SetupAnswers) -> dict[str, int]:
     text = "which way did it go, by arm.yaml? (another joint moved: its name)"
     while left := [name for name in open_ones if name not in found]:
         name = left[0]
-        nudge = setup.nudge(name, given.nudge * hand_unit(setup.joints[name])[0])
+        nudge = setup.nudge(name, given.flags["nudge"] * hand_unit(setup.joints[name])[0])
         answer = given.dialogue.choose("--direction", f"{name}: {text}", answers, "again")
         setup.back(nudge)
         if answer in ("+", "-"):

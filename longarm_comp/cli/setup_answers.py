@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from longarm_comp.arm_folder.servos import SERVOS
 from longarm_comp.cli.dialogue import Dialogue, attended, by_name
@@ -26,46 +27,32 @@ class SetupAnswers:
     """What is known before the first question.
 
     Attributes:
+        flags: as given: port, protocol, baud, ids (to ask), sweep_s, no_sweep, zero, nudge (deg or
+            mm), yes.
         ids: servo id of joints, where given.
         pose: joint values of the held pose, rad or m, where given.
         stops: joint values at the ends of the sweep, rad or m, where given.
         directions: +1 or -1 of joints, where given; filled in by the nudges.
-        nudge: size of a nudge, deg or mm.
     """
 
     dialogue: Dialogue
     config: ServoConfig
-    port: str | None
-    protocol: str | None
-    baud: int | None
-    asked_ids: str
+    flags: Mapping[str, Any]
     ids: dict[str, int]
-    sweep_s: float | None
-    no_sweep: bool
-    zero: str | None
     pose: dict[str, float]
     stops: dict[str, tuple[float, float]]
     directions: dict[str, int]
-    nudge: float
 
     @classmethod
     def of(
         cls,
         folder: Path,
         *,
-        port: str | None,
-        protocol: str | None,
-        baud: int | None,
-        ids: str,
         id_of: Sequence[str],
-        sweep_s: float | None,
-        no_sweep: bool,
-        zero: str | None,
         pose: Sequence[str],
         stops: Sequence[str],
         direction: Sequence[str],
-        nudge: float,
-        yes: bool,
+        **flags: Any,
     ) -> SetupAnswers:
         """From the flags."""
         file = folder / SERVOS
@@ -78,47 +65,37 @@ class SetupAnswers:
             return by_name(_COMMAND, flag, given, list(joints))
 
         made = cls(
-            Dialogue(_COMMAND, yes), config, port, protocol, baud, ids,
+            Dialogue(_COMMAND, flags["yes"]), config, flags,
             {n: _id(v) for n, v in named("--id", id_of).items()},
-            sweep_s, no_sweep, zero,
             {n: _number("--pose", v) * hand_unit(joints[n])[0]
              for n, v in named("--pose", pose).items()},
             {n: _range(v, hand_unit(joints[n])[0]) for n, v in named("--stops", stops).items()},
             {n: _sign(v) for n, v in named("--direction", direction).items()},
-            nudge,
         )  # fmt: skip
-        for flag, size in (("--nudge", nudge), ("--sweep-s", sweep_s)):
+        for flag, size in (("--nudge", flags["nudge"]), ("--sweep-s", flags["sweep_s"])):
             if size is not None and not 0.0 < size < math.inf:
                 raise InputError(_COMMAND, flag, size, "a finite number above 0")
-        if no_sweep and zero == "sweep":
-            raise InputError(_COMMAND, "--zero", zero, "pose, where there is no sweep")
-        made._check_complete(yes)
+        if flags["no_sweep"] and flags["zero"] == "sweep":
+            raise InputError(_COMMAND, "--zero", "sweep", "pose, where there is no sweep")
+        made._check_complete()
         return made
 
-    def _check_complete(self, yes: bool) -> None:
+    def _check_complete(self) -> None:
         """Without a terminal, refuse before the torque goes off what would be asked later."""
         if attended():
             return
+        flags = self.flags
         blind = [name for name in self.config.joints if name not in self.directions]
-        missing = {
-            "--port": self.port is None,
-            "--sweep-s": self.sweep_s is None and not self.no_sweep,
-            "--zero": self.zero is None,
-            "--direction": bool(blind),
-            "--yes": not yes,
-        }
-        allowed = {
-            "--port": "a serial port",
-            "--sweep-s": "seconds, or --no-sweep",
-            "--zero": "pose or sweep",
-            "--direction": f"+ or - of {', '.join(blind)}",
-            "--yes": "that the arm is held or supported",
-        }
-        for flag, lacks in missing.items():
+        for flag, lacks, allowed in (
+            ("--port", flags["port"] is None, "a serial port"),
+            ("--sweep-s", flags["sweep_s"] is None and not flags["no_sweep"],
+             "seconds, or --no-sweep"),
+            ("--zero", flags["zero"] is None, "pose or sweep"),
+            ("--direction", blind, f"+ or - of {', '.join(blind)}"),
+            ("--yes", not flags["yes"], "that the arm is held or supported"),
+        ):  # fmt: skip
             if lacks:
-                raise InputError(
-                    _COMMAND, flag, "missing", f"{allowed[flag]}; or a terminal to ask on"
-                )
+                raise InputError(_COMMAND, flag, "missing", f"{allowed}; or a terminal to ask on")
 
     def joints_on(self, line: Scan) -> dict[str, JointConfig]:
         """Joints with the ids and models that are on the bus; asked where somebody is there."""

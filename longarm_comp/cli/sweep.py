@@ -10,6 +10,7 @@ import click
 from longarm_comp.cli import options
 from longarm_comp.cli.dialogue import agreed
 from longarm_comp.cli.output import note, progress
+from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
@@ -38,9 +39,7 @@ def command(
     Example:
       longarm sweep arm.yaml --seconds 30
     """
-    from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.sweep import sweep_joints
 
     def agree(path: np.ndarray, takes: float) -> None:
@@ -48,12 +47,7 @@ def command(
         if not agreed(ask, yes):
             raise JobError("not swept: no yes was given")
 
-    declared = Arm.load(arm)
-    with (
-        stop_on_signals() as stop,
-        ArmClient(declared, namespace, stop, "sweep") as client,
-        progress("sweep") as show,
-    ):
+    with on_graph("sweep", namespace, Arm.load(arm)) as client, progress("sweep") as show:
         moves = sweep_joints(
             client, range_s=seconds, margin=margin, together=not one_by_one, agree=agree,
             progress=show,

@@ -10,6 +10,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json
+from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -72,9 +73,7 @@ def command(
       longarm touch arm.yaml -o touches.csv --distance left_0 left_1 0.050 --name left_0
       longarm touch arm.yaml -o touches.csv --resume --by-hand
     """
-    from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.touch import TouchLog, limp, with_distances
     from longarm_comp.sessions.read import read_session
 
@@ -85,8 +84,7 @@ def command(
     if output.exists():
         touches.begin_with(read_session(output, declared))
     with (
-        stop_on_signals() as stop,
-        ArmClient(declared, namespace, stop, "touch") as client,
+        on_graph("touch", namespace, declared) as client,
         limp(client) if by_hand else nullcontext(""),
     ):
         note(_HELP)
@@ -96,7 +94,7 @@ def command(
                 try:
                     touches.take(client, name, column)
                 except JobError as error:
-                    if stop.is_set():
+                    if client.stop.is_set():
                         raise
                     note(str(error))
             elif line == "undo":

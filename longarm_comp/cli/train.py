@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import click
 
@@ -34,23 +34,11 @@ from longarm_comp.cli.output import note, print_json, progress
 @click.option(
     "--hidden", type=click.IntRange(min=1), help="Hidden units; chosen by evidence if not given."
 )
-@click.option("--no-deflection", is_flag=True, help='The paper\'s "network only": rigid physics.')
+@options.without("deflection", 'The paper\'s "network only": rigid physics.')
 @options.seed
 @options.effects
 @options.as_json
-def command(
-    arm: Path,
-    session: Path,
-    model: Path | None,
-    output: Path,
-    init: Literal["ssa", "xavier"],
-    inputs: Literal["context", "joints"],
-    ensemble: int,
-    hidden: int | None,
-    no_deflection: bool,
-    seed: int,
-    as_json: bool,
-) -> None:
+def command(arm: Path, session: Path, output: Path, as_json: bool, **how: Any) -> None:
     """Train SSA-BP on the residual that the physics of ARM leaves in SESSION (CSV or bag).
 
     A network that does not help at poses left out of its training is not written.
@@ -66,19 +54,7 @@ def command(
     from longarm_comp.workflows.train import train
 
     with progress("train") as show:
-        trained = train(
-            Arm.load(arm),
-            session,
-            model=model,
-            deflection=not no_deflection,
-            inputs=inputs,
-            init=init,
-            ensemble=ensemble,
-            hidden=hidden,
-            seed=seed,
-            note=note,
-            progress=show,
-        )
+        trained = train(Arm.load(arm), session, note=note, progress=show, **how)
     if trained.gain.helps:
         trained.save(output)
     facts = {

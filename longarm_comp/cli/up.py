@@ -9,11 +9,13 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note
+from longarm_comp.cli.signals import stop_on_signals
 from longarm_comp.core.errors import JobError
 
 
@@ -39,20 +41,13 @@ from longarm_comp.core.errors import JobError
 @click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")
 def command(
     arm: Path,
-    model: Path | None,
-    predictor: Path | None,
     effect_files: tuple[Path, ...],
     sim: bool,
     hidden: str,
-    speed: float,
     seed: int,
-    port: str,
     namespace: str,
-    config: Path | None,
-    composed: bool,
-    paths: bool,
-    shaping: bool,
     respawn: bool,
+    **how: Any,
 ) -> None:
     """Start ARM's nodes as processes, until SIGINT or SIGTERM.
 
@@ -63,8 +58,6 @@ def command(
       longarm up arm.yaml --sim
       longarm up arm.yaml --model model.yaml --predictor predictor.npz --port /dev/ttyUSB0
     """
-    import signal
-
     import rclpy  # noqa: F401
 
     import longarm_interfaces.msg  # noqa: F401  (missing: said here, not by five processes)
@@ -72,25 +65,13 @@ def command(
     from longarm_comp.nodes.bringup import BringUp, running
 
     Arm.load(arm)
-    graph = BringUp(
-        arm=arm,
-        model=model,
-        predictor=predictor,
-        effects=effect_files,
-        sim=sim,
-        namespace=namespace,
-        config=config,
-        port=port,
-        speed=speed,
-        composed=composed,
-        paths=paths,
-        shaping=shaping,
-        set={"simulated_arm": {"hidden": hidden, "seed": seed}} if sim else {},
-    )
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    with alone(namespace, stop), running(graph, respawn=respawn, say=note) as supervisor:
+    given = {"simulated_arm": {"hidden": hidden, "seed": seed}} if sim else {}
+    graph = BringUp(arm=arm, effects=effect_files, sim=sim, namespace=namespace, set=given, **how)
+    with (
+        stop_on_signals() as stop,
+        alone(namespace, stop),
+        running(graph, respawn=respawn, say=note) as supervisor,
+    ):
         note(f"{', '.join(graph.nodes)} are starting; Ctrl-C ends all")
         supervisor.run(stop)
 
@@ -102,7 +83,7 @@ def alone(namespace: str, stop: threading.Event) -> Iterator[None]:
     On this machine a lock tells it, which ends with its process; the graph tells of others, as
     soon as the middleware has discovered them.
     """
-    from longarm_comp.jobs.client import GraphClient, drivers
+    from longarm_comp.jobs.graph_client import GraphClient, drivers
 
     several = "a graph runs already in this namespace and ROS_DOMAIN_ID; end it, or --namespace"
     domain, space = os.environ.get("ROS_DOMAIN_ID", "0"), namespace.replace("/", "_")

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import as_text, note, print_json, print_rows, progress
+from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import JobError
+
+if TYPE_CHECKING:
+    from longarm_comp.jobs.client import Pace
 
 
 @click.command()
@@ -38,9 +44,7 @@ def command(
     model: Path | None,
     method: str | None,
     by: str,
-    sightings: int,
-    dwell: float | None,
-    move: float,
+    pace: Callable[..., Pace],
     namespace: str,
     seed: int,
     output: Path | None,
@@ -64,14 +68,10 @@ def command(
 
     import numpy as np
 
-    from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.compensation.compensate import Method
     from longarm_comp.core.data.plan import random_targets, sobol
     from longarm_comp.core.files import write_text
-    from longarm_comp.core.vibration.dwell import rest_s
-    from longarm_comp.jobs.client import ArmClient
-    from longarm_comp.jobs.pace import Pace
     from longarm_comp.jobs.targets import TargetRunner
     from longarm_comp.jobs.verify import Draw, choose, method_at_work, one_by_one, verify
     from longarm_comp.nodes import interfaces as graph
@@ -84,16 +84,14 @@ def command(
     if targets is not None:
         given = read_targets(targets).xyz
         draw, count = one_by_one(given), len(given)
-    rest = rest_s(drawn_from, sobol(declared, 16, seed).q, move, dwell)
-    pace = Pace(sightings=sightings, dwell_s=rest, move_s=move)
+    paced = pace(drawn_from, sobol(declared, 16, seed).q)
     tips = graph.TIP_BY_READINGS if by == "readings" else graph.TIP_MEASURED
     with (
-        stop_on_signals() as stop,
-        ArmClient(declared, namespace, stop, "verify", tips) as client,
+        on_graph("verify", namespace, declared, tips=tips) as client,
         progress("verify") as show,
     ):
         client.ready()
-        runner = TargetRunner(client, pace)
+        runner = TargetRunner(client, paced)
         runner.ready(drawn_from.tip(declared.mid), 30.0)
         judged = Method(method) if method else method_at_work(client)
         chosen = choose(runner, draw, count, (Method.NONE, judged))

@@ -9,8 +9,7 @@ from std_srvs.srv import Trigger
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import JobError
-from longarm_comp.jobs.client import GraphClient, Interrupted
-from longarm_comp.jobs.parameters import read_parameters
+from longarm_comp.jobs.graph_client import GraphClient, Interrupted
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.workflows.apply import Applied, apply
 from longarm_comp.workflows.at_work import undo
@@ -32,14 +31,14 @@ class FilesAtWork:
 
 def files_at_work(client: GraphClient) -> FilesAtWork:
     """The files of the graph's nodes."""
-    arm, model = read_parameters(client, "kinematics", "arm", "model")
+    arm, model = client.parameters("kinematics", "arm", "model")
     if not model:
         reason = "kinematics runs without a model file: start it with --model FILE"
         raise JobError(f"{reason} (the file need not exist yet)")
     predictor = ""
     try:
         # A node that is there is found on the network within it, also on a busy machine
-        (predictor,) = read_parameters(client, "error_predictor", "predictor", within_s=10.0)
+        (predictor,) = client.parameters("error_predictor", "predictor", within_s=10.0)
     except Interrupted:
         raise
     except JobError:  # none is running
@@ -85,10 +84,6 @@ def apply_on_graph(
 
 def reload(client: GraphClient, node: str) -> None:
     """Have a node read its files again."""
-    service = graph.RELOAD.client(client.node, of=node)
-    try:
-        answer = client.call(service, Trigger.Request(), 60.0, again=True)
-    finally:
-        client.node.destroy_client(service)
+    answer = client.ask(node, graph.RELOAD, Trigger.Request())
     if not answer.success:
         raise JobError(f"{node} did not take up its file: {answer.message}")

@@ -1,19 +1,22 @@
-"""What a person asks of a running arm: how it stands, hold, stop, go on."""
+"""What a person asks of a running arm: how it stands, hold, stop, go on; faults to rehearse."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+import signal
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import SetBool, Trigger
 
-from longarm_comp.core.errors import JobError
-from longarm_comp.jobs.client import GraphClient
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
-from longarm_comp.nodes.health import LEARNED_SAID, TIP_SAID
+from longarm_comp.nodes.health import INSTANCE, LEARNED_SAID, TIP_SAID
 from longarm_comp.nodes.interfaces import Service
 from longarm_interfaces.msg import DriverState
 
@@ -160,8 +163,7 @@ class Attendant:
         return int(driver.state)
 
     def _ask(self, service: Service, request: Any) -> str:
-        made = service.client(self._client.node, of=DRIVER)
-        answer = self._client.call(made, request, _PATIENCE_S, again=True)
+        answer = self._client.ask(DRIVER, service, request, _PATIENCE_S)
         if not answer.success:
             raise JobError(f"the driver refuses: {answer.message}")
         return str(answer.message)
@@ -169,3 +171,58 @@ class Attendant:
 
 KNOWN = {"kinematics", "error_predictor", "stereo_bridge", DRIVER, "simulated_arm"}
 """Nodes of an arm."""
+
+
+SIMULATED = "simulated_arm"
+_HEARD_S = 10.0
+
+
+def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
+    """Add a joint to those ``unplugged`` or a camera to those ``covered``, or take it ``back``.
+
+    Returns:
+        What has the fault now, in words.
+
+    Raises:
+        JobError: no simulated arm runs, or it knows no such name.
+    """
+    (told,) = client.parameters(SIMULATED, fault, within_s=_HEARD_S)
+    names = [word for word in str(told).split() if word != name] + [name] * (not back)
+    client.set_parameter(SIMULATED, fault, " ".join(names))
+    return f"{fault}: {', '.join(names) or 'nothing'}"
+
+
+@contextmanager
+def frozen(client: GraphClient, node: str) -> Iterator[int]:
+    """A node of a simulated arm's graph stands still, as a process that hangs does.
+
+    Yields:
+        The process.
+
+    Raises:
+        InputError: no such node. JobError: it does not report, or runs on another machine.
+    """
+    pids: dict[str, int] = {}
+
+    def heard(message: DiagnosticArray) -> None:
+        for status in message.status:
+            name, _, part = status.name.partition(": ")
+            if part == "process":
+                told = {pair.key: pair.value for pair in status.values}
+                pids[name.rsplit("/", 1)[-1]] = int(told[INSTANCE].split("-")[0])
+
+    listening = graph.DIAGNOSTICS.subscription(client.node, heard)
+    client.until(lambda: SIMULATED in pids, _HEARD_S, "no simulated arm reports (`longarm up`)")
+    if node != SIMULATED:
+        client.spin(2.0)
+    client.node.destroy_subscription(listening)
+    if node not in pids:
+        raise InputError("sim freeze", "NODE", node, ", ".join(sorted(pids)))
+    try:
+        os.kill(pids[node], signal.SIGSTOP)
+    except OSError as error:
+        raise JobError("the node runs on another machine", node=node) from error
+    try:
+        yield pids[node]
+    finally:
+        os.kill(pids[node], signal.SIGCONT)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -11,11 +10,11 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import Image
 
-from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo import Pair, Side, StereoPairer, StereoRefusal, Target
 from longarm_comp.devices.stereo.target import Grey
 from longarm_comp.devices.stereo.views import FEWEST_VIEWS, BoardView, gaps, view_of
-from longarm_comp.jobs.client import GraphClient, Interrupted
+from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import pixels_of
 from longarm_comp.nodes.stamps import stamp_ns
@@ -41,12 +40,11 @@ class _Images:
 
 
 def capture(
+    client: GraphClient,
     board: Target,
     within_s: float,
     tell: Callable[[str], None],
     *,
-    namespace: str = "",
-    stop: threading.Event | None = None,
     save: Path | None = None,
 ) -> tuple[list[BoardView], tuple[int, int]]:
     """Take a view whenever the board rests somewhere new, until nothing is missing.
@@ -60,46 +58,41 @@ def capture(
     views: list[BoardView] = []
     before: BoardView | None = None
     size: tuple[int, int] | None = None
-    with GraphClient(namespace, stop, "board_capture") as client:
-        images = _Images(client)
+    images = _Images(client)
 
-        def complete() -> bool:
-            nonlocal before, size
-            pair = images.take()
-            if pair is None:
-                return False
-            found = pair[0].shape[1], pair[0].shape[0]
-            if size not in (None, found):
-                raise InputError("left/image_raw", "size", found, f"{size} as before")
-            size = found
-            try:
-                view = view_of(board, *pair)
-            except StereoRefusal as refusal:
-                tell(refusal.reason.value)
-                before = None
-                return False
-            rests, before = view.is_still(before), view
-            if rests and view.is_new(views, size[0]):
-                views.append(view)
-                if save is not None:
-                    _save(save, len(views), pair)
-            elif not rests:
-                tell("hold the board still")
-                return False
-            lacking = gaps(views, size)
-            tell(f"{len(views)} of {FEWEST_VIEWS} views; " + (lacking[-1] if lacking else "done"))
-            return not lacking
-
-        client.until(lambda: images.take() is not None, 30.0, "no pair of images")
+    def complete() -> bool:
+        nonlocal before, size
+        pair = images.take()
+        if pair is None:
+            return False
+        found = pair[0].shape[1], pair[0].shape[0]
+        if size not in (None, found):
+            raise InputError("left/image_raw", "size", found, f"{size} as before")
+        size = found
         try:
-            client.until(complete, within_s, "board")
-        except Interrupted:
-            raise
-        except JobError as error:
-            if size is None:
-                raise
-            lacking = "; ".join(gaps(views, size))
-            raise JobError(f"not within {within_s:g} s: {lacking}", views=len(views)) from error
+            view = view_of(board, *pair)
+        except StereoRefusal as refusal:
+            tell(refusal.reason.value)
+            before = None
+            return False
+        rests, before = view.is_still(before), view
+        if rests and view.is_new(views, size[0]):
+            views.append(view)
+            if save is not None:
+                _save(save, len(views), pair)
+        elif not rests:
+            tell("hold the board still")
+            return False
+        lacking = gaps(views, size)
+        tell(f"{len(views)} of {FEWEST_VIEWS} views; " + (lacking[-1] if lacking else "done"))
+        return not lacking
+
+    client.until(lambda: images.take() is not None, 30.0, "no pair of images")
+    client.until(
+        complete, within_s,
+        lambda: f"not within {within_s:g} s, {len(views)} views: "
+        + ("board" if size is None else "; ".join(gaps(views, size))),
+    )  # fmt: skip
     assert size is not None
     return views, size
 

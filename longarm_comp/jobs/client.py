@@ -1,49 +1,50 @@
-"""A client of an arm's graph: sends joints, waits for rest, collects sightings of the tip.
-
-It uses one executor in the caller's thread. Every wait ends at once when ``stop`` is set.
-"""
+"""A client of an arm's graph: sends joints, waits for rest, collects sightings of the tip."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from types import TracebackType
-from typing import Any, TypeVar
+from dataclasses import dataclass
 
 import numpy as np
-import rclpy
-from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
+from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.jobs.graph_client import GraphClient, drivers
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.messages import joints_of, sighting_of
+from longarm_comp.nodes.messages import duration, joints_of, sighting_of
 from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.msg import DriverState, Motion
 
-_ANSWER_S = 60.0
-"""A node that is starting beside six others on two cores has answered by then."""
-_ASK_AGAIN_S = 2.0
-"""Without an answer for so long, a request that may be served twice is sent again."""
 
+@dataclass(frozen=True)
+class Pace:
+    """How long a visit may take.
 
-Client = TypeVar("Client", bound="GraphClient")
+    Attributes:
+        sightings: averaged at each pose.
+        dwell_s: the joints must rest so long before the first sighting counts.
+        move_s: asked of the driver for each way-point; it keeps its own limits.
+        arrive_s, look_s: patience with a move, and with the sightings.
+        tolerance: rad or m between commanded and reported joints at rest, one for all or (n,).
+    """
 
+    sightings: int = 5
+    dwell_s: float = 0.3
+    move_s: float = 0.5
+    arrive_s: float = 60.0
+    look_s: float = 5.0
+    tolerance: float | np.ndarray = JOINT_REST
 
-class Interrupted(JobError):  # noqa: N818
-    """The caller's stop event was set."""
-
-    exit_code = 130
+    def __post_init__(self) -> None:
+        if self.sightings < 1:
+            raise InputError("collect", "--sightings", self.sightings, "at least 1")
 
 
 class DriverStopped(JobError):  # noqa: N818
@@ -68,96 +69,8 @@ _STOPPED = {
 }
 
 
-def drivers(node: Node) -> int:
-    """How many servo drivers there are in a node's namespace."""
-    return node.count_publishers(node.resolve_topic_name(graph.DRIVER_STATE.name))
-
-
-class GraphClient:
-    """A node on a graph: waits, services. Use as a context manager.
-
-    Args:
-        stop: ends every wait with `Interrupted`.
-    """
-
-    def __init__(
-        self, namespace: str = "", stop: threading.Event | None = None, name: str = "longarm_client"
-    ) -> None:
-        self.stop = stop or threading.Event()
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.node = Node(
-            name, context=self.context, namespace=namespace, start_parameter_services=False
-        )
-        self.executor.add_node(self.node)
-
-    def __enter__(self: Client) -> Client:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.executor.shutdown(timeout_sec=1.0)
-        self.node.destroy_node()
-        self.context.try_shutdown()
-
-    def until(self, condition: Callable[[], Any], within_s: float, what: str) -> Any:
-        """Spin until a condition is truthy and return its value."""
-        end = time.monotonic() + within_s
-        while not (found := condition()):
-            if self.stop.is_set():
-                raise Interrupted("interrupted")
-            if time.monotonic() > end:
-                raise JobError(f"{what}: not within {within_s:g} s")
-            self.executor.spin_once(timeout_sec=0.01)
-        return found
-
-    @contextmanager
-    def putting_back(self) -> Iterator[None]:
-        """``stop`` ends no wait meanwhile: for what must be put back after an interruption."""
-        stop, self.stop = self.stop, threading.Event()
-        try:
-            yield
-        finally:
-            self.stop = stop
-
-    def spin(self, seconds: float) -> None:
-        """Serve callbacks for a number of seconds. Raises Interrupted."""
-        end = time.monotonic() + seconds
-        self.until(lambda: time.monotonic() >= end, seconds + 60.0, "waiting")
-
-    def call(
-        self, client: Any, request: Any, within_s: float = _ANSWER_S, *, again: bool = False
-    ) -> Any:
-        """Call a service and return its response.
-
-        The middleware drops an answer to a client that the server has not matched yet.
-
-        Args:
-            again: ask again where no answer came for a while; for requests that may be served
-                twice.
-        """
-        self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
-        asked = [client.call_async(request)]
-        sent = time.monotonic()
-
-        def answered() -> Any:
-            nonlocal sent
-            if again and time.monotonic() - sent > _ASK_AGAIN_S:
-                asked.append(client.call_async(request))
-                sent = time.monotonic()
-            return next((future for future in asked if future.done()), None)
-
-        try:
-            future = self.until(answered, within_s, f"no answer of {client.srv_name}")
-        finally:
-            for waiting in asked:
-                client.remove_pending_request(waiting)
-        return future.result()
+_SETTLED_NS = 50_000_000
+"""A sighting counts if it was taken so long after the joints came to rest, ns."""
 
 
 class ArmClient(GraphClient):
@@ -256,15 +169,13 @@ class ArmClient(GraphClient):
         Returns:
             The stamp (ns) of the command.
         """
-        points = []
-        for k, q in enumerate(path, 1):
-            whole = int(k * move_s)
-            after = Duration(sec=whole, nanosec=round((k * move_s - whole) * 1e9))
-            points.append(
-                JointTrajectoryPoint(
-                    positions=q.tolist(), velocities=[0.0] * self.arm.n, time_from_start=after
-                )
+        still = [0.0] * self.arm.n
+        points = [
+            JointTrajectoryPoint(
+                positions=q, velocities=still, time_from_start=duration(k * move_s)
             )
+            for k, q in enumerate(path.tolist(), 1)
+        ]
         sent = JointTrajectory(joint_names=list(self.arm.joint_names), points=points)
         sent.header.stamp = self._stamps.next()
         self._sent, self._refused, self._reached = order_id(sent), "", False
@@ -272,14 +183,9 @@ class ArmClient(GraphClient):
         return stamp_ns(sent.header.stamp)
 
     def arrive(
-        self,
-        path: np.ndarray,
-        tolerance: np.ndarray,
-        dwell_s: float,
-        within_s: float,
-        start: np.ndarray | None = None,
+        self, path: np.ndarray, pace: Pace, start: np.ndarray | None = None, more_s: float = 0.0
     ) -> int:
-        """Wait until the joints rest within a tolerance (n,) of the end of a path (k, n).
+        """Wait until the joints rest at the end of a path (k, n).
 
         Servos that give way may stay farther off: then they are there when the driver says so.
 
@@ -288,11 +194,12 @@ class ArmClient(GraphClient):
         Args:
             start: (n,) where the joints stood before the command; where they stand now if not
                 given. A move may be over before this is called.
+            more_s: patience beside that of the pace.
 
         Returns:
             The moment (ns, the graph's clock) from which the arm was at rest.
         """
-        q = path[-1]
+        q, tolerance = path[-1], pace.tolerance
         inside_since: list[float] = []
         stays = (np.abs(path - q) <= tolerance).all()  # no way-point leads away
         came = start is not None and (np.abs(start - q) > tolerance).any()
@@ -310,9 +217,11 @@ class ArmClient(GraphClient):
                 inside_since.clear()
             elif not inside_since:
                 inside_since.append(time.monotonic())
-            return bool(inside_since) and time.monotonic() - inside_since[0] >= dwell_s
+            return bool(inside_since) and time.monotonic() - inside_since[0] >= pace.dwell_s
 
-        self.until(there, within_s, "the joints did not come to rest where they were sent")
+        self.until(
+            there, pace.arrive_s + more_s, "the joints did not come to rest where they were sent"
+        )
         return int(self.node.get_clock().now().nanoseconds)
 
     def _told_at(self, q: np.ndarray) -> bool:
@@ -320,11 +229,19 @@ class ArmClient(GraphClient):
         held = [self._at.get(name, np.nan) for name in self.arm.joint_names]
         return bool((np.abs(q - held) < SAME_POSE).all())
 
-    def look(self, after_ns: int, count: int, within_s: float) -> list[np.ndarray]:
-        """Up to ``count`` sightings (3,) taken after a time (ns), without lost ones.
+    def look(
+        self, path: np.ndarray, pace: Pace, start: np.ndarray | None
+    ) -> tuple[int, list[np.ndarray]]:
+        """Wait for the end of a path as `arrive`, and see the tip there.
 
         Where the marker is lost in twice as many pictures in a row, it is not waited for.
+
+        Returns:
+            The moment (ns) from which sightings count, and sightings (3,), m, as many as the pace
+            asks for or fewer, without lost ones.
         """
+        self.spin(0.05)  # the driver has taken it up when its joints move
+        after_ns = self.arrive(path, pace, start) + _SETTLED_NS
 
         def taken() -> list[np.ndarray]:
             return [xyz for xyz in told() if np.isfinite(xyz).all()]
@@ -334,9 +251,9 @@ class ArmClient(GraphClient):
 
         def over() -> bool:
             good = len(taken())
-            lost = not good and len(told()) >= 2 * count
-            return good >= count or lost or time.monotonic() > end
+            lost = not good and len(told()) >= 2 * pace.sightings
+            return good >= pace.sightings or lost or time.monotonic() > end
 
-        end = time.monotonic() + within_s
-        self.until(over, within_s + 60.0, "sightings")
-        return taken()
+        end = time.monotonic() + pace.look_s
+        self.until(over, pace.look_s + 60.0, "sightings")
+        return after_ns, taken()

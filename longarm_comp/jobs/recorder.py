@@ -7,12 +7,11 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 
+from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Topic
 from longarm_comp.sessions.bag import Message
@@ -156,21 +155,14 @@ def record(
     duration_s: float | None = None,
 ) -> dict[str, int]:
     """Record until the event is set or the time is over. Returns message counts by topic."""
-    context = rclpy.Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    executor = SingleThreadedExecutor(context=context)
-    node = Node("recorder", context=context, namespace=namespace, start_parameter_services=False)
-    executor.add_node(node)
-    recorder = Recorder(node, bag, topics, segment_s)
     end = None if duration_s is None else time.monotonic() + duration_s
-    try:
-        while not stop.is_set() and (end is None or time.monotonic() < end):
-            executor.spin_once(timeout_sec=0.1)
-            recorder.keep()
-        _drain(executor, recorder)
-    finally:
-        recorder.keep(finish=True)
-        executor.shutdown(timeout_sec=1.0)
-        node.destroy_node()
-        context.try_shutdown()
+    with GraphClient(namespace, stop, "recorder") as client:
+        recorder = Recorder(client.node, bag, topics, segment_s)
+        try:
+            while not stop.is_set() and (end is None or time.monotonic() < end):
+                client.executor.spin_once(timeout_sec=0.1)
+                recorder.keep()
+            _drain(client.executor, recorder)
+        finally:
+            recorder.keep(finish=True)
     return recorder.counts

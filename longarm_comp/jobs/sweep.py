@@ -9,8 +9,8 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import sweep
 from longarm_comp.core.errors import InputError
-from longarm_comp.jobs.client import ArmClient, Interrupted
-from longarm_comp.jobs.pace import Pace
+from longarm_comp.jobs.client import ArmClient, Pace
+from longarm_comp.jobs.graph_client import Interrupted
 
 SLOWEST_S, FASTEST_S = 3600.0, 0.1
 """Allowed times for a joint's whole range."""
@@ -49,13 +49,12 @@ def sweep_joints(
     path = sweep(client.arm, start, margin, together=together)
     times = way_times(client.arm, start, path, range_s)
     agree(path, float(times.sum()))
-    tolerance = np.full(client.arm.n, pace.tolerance)
     try:
         for k, (point, seconds) in enumerate(zip(path, times.tolist(), strict=True)):
             progress(f"move {k + 1} of {len(path)}", k / len(path))
             client.send(point[None], max(seconds, pace.move_s))
             client.spin(0.05)
-            client.arrive(point[None], tolerance, pace.dwell_s, seconds + pace.arrive_s)
+            client.arrive(point[None], pace, more_s=seconds)
     except Interrupted:
         if client.joints is not None:
             client.send(client.joints[None], pace.move_s)

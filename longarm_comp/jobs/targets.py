@@ -11,9 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 
 from longarm_comp.core.compensation.compensate import Method, Status
-from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.pace import Pace
-from longarm_comp.jobs.parameters import read_parameters, set_parameter
+from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import NO_JOINTS
 from longarm_comp.nodes.messages import joints_of
@@ -98,19 +96,19 @@ class TargetRunner:
             lambda: said and said[-1] != NO_JOINTS, within_s, "kinematics hears no joint_states"
         )
         client.node.destroy_subscription(health)
-        (self._frame,) = read_parameters(client, "kinematics", "base_frame")
+        (self._frame,) = client.parameters("kinematics", "base_frame")
         client.until(knows, within_s, "kinematics has no joint_states")
 
     @contextmanager
     def method(self, method: Method) -> Iterator[None]:
         """What the kinematics node compensates meanwhile; afterwards as before."""
-        (before,) = read_parameters(self._client, "kinematics", "method")
-        set_parameter(self._client, "kinematics", "method", method.value)
+        (before,) = self._client.parameters("kinematics", "method")
+        self._client.set_parameter("kinematics", "method", method.value)
         try:
             yield
         finally:
             with self._client.putting_back():
-                set_parameter(self._client, "kinematics", "method", before)
+                self._client.set_parameter("kinematics", "method", before)
 
     def refusals(self, targets: np.ndarray, methods: Sequence[Method]) -> list[str]:
         """Why each of (N, 3) targets, m, would be refused with one of the methods; "" if not."""
@@ -157,17 +155,14 @@ class TargetRunner:
         return answer
 
     def _one(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        client, pace = self._client, self._pace
+        client = self._client
         start = client.joints
         answer = self.ask(target, execute=True)
         if not answer.success:
             return np.full(3, np.nan), np.full(3, np.nan), int(answer.status)
         stops = (answer.run_up, answer.command) if answer.run_up.name else (answer.command,)
         path = np.array([joints_of(stop, client.arm, "compensate") for stop in stops])
-        client.spin(0.05)
-        tolerance = np.full(client.arm.n, pace.tolerance)
-        rest = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s, start) + 50_000_000
-        looks = client.look(rest, pace.sightings, pace.look_s)
+        rest, looks = client.look(path, self._pace, start)
         seen = np.mean(looks, axis=0) if looks else np.full(3, np.nan)
         true = np.full(3, np.nan) if self._witness is None else self._witness(rest)
         return seen, true, int(answer.status)

@@ -18,7 +18,8 @@ from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.attend import Attendant
-from longarm_comp.jobs.client import ArmClient, GraphClient
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes.interfaces import CONTACT, JOINT_STATES
 
 READINGS = 10
@@ -152,12 +153,7 @@ def resting(client: ArmClient) -> np.ndarray:
             del held[:-1]
         return len(held) >= READINGS
 
-    try:
-        client.until(still, PATIENCE_S, "rest")
-    except JobError as error:
-        if client.stop.is_set():
-            raise
-        raise JobError(f"the arm did not rest within {PATIENCE_S:g} s") from error
+    client.until(still, PATIENCE_S, lambda: f"the arm did not rest within {PATIENCE_S:g} s")
     return np.asarray(np.mean(held, axis=0))
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from longarm_comp.core.compensation.compensate import Method, Status
 from longarm_comp.core.errors import JobError
-from longarm_comp.jobs.client import GraphClient
-from longarm_comp.jobs.parameters import read_parameters
+from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.jobs.targets import Say, TargetRunner, Trial
 from longarm_comp.workflows.verification import Verification, verification
 
@@ -101,7 +100,7 @@ def one_by_one(targets: np.ndarray) -> Draw:
 
 def method_at_work(client: GraphClient) -> Method:
     """What the kinematics node compensates now; everything, where it compensates nothing."""
-    (name,) = read_parameters(client, "kinematics", "method")
+    (name,) = client.parameters("kinematics", "method")
     return Method.BOTH if Method(name) is Method.NONE else Method(name)
 
 

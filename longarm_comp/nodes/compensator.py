@@ -1,16 +1,15 @@
-"""From the request of one target to its answer: checks, circumstances of now, computation."""
+"""From the request of one target to its answer, and what is kept at hand for the next one."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rclpy.node import Node
 from std_msgs.msg import Header
 
 from longarm_comp.core.arm.frame_tree import UnknownPlace, carried
@@ -18,13 +17,14 @@ from longarm_comp.core.compensation.compensate import Method, Settling, Status, 
 from longarm_comp.core.compensation.joint_trust import check_inside
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.ik.codegen import Compiled
 from longarm_comp.core.learn.expansion import Nearby
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered
 from longarm_comp.nodes.arm_state import ArmState
-from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.frames import FrameListener
-from longarm_comp.nodes.health import Twins
+from longarm_comp.nodes.health import OK, WARN, Report, Twins
 from longarm_comp.nodes.messages import (
     Answer,
     FileHashes,
@@ -34,10 +34,10 @@ from longarm_comp.nodes.messages import (
     pose_message,
     target_of,
 )
-from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
+from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_comp.nodes.stamps import stamp_ns
+from longarm_comp.nodes.ticks import steady_timer
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
@@ -50,29 +50,18 @@ PARAMS = (
     Param("max_correction_m", 0.05, "largest expected error that is corrected", 1e-6, 1.0),
     Param("run_up", True, "joints run up to their target where the model needs a side", live=True),
     Param("realisable", True, "choose joints among the steps that the arm declares", live=True),
-    Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
 )
 
 
 class Compensator:
-    """Answers requests, one at a time.
+    """Answers requests, one at a time."""
 
-    Args:
-        survived: called with an exception that is a fault of this software.
-    """
-
-    def __init__(
-        self, node: Node, p: dict[str, Any], base_frame: str, files: ModelFiles, state: ArmState,
-        predictor: PredictorClient, driver: DriverLink, twins: Twins, frames: FrameListener,
-        survived: Callable[[Exception], None],
-    ) -> None:  # fmt: skip
-        self._node, self._files, self._state = node, files, state
-        self._predictor, self._driver, self._survived = predictor, driver, survived
-        self._twins = twins
-        self._declared = declared_model(files.arm)
-        self._frames, self._base_frame = frames, base_frame
-        self._own_names = (base_frame, p["base_frame"])
-        self._max_age_s = p["context_max_age_s"]
+    def __init__(self, state: ArmState, twins: Twins) -> None:
+        self._node, self._files, self._state, p = state.node, state.files, state, state.p
+        self._predictor, self._twins = state.predictor, twins
+        self._declared = declared_model(state.arm)
+        self._frames = FrameListener(state.node, p["frames.wait_s"], state.node.tally.count)
+        self._base_frame = state.base_frame
         self._settling = Settling(
             tol_m=p["tolerance_m"], max_passes=p["max_passes"],
             max_correction_m=p["max_correction_m"],
@@ -90,9 +79,7 @@ class Compensator:
             StaleContext: a circumstance that the model needs is not known.
         """
         loaded, options = self._files.loaded, self._options()
-        now = self._state.readings.context(
-            physics_of(loaded.model, options.method), time.monotonic(), self._max_age_s
-        )
+        now = self._state.context(model=physics_of(loaded.model, options.method))
         known = tuple(sorted(now.columns))
         asked = (options.method, options.run_up, options.realisable)
         return loaded.file_hash, loaded.learned, *asked, known
@@ -116,7 +103,7 @@ class Compensator:
         except InputError as error:
             return self.refused(name, request, Status.BAD_TARGET, str(error))
         except Exception as error:
-            self._survived(error)
+            self._node.survived(error)
             text = f"{type(error).__name__}: {error}"
             return self.refused(name, request, Status.INTERNAL_ERROR, text)
 
@@ -138,16 +125,16 @@ class Compensator:
         given, target = self._target(request)
         options = self._options()
         start, seed = self._start(request)
-        if request.execute and (why := self._twins.refusal or self._driver.refusal):
+        if request.execute and (why := self._twins.refusal or self._state.driver.refusal):
             raise Refusal(Status.NO_DRIVER, f"not sent: {why}")
         loaded = self._files.loaded
         known: dict[str, Any] = {
             "start": start,
             "seed": seed,
-            "history": self._driver.history,
+            "history": self._state.driver.history,
             "readings": self._state.readings,
             "now_s": time.monotonic(),
-            "max_age_s": self._max_age_s,
+            "max_age_s": self._state.p["context_max_age_s"],
             "position_only": request.position_only,
             "options": options,
         }
@@ -184,7 +171,7 @@ class Compensator:
     def _target(self, request: Compensate.Request) -> tuple[PoseStamped, np.ndarray]:
         """The target in the base frame: as a message, and as (4, 4) or (3,), m."""
         target, header = target_of(request.target, request.position_only), request.target.header
-        if header.frame_id in self._own_names:
+        if header.frame_id in (self._base_frame, self._state.p["base_frame"]):
             return request.target, target
         try:
             frame = self._frames.place(header.frame_id, self._base_frame, stamp_ns(header.stamp))
@@ -225,3 +212,54 @@ class Compensator:
         if doubt or q is None:
             raise Refusal(Status.NOT_READY, doubt)
         return q, seed
+
+
+class Readiness:
+    """Prepares on the worker, between targets, whatever has changed since the last look.
+
+    A new model, another method, or a circumstance that is told for the first time needs other
+    programs. `Compensator.rehearse` compiles them: it computes a target that nobody asked for.
+    """
+
+    def __init__(self, state: ArmState, compute: Compensator) -> None:
+        self._worker, self._compute, self._predictor = state.worker, compute, state.predictor
+        self._compiled = state.p["compiled"] and ik.warm_up()
+        self._prepared: Hashable = None
+        self._busy = self._probed = False
+        steady_timer(state.node, 0.25, self.look)
+        self.look()
+
+    def look(self) -> None:
+        """Prepare what is not at hand."""
+        needed, _ = self._needed()
+        if not self._busy and (needed != self._prepared or not self._predictor.answers):
+            self._busy = True  # before the worker can have done it
+            if not self._worker.submit(partial(self._prepare, needed)):
+                self._busy = False
+
+    def _needed(self) -> tuple[Hashable, str]:
+        """What the programs of the next target depend on; why that is not known, or nothing."""
+        try:
+            return (self._compute.kind() if self._compiled else "not compiled"), ""
+        except StaleContext as unknown:
+            return self._prepared, str(unknown)
+
+    def _prepare(self, needed: Hashable) -> None:
+        try:
+            self._predictor.probe()
+            self._probed = True
+            if needed != self._prepared and self._compiled:
+                self._compute.rehearse()
+        finally:
+            self._prepared = needed  # also after a fault, which every target would repeat
+            self._busy = False  # last: the next look would prepare the same again
+
+    def report(self) -> Report:
+        """Whether the next target takes its ordinary time, for diagnostics."""
+        facts = {"programs compiled": Compiled.programs}
+        needed, unknown = self._needed()
+        if unknown:
+            return Report(WARN, unknown, facts)
+        if not self._probed or needed != self._prepared:
+            return Report(WARN, "getting ready", facts)
+        return Report(OK, "ready", facts)

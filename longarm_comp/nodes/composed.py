@@ -6,14 +6,12 @@ are as they always are: `predict_error` serves others too.
 
 from __future__ import annotations
 
-import sys
-
 from rclpy.executors import SingleThreadedExecutor
 
 from longarm_comp.nodes.error_predictor import ErrorPredictor
 from longarm_comp.nodes.kinematics import Kinematics
+from longarm_comp.nodes.node import program
 from longarm_comp.nodes.predictor_client import LocalCaller
-from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.worker import Worker
 
 
@@ -27,10 +25,7 @@ def nodes(executor: SingleThreadedExecutor) -> tuple[ErrorPredictor, Kinematics]
     return predictor, Kinematics(executor, caller)
 
 
-def main() -> None:
-    """Run both."""
-    sys.exit(run(nodes))
-
+main = program(nodes)
 
 if __name__ == "__main__":
     main()

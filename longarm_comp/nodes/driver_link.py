@@ -40,12 +40,12 @@ class DriverLink:
         inlets: of the worker, so that what the driver tells is known before the next target.
         acknowledged: whether the driver tells its state and what becomes of trajectories.
         joints: the last joint reading (n,), or None.
-        commanded: called for every command, with its joints (n,) and their history on arrival.
-        told: called with every message on `motion`.
         refused: called for every message that is refused, with its kind and the reason.
 
     Attributes:
         history: of the joints, when they have come to the end of what was commanded last.
+        commanded: called for every command, with its joints (n,) and their history on arrival.
+        told: called with every message on `motion`.
     """
 
     def __init__(
@@ -55,13 +55,12 @@ class DriverLink:
         *,
         acknowledged: bool,
         joints: Callable[[], np.ndarray | None],
-        commanded: Callable[[np.ndarray, History], None],
-        told: Callable[[Motion], None],
         refused: Callable[[str, str], None],
     ) -> None:
-        self._arm, self._joints = arm, joints
+        self._arm, self._joints, self._refused = arm, joints, refused
         self.acknowledged = acknowledged
-        self._commanded, self._on_told, self._refused = commanded, told, refused
+        self.commanded: Callable[[np.ndarray, History], None] = lambda q, history: None
+        self.told: Callable[[Motion], None] = lambda motion: None
         self.history = History.unknown(arm.n)
         self._end: np.ndarray | None = None
         self._state: DriverState | None = None
@@ -122,7 +121,7 @@ class DriverLink:
             self.lose()
         if message.id == self._asked and message.event in (Motion.ACCEPTED, Motion.REFUSED):
             self._answer = message
-        self._on_told(message)
+        self.told(message)
 
     def _accepted(self, message: Motion) -> None:
         names = list(message.start.name)
@@ -147,7 +146,7 @@ class DriverLink:
         """Joints are on their way through (k, n) from a start (n,)."""
         self.history = self.history.after(path, start)
         self._end = path[-1]
-        self._commanded(path[-1], self.history)
+        self.commanded(path[-1], self.history)
 
     def lose(self) -> None:
         """Where the joints come from is not known from here on."""

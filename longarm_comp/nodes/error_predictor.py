@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from geometry_msgs.msg import Vector3Stamped
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from std_srvs.srv import Trigger
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import LongarmError
@@ -20,13 +16,11 @@ from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import belongs, load
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import prefix_of
-from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
-from longarm_comp.nodes.model_files import FileWatch, ModelFiles, file_hash
-from longarm_comp.nodes.params import Param, declare
-from longarm_comp.nodes.runner import run
-from longarm_comp.nodes.ticks import steady_timer
-from longarm_comp.nodes.worker import Worker
+from longarm_comp.nodes.model_files import ModelFiles, file_hash
+from longarm_comp.nodes.node import WATCH, ArmNode, program
+from longarm_comp.nodes.params import Param
 from longarm_interfaces.srv import PredictError
 
 PARAMS = (
@@ -34,7 +28,7 @@ PARAMS = (
     Param("model", "", "model.yaml that it must have been trained with; empty: none"),
     Param("predictor", "", "predictor file (npz); empty: none, every question is refused"),
     Param("base_frame", "base", "frame of the predicted errors"),
-    Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
+    WATCH,
     PERIOD,
 )
 
@@ -49,12 +43,12 @@ class _Loaded:
     model_hash: str
 
 
-class ErrorPredictor(Node):
+class ErrorPredictor(ArmNode):
     """Answers requests on one thread and loads files on another."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
-        super().__init__("error_predictor", automatically_declare_parameters_from_overrides=True)
-        p = declare(self, PARAMS)
+        super().__init__(executor, "error_predictor", PARAMS)
+        p = self.p
         self._model = ModelFiles(p["arm"], p["model"])
         self._arm = self._model.arm
         self._path, self._base_frame = p["predictor"], prefix_of(self) + p["base_frame"]
@@ -62,26 +56,15 @@ class ErrorPredictor(Node):
         self._fault = ""
         self._answered = self._refused = self._outside = 0
         self._last = ""
-        self._asked = Worker(self, executor, 100, self.survived)
-        self._files = Worker(self, executor, 4, self.survived)
+        asked, files = self.worker(100), self.worker(4)
         self._reload()
         self._errors = graph.PREDICTED_ERROR.publisher(self)
-        graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
-        self._watch = FileWatch((self._path, p["model"]))
-        steady_timer(self, p["watch_period_s"], self._look)
-        self._health = Health(self, {"predictor": self._report}, p[PERIOD.name])
-        self._files.start()
-        self._asked.inlets.serve(graph.PREDICT_ERROR, self._on_predict)
-        self._asked.start()
-
-    def close(self) -> None:
-        """Stop the workers."""
-        self._asked.close()
-        self._files.close()
-
-    def survived(self, error: Exception) -> None:
-        """Count an exception that a callback raised."""
-        self._health.fault(error)
+        self.on_request(graph.RELOAD, files, lambda request: self._reload())
+        self.on_change((self._path, p["model"]), files, self._reload)
+        self.health.parts["predictor"] = self._report
+        files.start()
+        asked.inlets.serve(graph.PREDICT_ERROR, self._on_predict)
+        asked.start()
 
     def _on_predict(
         self, request: PredictError.Request, reply: Callable[[PredictError.Response], None],
@@ -158,20 +141,6 @@ class ErrorPredictor(Node):
         self._fault = ""
         return True, f"{self._path} {self._loaded.hash[:12]}"
 
-    def _look(self) -> None:
-        if self._watch.changed():
-            self._files.submit(self._reload)
-
-    async def _on_reload(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        future = self._files.ask(self._reload)
-        if future is None:
-            response.message = "a reload is under way"
-            return response
-        response.success, response.message = await future
-        return response
-
     def _report(self) -> Report:
         facts = {
             "file": self._path,
@@ -189,10 +158,7 @@ class ErrorPredictor(Node):
         return Report(OK, "predicting", facts)
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run(ErrorPredictor))
-
+main = program(ErrorPredictor)
 
 if __name__ == "__main__":
     main()

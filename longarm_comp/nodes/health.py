@@ -105,22 +105,18 @@ class Tally:
 class Health:
     """Collects a report from every part of a node and publishes them.
 
-    Args:
-        node: the publishing node. A status is named ``<node>: <part>``.
-        parts: function that reports on each part.
+    Attributes:
+        parts: function that reports on each part. Its status is named ``<node>: <part>``.
     """
 
-    def __init__(
-        self, node: Node, parts: Mapping[str, Callable[[], Report]], period_s: float
-    ) -> None:
+    def __init__(self, node: Node, period_s: float) -> None:
         self._node = node
-        self._parts = dict(parts)
+        self.parts: dict[str, Callable[[], Report]] = {"process": self._process}
         self._publisher = DIAGNOSTICS.publisher(node)
         self._timer = steady_timer(node, period_s, self.publish)
         self.faults = 0
         self.last_fault = ""
         self._fault_s: float | None = None
-        self._parts["process"] = self._process
 
     def fault(self, error: Exception) -> None:
         """Count an exception after which the node goes on."""
@@ -138,7 +134,7 @@ class Health:
         name = self._node.get_fully_qualified_name()
         array = DiagnosticArray()
         array.header.stamp = self._node.get_clock().now().to_msg()
-        for part, ask in self._parts.items():
+        for part, ask in self.parts.items():
             report = ask()
             values = [KeyValue(key=k, value=str(v)) for k, v in report.facts.items()]
             array.status.append(

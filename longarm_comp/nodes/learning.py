@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING
 
@@ -12,8 +11,8 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.rest import RestPose
 from longarm_comp.core.errors import JobError
+from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import OK, WARN, Report
-from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.params import Param
 
 if TYPE_CHECKING:
@@ -25,24 +24,17 @@ PARAMS = (
 )
 
 
-@dataclass
 class Learning:
     """What the worker knows of the model at work. All but `report` is called on the worker.
 
-    Args:
-        files: the model at work; what is learned is put in its place.
-        on: whether anything is learned; it is kept beside the model, after every sighting.
-        step_m: largest step of the tip by one sighting.
+    What is learned is put in the place of the model in use, and kept beside it after every
+    sighting.
     """
 
-    files: ModelFiles
-    on: bool
-    step_m: float
-    learner: Learner | None = None
-    update_ms: float = 0.0
-    _fault: str = ""
-
-    def __post_init__(self) -> None:
+    def __init__(self, state: ArmState) -> None:
+        self._state, self._files = state, state.files
+        self.learner: Learner | None = None
+        self._update_ms, self._fault = 0.0, ""
         self.begin()
 
     def begin(self) -> None:
@@ -51,26 +43,23 @@ class Learning:
         Raises:
             InputError: the file is not one of these; the model does not say how well it is known.
         """
-        if not self.on:
+        if not self._state.p["learning"]:
             return
         from longarm_comp.core.at_work import file  # with SciPy: only where it is wanted
 
-        loaded = self.files.given
-        self.learner = file.load(
-            self.files.learned_path, loaded.model, loaded.file_hash, self.step_m
-        )
-        self.files.put(self.learner.model)
+        loaded, step_m = self._files.given, self._state.p["learning_step_m"]
+        path = self._files.learned_path
+        self.learner = file.load(path, loaded.model, loaded.file_hash, step_m)
+        self._files.put(self.learner.model)
 
-    def seen(
-        self, rest: RestPose, context: Context, learned: np.ndarray | None, at_s: float
-    ) -> None:
+    def seen(self, rest: RestPose, context: Context, learned: np.ndarray | None) -> None:
         """Learn from a rest pose, less what a predictor says of it, (3,) m."""
         if self.learner is None or self.learner.frozen:
             return
         tip = rest.tip if learned is None else rest.tip - learned
         begun = time.perf_counter()
-        after = self.learner.seen(rest.q, context, tip, rest.variance, at_s)
-        self.update_ms = 1e3 * (time.perf_counter() - begun)
+        after = self.learner.seen(rest.q, context, tip, rest.variance, self._state.now_s)
+        self._update_ms = 1e3 * (time.perf_counter() - begun)
         self._take(after)
 
     def freeze(self, frozen: bool) -> tuple[bool, str]:
@@ -92,9 +81,9 @@ class Learning:
 
         before, self.learner = self.learner, after
         if before is None or after.model is not before.model:
-            self.files.put(after.model)
+            self._files.put(after.model)
         try:
-            file.save(self.files.learned_path, after, self.files.given.file_hash)
+            file.save(self._files.learned_path, after, self._files.given.file_hash)
             self._fault = ""
         except JobError as error:
             self._fault = str(error)
@@ -107,7 +96,7 @@ class Learning:
             "sightings": learner.sightings,
             "doubtful": learner.doubtful,
             "version": len(learner.versions),
-            "update, ms": round(self.update_ms, 1),
+            "update, ms": round(self._update_ms, 1),
         }
         if self._fault:
             return Report(WARN, f"not kept: {self._fault}", facts)

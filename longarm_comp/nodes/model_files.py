@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,34 +13,6 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.nodes.health import OK, WARN, Report
-
-_Signature = tuple[tuple[int, int, int] | None, ...]
-
-
-class FileWatch:
-    """Detects when one of several files is created, changed, replaced or removed."""
-
-    def __init__(self, paths: Sequence[str]) -> None:
-        self._paths = tuple(paths)
-        self._seen = self._look()
-
-    def changed(self) -> bool:
-        """Whether a file changed since the last call, or since the start."""
-        now = self._look()
-        changed = now != self._seen
-        self._seen = now
-        return changed
-
-    def _look(self) -> _Signature:
-        return tuple(_signature(path) for path in self._paths)
-
-
-def _signature(path: str) -> tuple[int, int, int] | None:
-    try:
-        stat = os.stat(path)
-    except OSError:
-        return None
-    return stat.st_ino, stat.st_size, stat.st_mtime_ns
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
-"""Compares the measured tip with its prediction and with its target, pose by pose."""
+"""Where the tip is: by the readings of the joints, and as seen, beside prediction and target."""
 
 from __future__ import annotations
 
 import shlex
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,38 +12,74 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor
-from longarm_comp.core.compensation.stands import tip_by_readings
-from longarm_comp.core.data.rest import RestPose, RestWatch
+from longarm_comp.core.compensation.stands import TipByReadings, tip_by_readings
+from longarm_comp.core.data.rest import JOINT_REST, RestPose, RestWatch
 from longarm_comp.core.model.model import Model
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
+from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_comp.nodes.stamps import stamp_ns
 
 PARAMS = (
+    Param("readings.period_s", 1.0, "between two tip_by_readings; 0: none", 0.0, 60.0),
     Param("monitor.settle_s", 0.5, "joints at rest for so long before the tip counts", 0.0, 60.0),
     Param("monitor.sightings", 3, "sightings averaged at a rest pose", 1, 1000),
     Param("monitor.sigma_m", 1e-3, "promised error without a predictor, per axis", 1e-6, 1.0),
     Param("monitor.run_length", 10000.0, "rest poses between false alarms, at least", 2.0, 1e9),
 )
 
+
+class ReadingsTeller:
+    """Publishes it every so often while the arm rests, computed on the worker's thread."""
+
+    def __init__(self, state: ArmState) -> None:
+        self._state = state
+        self.last: TipByReadings | None = None
+        self._before: np.ndarray | None = None
+        self._waits = False
+        self._tips = graph.TIP_BY_READINGS.publisher(state.node)
+        state.node.every("readings.period_s", self._tick)
+
+    def _tick(self) -> None:
+        """One at a time: targets must not wait behind many."""
+        now = self._state.standing
+        q, before = None if now is None else now[1], self._before
+        self._before = q
+        rests = q is not None and before is not None and np.abs(q - before).max() <= JOINT_REST
+        if rests and not self._waits:
+            self._waits = self._state.worker.submit(self._in_turn)
+
+    def _in_turn(self) -> None:
+        self._waits = False
+        self.tell()
+
+    def tell(self) -> TipByReadings | None:
+        """Compute and publish it now; None while joints or circumstances are not known."""
+        now = self._state.standing
+        if now is None:
+            return None
+        found = self.last = tip_by_readings(*now)
+        message = PoseWithCovarianceStamped()
+        message.header.stamp = self._state.stamp
+        message.header.frame_id = self._state.base_frame
+        point = message.pose.pose.position
+        point.x, point.y, point.z = found.tip.tolist()
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = np.nan_to_num(found.doubt.covariance)
+        message.pose.covariance = covariance.ravel()
+        self._tips.publish(message)
+        return found
+
+    def report(self) -> Report:
+        """The last one, for diagnostics."""
+        return Report(OK, "not known yet" if self.last is None else self.last.said())
+
+
 EVIDENCE = "evidence (1 warns)"
 """Name of the fact on /diagnostics that says how near to a warning the test is."""
-
-
-def advice(arm: str, model: str, namespace: str) -> str:
-    """Shell commands that find what has changed: plan poses, collect a session, diagnose it."""
-    given, where = shlex.quote(arm), namespace.strip("/")
-    inside = f" --namespace {where}" if where else ""
-    known = f" --model {shlex.quote(model)}" if model else ""
-    return " && ".join(
-        (
-            f"longarm plan {given} --kind sobol -n 60 -o poses.csv",
-            f"longarm collect {given} poses.csv -o session{inside}",
-            f"longarm diagnose {given} session{known} -o diagnosis",
-        )
-    )
 
 
 def _mm(vector: np.ndarray) -> str:
@@ -75,24 +110,16 @@ class TipMonitor:
     The executor and the worker call the ``on_...`` methods, one at a time. The worker calls
     `judge`.
 
-    Args:
-        advice: returns the commands to run once drift is found.
-
     Attributes:
         sighted: the last rest pose at a target.
     """
 
-    def __init__(
-        self, client: PredictorClient, settle_s: float, sightings: int, sigma_m: float,
-        run_length: float, advice: Callable[[], str],
-    ) -> None:  # fmt: skip
-        self._client = client
-        self._watch = RestWatch(settle_s, sightings)
+    def __init__(self, state: ArmState) -> None:
+        self._state, p = state, state.p
+        self._watch = RestWatch(p["monitor.settle_s"], p["monitor.sightings"])
         self._feeding = threading.Lock()
-        self._sigma_m, self._run_length, self._advice = sigma_m, run_length, advice
-        self._monitor = Monitor(run_length)
-        self._at_target = Monitor(run_length)
-        self._servos = Monitor(run_length)
+        self._sigma_m, self._run_length = p["monitor.sigma_m"], p["monitor.run_length"]
+        self.reset()
         self._sent: np.ndarray | None = None
         self._aim: tuple[np.ndarray, np.ndarray] | None = None
         self.sighted: Sighted | None = None
@@ -124,16 +151,16 @@ class TipMonitor:
         with self._feeding:
             self._watch.joints(q, at_s)
 
-    def on_tip(self, message: PoseWithCovarianceStamped, now_s: float) -> RestPose | None:
+    def on_tip(self, message: PoseWithCovarianceStamped) -> RestPose | None:
         """Take a sighting; returns the rest pose that it completes, if it does.
 
         It counts for the time of its images, which may come late: a picture of the arm on its way
-        is no rest pose. Without a stamp it counts for now (ROS clock, s).
+        is no rest pose. Without a stamp it counts for now.
         """
         tip, variance = sighting_of(message)
         stamp = stamp_ns(message.header.stamp)
         with self._feeding:
-            return self._watch.sighted(tip, variance, 1e-9 * stamp if stamp else now_s)
+            return self._watch.sighted(tip, variance, 1e-9 * stamp if stamp else self._state.now_s)
 
     def judge(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
         """Add a rest pose to the sequential tests.
@@ -166,10 +193,10 @@ class TipMonitor:
         """Expected tip; None where the predictor refuses."""
         tip = model.measured(rest.q, context)
         fallback = np.full(3, self._sigma_m)
-        if not self._client.present:
+        if not self._state.predictor.present:
             return Promise(tip, fallback)
         try:
-            found = self._client.ask(rest.q, context)
+            found = self._state.predictor.ask(rest.q, context)
         except NoAnswer:
             return Promise(tip, fallback)
         if not found.in_domain:
@@ -213,6 +240,20 @@ class TipMonitor:
         cause = "the predictions are right, so the commands were for other circumstances"
         return Report(WARN, f"beside the target: {verdict.finding}; {cause}", facts)
 
+    @property
+    def _advice(self) -> str:
+        """Shell commands that find what has changed: plan poses, collect, diagnose."""
+        state = self._state
+        arm, model = (shlex.quote(state.p[name]) for name in ("arm", "model"))
+        where = state.node.get_namespace().strip("/")
+        inside = f" --namespace {where}" if where else ""
+        known = f" --model {model}" if state.files.loaded.file_hash else ""
+        return (
+            f"longarm plan {arm} --kind sobol -n 60 -o poses.csv && "
+            f"longarm collect {arm} poses.csv -o session{inside} && "
+            f"longarm diagnose {arm} session{known} -o diagnosis"
+        )
+
     def report(self) -> Report:
         """Whether tips are seen where they were predicted, for diagnostics."""
         verdict = self._monitor.verdict()
@@ -223,5 +264,5 @@ class TipMonitor:
             "outside the training data": self._outside,
         }
         if verdict.drifted:
-            return Report(WARN, f"{verdict.finding}; run: {self._advice()}", facts)
+            return Report(WARN, f"{verdict.finding}; run: {self._advice}", facts)
         return Report(OK, "residuals are as promised", facts)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from rclpy.node import Node
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -23,7 +20,6 @@ from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.messages import wrench_of
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.worker import Worker
 
 PARAMS = (
     Param("servos", "", "the driver's file: what its servos tell of loads; empty: nothing"),
@@ -35,21 +31,11 @@ _NOTHING = "not weighed: no drive or wrist sensor tells a load"
 
 
 class Weigher:
-    """Weighs once a move, after the driver has said that it is done.
+    """Weighs once a move, after the driver has said that it is done."""
 
-    Args:
-        refused: called for every message that is refused, with its kind and the reason.
-        standing: model, readings (n,) and circumstances of now; None while they are not known.
-    """
-
-    def __init__(
-        self, node: Node, arm: Arm, p: dict[str, Any], state: ArmState, worker: Worker,
-        refused: Callable[[str, str], None],
-        standing: Callable[[], tuple[Model, np.ndarray, Context] | None],
-    ) -> None:  # fmt: skip
-        self._arm, self._state, self._worker, self._standing = arm, state, worker, standing
-        self._refused = refused
-        self._drives = drives(p["servos"], arm)
+    def __init__(self, state: ArmState) -> None:
+        self._arm, self._state, p = state.arm, state, state.p
+        self._drives = drives(p["servos"], state.arm)
         self._tells, self._settle_s = p["payload.by_load"], p["monitor.settle_s"]
         self._max_age_s, self._sigma = p["context_max_age_s"], p["payload.wrench_sigma_n"]
         self._weighing = Weighing(p["monitor.run_length"])
@@ -57,7 +43,7 @@ class Weigher:
         self._wrist: Wrist | None = None
         self._told: float | None = None
         self._last_s = -math.inf
-        graph.WRENCH.subscription(node, self._on_wrench)
+        graph.WRENCH.subscription(state.node, self._on_wrench)
 
     def moving(self) -> None:
         """The arm was sent elsewhere."""
@@ -70,10 +56,12 @@ class Weigher:
     def read(self) -> None:
         """Look at the joints' last reading: weigh where it is due, tell what was found."""
         now = time.monotonic()
-        standing = self._standing() if now >= self._due else None
+        standing = self._state.standing if now >= self._due else None
         if standing is not None:
             self._due = math.inf
-            self._worker.submit(partial(self._weigh, *standing, self._state.effort, self._wrist))
+            self._state.worker.submit(
+                partial(self._weigh, *standing, self._state.effort, self._wrist)
+            )
         if self._tells and now - self._last_s >= 1.0:  # as often as a payload is told
             self._last_s = now
             self._tell(now)
@@ -82,7 +70,7 @@ class Weigher:
         try:
             row, force = wrench_of(message, self._arm)
         except InputError as error:
-            self._refused("bad wrench", str(error))
+            self._state.node.tally.count("bad wrench", str(error))
             return
         self._wrist = Wrist(row, force, self._sigma)
 

@@ -67,7 +67,6 @@ class _Aside(CallbackGroup):
 
 
 _LOST = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
-_UNFIT = QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS
 
 
 class _Event:
@@ -100,7 +99,6 @@ class Inlets:
         self._topics: list[tuple[Subscription, SequenceWatch, Callable[[Any, float], None]]] = []
         self._losses: list[tuple[_Event, SequenceWatch]] = []
         self._services: list[Service] = []
-        self._unfit: list[_Event] = []
         self._set: Any = None
 
     # ------------------------------------------------------------------ what it takes
@@ -118,7 +116,6 @@ class Inlets:
         watch = SequenceWatch()
         self._topics.append((made, watch, callback))
         self._losses.append((_Event(made, _LOST), watch))
-        self._unfit.append(_Event(made, _UNFIT))
 
     def serve(self, service: ServiceName, callback: Callable[[Any, Any, float], None]) -> None:
         """Offer a service.
@@ -149,11 +146,6 @@ class Inlets:
         did. The numbers of the messages show both, but not always with several publishers.
         """
         return sum(max(event.count(), watch.lost) for event, watch in self._losses)
-
-    @property
-    def unfit(self) -> int:
-        """Publishers that were not heard, as their QoS does not fit."""
-        return sum(event.count() for event in self._unfit)
 
     def wake(self) -> None:
         """End a wait; from any thread."""

@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.node import Node
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
-from longarm_comp.core.compensation.stands import TipByReadings
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.messages import Answer, joints_message, vector_message
-from longarm_comp.nodes.monitoring import Sighted
+from longarm_comp.nodes.monitoring import ReadingsTeller, Sighted, TipMonitor
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.targets import Request, TargetInlet
 from longarm_comp.nodes.ticks import Ticks
@@ -31,44 +29,17 @@ PARAMS = (
 )
 
 
-class _ReachSite(Protocol):
-    """What the action needs of `kinematics`."""
-
-    @property
-    def targets(self) -> TargetInlet:
-        """Where targets are asked for."""
-
-    @property
-    def joints(self) -> np.ndarray | None:
-        """(n,) last reading."""
-
-    @property
-    def no_driver(self) -> str:
-        """Why no driver will say that a move is done; empty where it does."""
-
-    @property
-    def sees(self) -> bool:
-        """Whether anybody publishes `tip_measured`."""
-
-    @property
-    def sighted(self) -> Sighted | None:
-        """The tip at the last target that the arm rested at."""
-
-    @property
-    def tip_by_readings(self) -> TipByReadings | None:
-        """Where the tip stands now by the readings of the joints."""
-
-
 class ReachServer:
     """Serves one goal after another, in the order of arrival, on the node's executor."""
 
     def __init__(
-        self, node: Node, arm: Arm, site: _ReachSite, feedback_s: float, look_s: float
+        self, state: ArmState, targets: TargetInlet, monitor: TipMonitor, tips: ReadingsTeller
     ) -> None:
-        self._arm, self._site, self._look_s = arm, site, look_s
-        self._node, self._period_s = node, feedback_s
+        self._state, self._targets, self._monitor, self._tips = state, targets, monitor, tips
+        self._arm, node = state.arm, state.node
+        self._look_s, self._period_s = state.p["reach.look_s"], state.p["reach.feedback_s"]
         self._turns: deque[object] = deque()
-        self._ticks = Ticks(node, feedback_s)
+        self._ticks = Ticks(node, self._period_s)
         self._told: dict[str, Motion] = {}  # by trajectory, since the goal at hand was begun
         self._server = ActionServer(
             node, graph.REACH.type, graph.REACH.name, self._serve,
@@ -81,16 +52,23 @@ class ReachServer:
         if self._turns and motion.event != Motion.ACCEPTED:
             self._told.setdefault(motion.id, motion)
 
+    @property
+    def _no_driver(self) -> str:
+        """Why no driver will say that a move is done; empty where it does."""
+        if not self._state.driver.acknowledged:
+            return "the driver does not say what is reached: acknowledged is false"
+        return self._state.driver.refusal
+
     # ------------------------------------------------------------------ one goal
 
     async def _serve(self, goal: Any) -> Reach.Result:
         turn = object()
-        request = self._site.targets.asked(
+        request = self._targets.asked(
             Compensate.Request(
                 target=goal.request.target, position_only=goal.request.position_only, execute=True
             )
         )
-        fresh = not self._site.targets.stale(request)
+        fresh = not self._targets.stale(request)
         self._turns.append(turn)
         try:
             while self._turns[0] is not turn:
@@ -106,12 +84,12 @@ class ReachServer:
             self._turns.remove(turn)
 
     async def _reach(self, goal: Any, request: Request) -> Reach.Result:
-        if self._site.no_driver:
+        if self._no_driver:
             goal.abort()
             status = Compensate.Response.NO_DRIVER
-            return Reach.Result(status=status, message=self._site.no_driver, **_unseen())
-        before, self._told = self._site.sighted, {}
-        asked = self._site.targets.execute(request)
+            return Reach.Result(status=status, message=self._no_driver, **_unseen())
+        before, self._told = self._monitor.sighted, {}
+        asked = self._targets.execute(request)
         if asked is None:
             goal.abort()
             return Reach.Result(
@@ -131,7 +109,7 @@ class ReachServer:
         await self._looks(goal, command, before, result)
         result.success = True
         self._at_rest(result)
-        stands, target = self._site.tip_by_readings, answer.target.pose.position
+        stands, target = self._tips.tell(), answer.target.pose.position
         if stands is not None:
             said = stands.said(np.array([target.x, target.y, target.z]))
             result.message = f"{result.message}; {said}" if result.message else said
@@ -141,9 +119,9 @@ class ReachServer:
     async def _moves(self, goal: Any, name: str, command: np.ndarray, result: Reach.Result) -> bool:
         """Wait until the driver says what became of the move; whether it was reached."""
         halted = False
-        while (motion := self._told.get(name)) is None and not self._site.no_driver:
+        while (motion := self._told.get(name)) is None and not self._no_driver:
             if goal.is_cancel_requested and not halted:
-                halted, name = True, self._site.targets.halt()
+                halted, name = True, self._targets.halt()
             self._feedback(goal, Reach.Feedback.MOVING, command)
             await self._ticks.next()
         if motion is not None and motion.event == Motion.REACHED and not halted:
@@ -153,7 +131,7 @@ class ReachServer:
             result.message = "cancelled: the arm was stopped"
             goal.canceled()
             return False
-        result.message = self._site.no_driver if motion is None else motion.message
+        result.message = self._no_driver if motion is None else motion.message
         goal.abort()
         return False
 
@@ -161,8 +139,10 @@ class ReachServer:
         self, goal: Any, command: np.ndarray, before: Sighted | None, result: Reach.Result
     ) -> None:
         """Wait for the tip to be seen at rest, where anybody looks."""
-        for _ in range(math.ceil(self._look_s / self._period_s) if self._site.sees else 0):
-            sighted = self._site.sighted
+        node = self._state.node
+        seen_by = node.count_publishers(node.resolve_topic_name(graph.TIP_MEASURED.name))
+        for _ in range(math.ceil(self._look_s / self._period_s) if seen_by else 0):
+            sighted = self._monitor.sighted
             if sighted is not None and sighted is not before:
                 if np.abs(sighted.q - command).max() > SAME_POSE:
                     return
@@ -176,12 +156,12 @@ class ReachServer:
             await self._ticks.next()
 
     def _at_rest(self, result: Reach.Result) -> None:
-        q = self._site.joints
+        q = self._state.joints
         if q is not None:
-            result.reached = joints_message(self._arm, q, self._node.get_clock().now().to_msg())
+            result.reached = joints_message(self._arm, q, self._state.stamp)
 
     def _feedback(self, goal: Any, phase: int, command: np.ndarray | None) -> None:
-        q, message = self._site.joints, Reach.Feedback(phase=phase)
+        q, message = self._state.joints, Reach.Feedback(phase=phase)
         if q is not None:
             message.joints = joints_message(self._arm, q)
             if command is not None:

@@ -7,7 +7,6 @@ switched off on deactivate, cleanup, shutdown, emergency stop and at the end of 
 from __future__ import annotations
 
 import os
-import sys
 import time
 import uuid
 from collections.abc import Mapping, Sequence
@@ -36,16 +35,16 @@ from longarm_comp.devices.servo_follower import (
     Shapes,
 )
 from longarm_comp.devices.servo_joint import JointConfig
-from longarm_comp.nodes import intake
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes import orders
 from longarm_comp.nodes.driver_messages import bus_report, motion_message, readings_message
 from longarm_comp.nodes.follow import FollowServer
-from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
-from longarm_comp.nodes.intake import Intake
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
-from longarm_comp.nodes.params import Param, declare, declare_sections, where
-from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.node import ArmNode, program
+from longarm_comp.nodes.orders import Intake
+from longarm_comp.nodes.params import Param, declare_sections, where
 from longarm_comp.nodes.ticks import steady_timer
 from longarm_interfaces.msg import DriverState, Motion
 
@@ -58,7 +57,7 @@ PARAMS = (
     Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
     Param("patience_s", 5.0, "no servos at the start are an error only after it", 0.0, 600.0),
     Param("trim", False, "after a move, goals are moved until the readings stand where sent"),
-    *intake.PARAMS,
+    *orders.PARAMS,
     PERIOD,
 )
 SECTIONS: dict[str, type[BaseModel]] = {
@@ -75,12 +74,12 @@ _BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD)
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
-class _ServoDriver(LifecycleNode):
+class _ServoDriver(ArmNode, LifecycleNode):
     """One arm's servos."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
-        super().__init__("servo_driver", automatically_declare_parameters_from_overrides=True)
-        p = declare(self, PARAMS, sections=tuple(SECTIONS))
+        super().__init__(executor, "servo_driver", PARAMS, tuple(SECTIONS))
+        p = self.p
         self._config = self._servo_config()
         self._keeps_out, self._shapes = self._rules_of(p)
         self._trim = p["trim"]
@@ -105,9 +104,7 @@ class _ServoDriver(LifecycleNode):
         self._timer = steady_timer(self, self._period_s, self._cycle)
         # Pause between two messages of the state, s. It is also told when it changes
         steady_timer(self, 0.5, self._tell_state)
-        self._health = Health(
-            self, {"servo bus": self._bus_report, "arm": self._arm_report}, p[PERIOD.name]
-        )
+        self.health.parts |= {"servo bus": self._bus_report, "arm": self._arm_report}
         if self._autostart:
             self._start()
             steady_timer(self, p["retry_s"], self._start)
@@ -118,10 +115,6 @@ class _ServoDriver(LifecycleNode):
         self._release()
         self._fault = "the driver has ended"
         self._tell_state()
-
-    def survived(self, error: Exception) -> None:
-        """Count an exception that a callback raised."""
-        self._health.fault(error)
 
     def _servo_config(self) -> ServoConfig:
         return ServoConfig.parse(declare_sections(self, SECTIONS), "parameters of servo_driver")
@@ -390,10 +383,7 @@ class _ServoDriver(LifecycleNode):
         return Report(ERROR if stopped else OK, why or follower.value, facts)
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run(_ServoDriver))
-
+main = program(_ServoDriver)
 
 if __name__ == "__main__":
     main()

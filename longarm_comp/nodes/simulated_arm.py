@@ -5,7 +5,6 @@ It offers a servo bus on a pseudo-terminal and publishes images of two cameras a
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +13,6 @@ import numpy as np
 from geometry_msgs.msg import PointStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64, String
@@ -23,13 +21,12 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import prefix_of
-from longarm_comp.nodes.health import OK, PERIOD, Health, Report
+from longarm_comp.nodes.health import OK, PERIOD, Report
 from longarm_comp.nodes.images import image_message, info_message
-from longarm_comp.nodes.params import Param, declare
-from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.node import ArmNode, program
+from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.stamps import stamp_of
 from longarm_comp.nodes.ticks import steady_timer
-from longarm_comp.nodes.worker import Worker
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.plant import Plant, PlantConfig, hidden_effects, mounting
 from longarm_comp.sim.servo_emulator import MotorSpec, read_arm
@@ -118,12 +115,12 @@ def _named(field: str, text: str, known: Iterable[str]) -> list[str]:
     return text.split()
 
 
-class _SimulatedArm(Node):
+class _SimulatedArm(ArmNode):
     """Renders images on a thread. A frame is skipped while the last one is being rendered."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
-        super().__init__("simulated_arm", automatically_declare_parameters_from_overrides=True)
-        p = declare(self, PARAMS)
+        super().__init__(executor, "simulated_arm", PARAMS)
+        p = self.p
         arm = Arm.load(p["arm"])
         rng = np.random.default_rng(p["seed"])
         config = PlantConfig(
@@ -157,7 +154,7 @@ class _SimulatedArm(Node):
         self.add_on_set_parameters_callback(self._on_set)
         self._started = time.monotonic()
         self._frames = self._late = 0
-        self._worker = Worker(self, executor, 1, self.survived)
+        self._worker = self.worker(1)
         self._worker.start()
         self._images = graph.LEFT_IMAGE.publisher(self), graph.RIGHT_IMAGE.publisher(self)
         self._infos = graph.LEFT_INFO.publisher(self), graph.RIGHT_INFO.publisher(self)
@@ -177,17 +174,13 @@ class _SimulatedArm(Node):
         if p["damping"]:
             # Between two steps of the arm's vibration, s: a small part of the first modes' periods
             steady_timer(self, 0.01, self._ring)
-        self._health = Health(self, {"plant": self._report}, p[PERIOD.name])
+        self.health.parts["plant"] = self._report
         self._plant.start()
 
     def close(self) -> None:
         """Power off."""
-        self._worker.close()
+        super().close()
         self._plant.stop()
-
-    def survived(self, error: Exception) -> None:
-        """Count an exception that a callback raised."""
-        self._health.fault(error)
 
     def _wear(self, text: str) -> None:
         self._plant.wear(_numbers("more_play", text, "joint=rad, for instance joint4=0.002"))
@@ -263,10 +256,7 @@ class _SimulatedArm(Node):
         return Report(OK, "simulating", facts)
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run(_SimulatedArm))
-
+main = program(_SimulatedArm)
 
 if __name__ == "__main__":
     main()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
 
 from longarm_comp.core.arm import quaternion
@@ -33,15 +31,14 @@ from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.marker import marker_of
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
-from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Health, Report
+from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
 from longarm_comp.nodes.image_inlet import ImageInlet
 from longarm_comp.nodes.images import decoded, pixels_of, same_camera
 from longarm_comp.nodes.messages import pose_message
-from longarm_comp.nodes.params import Param, declare
-from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.node import ArmNode, program
+from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.stamps import stamp_ns, stamp_of
 from longarm_comp.nodes.ticks import steady_timer
-from longarm_comp.nodes.worker import Worker
 
 _TRANSPORTS = {
     "raw": ((graph.LEFT_IMAGE, graph.RIGHT_IMAGE), pixels_of),
@@ -94,12 +91,12 @@ def _other(info: CameraInfo, file: Calibration) -> bool:
     return bool(info.k[0]) and not same_camera(info, file)
 
 
-class _StereoBridge(Node):
+class _StereoBridge(ArmNode):
     """Measures pairs on a worker thread. A pair that arrives during a measurement is dropped."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
-        super().__init__("stereo_bridge", automatically_declare_parameters_from_overrides=True)
-        p = declare(self, PARAMS)
+        super().__init__(executor, "stereo_bridge", PARAMS)
+        p = self.p
         self._prefix, self._publish_lost = prefix_of(self), p["publish_lost"]
         self._base_frame, self._frames = self._prefix + p["base_frame"], FrameTeller(self)
         self._rectified = p["rectified"]
@@ -128,7 +125,7 @@ class _StereoBridge(Node):
                 self._calibrate(self._files)
             except LongarmError as error:
                 raise InputError(p["cameras"], "cameras", error, "a calibrated pair") from error
-        self._worker = Worker(self, executor, 2, self.survived)
+        self._worker = self.worker(2)
         self._worker.start()
         self._tips = graph.TIP_MEASURED.publisher(self)
         left, right = Side.LEFT, Side.RIGHT
@@ -144,15 +141,7 @@ class _StereoBridge(Node):
             steady_timer(self, 0.5, inlet.adapt)
         graph.LEFT_INFO.subscription(self, lambda m: self._on_info(left, m))
         graph.RIGHT_INFO.subscription(self, lambda m: self._on_info(right, m))
-        self._health = Health(self, {"stereo": self._report}, p[PERIOD.name])
-
-    def close(self) -> None:
-        """Stop the worker."""
-        self._worker.close()
-
-    def survived(self, error: Exception) -> None:
-        """Count an exception that a callback raised."""
-        self._health.fault(error)
+        self.health.parts["stereo"] = self._report
 
     def _on_info(self, side: Side, message: CameraInfo) -> None:
         known = self._infos.get(side)
@@ -260,10 +249,7 @@ class _StereoBridge(Node):
         return Report(OK, f"tip measured: {self._last}", facts)
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run(_StereoBridge))
-
+main = program(_StereoBridge)
 
 if __name__ == "__main__":
     main()

@@ -8,32 +8,29 @@ import uuid
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from std_msgs.msg import String
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.compensator import Compensator
-from longarm_comp.nodes.driver_link import DriverLink
-from longarm_comp.nodes.health import ERROR, OK, WARN, Report, Tally
+from longarm_comp.nodes.drawing import Markers
+from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.messages import (
     Answer,
     compensation_message,
     response_of,
     trajectory_message,
 )
+from longarm_comp.nodes.monitoring import TipMonitor
 from longarm_comp.nodes.orders import Freshness, Stamps, order_id
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.stamps import stamp_ns
-from longarm_comp.nodes.worker import Worker
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
@@ -65,25 +62,15 @@ class TargetInlet:
 
     The latest target on the topic wins: one that waits is superseded when another one comes. It
     is told of when nothing else waits. The service and the action come first, in their order.
-
-    Args:
-        answered: called with every answer.
-        aimed: called with joints (n,) that were accepted and their target (3,), m.
-        succeeded: called after every target that was computed.
     """
 
     def __init__(
-        self, node: Node, arm: Arm, p: dict[str, Any], base_frame: str, worker: Worker,
-        compensator: Compensator, driver: DriverLink, state: ArmState, tally: Tally,
-        answered: Callable[[Answer], None], aimed: Callable[[np.ndarray, np.ndarray], None],
-        succeeded: Callable[[], None],
-    ) -> None:  # fmt: skip
-        self._node, self._arm, self._base_frame = node, arm, base_frame
-        self._worker, self._compensator, self._driver = worker, compensator, driver
-        self._state, self._tally = state, tally
-        self._answered, self._aimed, self._succeeded = answered, aimed, succeeded
-        self._move_time_s, self._acknowledge_s = p["move_time_s"], p["acknowledge_s"]
-        self._max_age_s = p["target_max_age_s"]
+        self, state: ArmState, compensator: Compensator, monitor: TipMonitor, markers: Markers
+    ) -> None:
+        self._node, self._arm, self._base_frame = state.node, state.arm, state.base_frame
+        self._worker, self._compensator, self._driver = state.worker, compensator, state.driver
+        self._state, self._monitor, self._markers = state, monitor, markers
+        self._max_age_s, node, worker = state.p["target_max_age_s"], state.node, state.worker
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
         self._latest: _Sent | None = None
         self._passed: deque[_Sent] = deque()
@@ -189,17 +176,18 @@ class TargetInlet:
         stamp = self._stamps.next()  # before it is judged: what happens later, the driver judges
         if why := self.stale(request):
             return self._refuse(request, Status.STALE_TARGET, why)
-        message = trajectory_message(self._arm, arrival.move.points, self._move_time_s, stamp)
+        p = self._state.p
+        message = trajectory_message(self._arm, arrival.move.points, p["move_time_s"], stamp)
         answer = replace(answer, name=order_id(message))
         self._driver.expect(answer.name)
         self._trajectory.publish(message)
         request.sent = True
-        if not self._worker.take(lambda: self._driver.answered, self._acknowledge_s):
+        if not self._worker.take(lambda: self._driver.answered, p["acknowledge_s"]):
             self._withdrawals.publish(String(data=answer.name))
         if why := self._driver.not_accepted:
             return replace(answer, status=Status.NOT_ACCEPTED, message=why)
         request.accepted = True
-        self._aimed(arrival.outcome.command, arrival.outcome.position)
+        self._monitor.aimed(arrival.outcome.command, arrival.outcome.position)
         return answer
 
     def _publish_answer(self, request: Request) -> None:
@@ -212,15 +200,14 @@ class TargetInlet:
                 executed=request.sent, accepted=request.accepted,
             )
         )  # fmt: skip
-        self._answered(answer)
+        self._markers.on_answer(answer)
         if answer.status is Status.INTERNAL_ERROR:
             self._broken = answer.message
         elif answer.status.success:
             self._broken = ""
-            self._succeeded()
-        self._tally.count(
-            answer.status.name, "" if answer.status is Status.SUCCESS else answer.message
-        )
+            self._node.health.mended()
+        why = "" if answer.status is Status.SUCCESS else answer.message
+        self._node.tally.count(answer.status.name, why)
 
     def halt(self) -> str:
         """Stop the arm smoothly: a trajectory without points. Its id."""
@@ -233,13 +220,12 @@ class TargetInlet:
     def report(self) -> Report:
         """What became of the targets, for diagnostics."""
         facts: dict[str, object] = {
-            **self._tally.counts,
+            **self._node.tally.counts,
             "waiting": self._worker.waiting + (self._latest is not None),
             "superseded, not told yet": len(self._passed),
-            "last refusal": self._tally.last,
+            "last refusal": self._node.tally.last,
             "superseded without a story": self._untold,
             "lost on the way": self._worker.inlets.lost,
-            "publishers of another QoS": self._worker.inlets.unfit,
         }
         if self._state.doubt:
             return Report(WARN, self._state.doubt, facts)

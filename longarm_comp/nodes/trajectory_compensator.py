@@ -7,9 +7,6 @@ of our driver, or of any joint trajectory controller. Nothing is sent of a goal 
 from __future__ import annotations
 
 import contextlib
-import os
-import sys
-import time
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -19,10 +16,8 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Method, physics_of
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext
@@ -35,27 +30,22 @@ from longarm_comp.core.compensation.path import (
     compensate_path,
 )
 from longarm_comp.core.compensation.retime import MotionLimits
-from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.learn.expansion import Nearby
+from longarm_comp.nodes import arm_state
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
-from longarm_comp.nodes.driver_link import DriverLink
-from longarm_comp.nodes.health import OK, PERIOD, WARN, Health, Report, Tally
+from longarm_comp.nodes.health import OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import duration, joints_message, seconds
-from longarm_comp.nodes.model_files import FileWatch, ModelFiles
+from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.orders import Freshness, Stamps
-from longarm_comp.nodes.params import Param, declare, where
-from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
-from longarm_comp.nodes.runner import run
-from longarm_comp.nodes.ticks import Ticks, steady_timer
-from longarm_comp.nodes.worker import Worker
+from longarm_comp.nodes.params import Param, where
+from longarm_comp.nodes.predictor_client import NoAnswer
+from longarm_comp.nodes.ticks import Ticks
 
 PARAMS = (
-    Param("arm", "", "arm.yaml: the declared arm, that trajectories are planned for"),
-    Param("model", "", "model.yaml: the calibrated model; empty: the arm as declared"),
-    Param("effects", "", "Python files that define further effects, executed; : between paths"),
+    *arm_state.PARAMS,
     Param("method", "both", "what is compensated", choices=tuple(m.value for m in Method)),
     Param("controller", "servo_driver/follow_joint_trajectory", "action that trajectories go to"),
     Param("acknowledged", True, "the controller is servo_driver, which tells what it does"),
@@ -64,12 +54,7 @@ PARAMS = (
     Param("max_correction_m", 0.05, "most that the declared tip is moved", 1e-6, 1.0),
     Param("turn_m", TURN_M, "the tip may be so far off where a joint with play turns", 0.0, 0.1),
     Param("order_max_age_s", 2.0, "older goals move nothing", 0.01, 60.0),
-    Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
-    Param("joints_max_age_s", 5.0, "older joint_states are not believed", 0.1, 1e6),
-    Param("joints_max_rate", 5.0, "faster ones neither; ranges of a joint a second", 0.1, 1e6),
-    Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
     Param("planned_period_s", 0.1, "between two joint states for the planner", 0.01, 60.0),
-    Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
     PERIOD,
 )
 
@@ -77,36 +62,19 @@ _WAITING = 4
 """Goals that may wait."""
 
 
-class _TrajectoryCompensator(Node):
+class _TrajectoryCompensator(ArmNode):
     """Computes on a worker thread, so that the executor stays free."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
-        super().__init__(
-            "trajectory_compensator", automatically_declare_parameters_from_overrides=True
-        )
-        p = declare(self, PARAMS)
+        super().__init__(executor, "trajectory_compensator", PARAMS)
+        p = self.p
         if not graph.HAS_FOLLOW:
             raise InputError(where(self), "control_msgs", "missing", "install ROS's control_msgs")
-        for path in filter(None, p["effects"].split(os.pathsep)):
-            load_file(path)
-        self._files, self._method = ModelFiles(p["arm"], p["model"]), Method(p["method"])
-        self._arm, self._controller = self._files.arm, p["controller"]
-        self._limits, self._correction_m = self._limits_of(p), p["max_correction_m"]
-        self._turn_m = p["turn_m"]
-        self._context_age_s = p["context_max_age_s"]
-        self._tally = Tally(self)
-        self._worker = Worker(self, executor, _WAITING, self.survived)
-        caller = self._worker.inlets.caller(graph.PREDICT_ERROR)
-        self._predictor = PredictorClient(caller, self._arm, p["predictor_timeout_s"])
-        self._state = ArmState(
-            self, self._arm, self._tally.count, lambda q, at: None,
-            p["joints_max_age_s"], p["joints_max_rate"],
-        )  # fmt: skip
-        self._driver = DriverLink(
-            self._worker.inlets, self._arm, acknowledged=p["acknowledged"],
-            joints=lambda: self._state.joints, commanded=lambda q, history: None,
-            told=lambda motion: None, refused=self._tally.count,
-        )  # fmt: skip
+        self._state = ArmState(self, _WAITING)
+        self._files, self._method = self._state.files, Method(p["method"])
+        self._arm, self._controller = self._state.arm, p["controller"]
+        self._limits = self._limits_of(p)
+        self._worker, self._driver = self._state.worker, self._state.driver
         self._fresh, self._stamps = Freshness(self, p["order_max_age_s"]), Stamps(self.get_clock())
         self._ticks, self._following = Ticks(self, 0.05), 0
         type_, group = graph.FOLLOW.type, ReentrantCallbackGroup()
@@ -118,21 +86,10 @@ class _TrajectoryCompensator(Node):
         self._planned = graph.PLANNED_JOINTS.publisher(self)
         self._due = self._ready = False
         self._worker.idle = self._tell_planned
-        steady_timer(self, p["planned_period_s"], self._fall_due)
-        self._watch = FileWatch((p["model"],))
-        steady_timer(self, p["watch_period_s"], self._look)
-        self._health = Health(
-            self, {"paths": self._report, "model": self._files.report}, p[PERIOD.name]
-        )
+        self.every("planned_period_s", self._fall_due)
+        self.on_change((p["model"],), self._worker, self._files.reload)
+        self.health.parts |= {"paths": self._report, "model": self._files.report}
         self._worker.start()
-
-    def close(self) -> None:
-        """Stop the worker."""
-        self._worker.close()
-
-    def survived(self, error: Exception) -> None:
-        """Count an exception that a callback raised."""
-        self._health.fault(error)
 
     def _limits_of(self, p: Mapping[str, Any]) -> MotionLimits:
         """Limits by joint. A controller that is not ours gets no trajectory without them."""
@@ -146,10 +103,6 @@ class _TrajectoryCompensator(Node):
                 raise InputError(where(self), name, p[name], f"{allowed}, above 0")
             found.append(np.array([value or np.inf for value in given]))
         return MotionLimits(*found)
-
-    def _look(self) -> None:
-        if self._watch.changed():
-            self._worker.submit(self._files.reload)
 
     # ------------------------------------------------------------------ one goal
 
@@ -171,7 +124,7 @@ class _TrajectoryCompensator(Node):
             goal.canceled()
             return result(error_string="cancelled before anything was sent")
         if why or made is None:
-            self._tally.count("refused", why)
+            self.tally.count("refused", why)
             goal.abort()
             code = result.INVALID_JOINTS if strange else result.INVALID_GOAL
             return result(error_code=code, error_string=why)
@@ -204,7 +157,7 @@ class _TrajectoryCompensator(Node):
         if not sent.accepted:
             goal.abort()
             why = f"{self._controller} does not accept the goal"
-            self._tally.count("refused", why)
+            self.tally.count("refused", why)
             return graph.FOLLOW.type.Result(
                 error_code=graph.FOLLOW.type.Result.INVALID_GOAL, error_string=why
             )
@@ -218,11 +171,11 @@ class _TrajectoryCompensator(Node):
             await self._ticks.next()
         answer = ended.result()
         if answer.status == GoalStatus.STATUS_SUCCEEDED:
-            self._tally.count("followed", "")
+            self.tally.count("followed", "")
             goal.succeed()
         else:
             self._driver.lose()
-            self._tally.count("not followed", answer.result.error_string)
+            self.tally.count("not followed", answer.result.error_string)
             cancelled = answer.status == GoalStatus.STATUS_CANCELED and goal.is_cancel_requested
             (goal.canceled if cancelled else goal.abort)()
         return answer.result
@@ -246,24 +199,20 @@ class _TrajectoryCompensator(Node):
         """The path to send, or why there is none."""
         start = self._state.joints
         assert start is not None
-        loaded, now = self._files.loaded, time.monotonic()
-        physics, readings = physics_of(loaded.model, self._method), self._state.readings
-
-        def context_at(arrived: History) -> Context:
-            return readings.context(physics, now, self._context_age_s, arrived)
-
+        loaded = self._files.loaded
+        physics = physics_of(loaded.model, self._method)
         moving = self._following > 0
         known: dict[str, Any] = {
             "start": start,
             "history": History.unknown(self._arm.n) if moving else self._driver.history,
-            "context_at": context_at,
-            "turn_m": self._turn_m,
+            "context_at": partial(self._state.context, model=physics),
+            "turn_m": self.p["turn_m"],
             "limits": self._limits,
-            "max_correction_m": self._correction_m,
+            "max_correction_m": self.p["max_correction_m"],
             "options": CompensationOptions(self._method),
         }
-        use = self._method.learned and self._predictor.present
-        ask = partial(self._predictor.ask, deflection=self._method.physics)
+        use = self._method.learned and self._state.predictor.present
+        ask = partial(self._state.predictor.ask, deflection=self._method.physics)
         try:
             plan = self._plan(asked, start)
             try:
@@ -317,9 +266,7 @@ class _TrajectoryCompensator(Node):
             return due
         stamp = self.get_clock().now().to_msg()
         with contextlib.suppress(StaleContext):
-            context = self._state.readings.context(
-                model, time.monotonic(), self._context_age_s, self._driver.history
-            )
+            context = self._state.context(model=model)
             ik.warm_up(model, context)
             planned = as_planned(self._files.rigid, model, q, context)
             self._planned.publish(joints_message(self._arm, planned, stamp))
@@ -327,7 +274,7 @@ class _TrajectoryCompensator(Node):
         return True
 
     def _report(self) -> Report:
-        facts: dict[str, object] = {**self._tally.counts, "last refusal": self._tally.last}
+        facts: dict[str, object] = {**self.tally.counts, "last refusal": self.tally.last}
         if not self._out.server_is_ready():
             return Report(WARN, f"no controller offers {self._controller}", facts)
         if self._state.doubt or not self._ready:
@@ -335,10 +282,7 @@ class _TrajectoryCompensator(Node):
         return Report(OK, "following" if self._following else "ready", facts)
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run(_TrajectoryCompensator))
-
+main = program(_TrajectoryCompensator)
 
 if __name__ == "__main__":
     main()

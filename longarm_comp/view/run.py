@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 
-from longarm_comp.jobs.client import GraphClient
+from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.view import words
 from longarm_comp.view.commands import PAUSES, RELEASES, STOPS, Buttons
 from longarm_comp.view.listener import Listener

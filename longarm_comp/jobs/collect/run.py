@@ -25,11 +25,10 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered
-from longarm_comp.jobs.client import ArmClient, DriverStopped
+from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
 from longarm_comp.jobs.collect.causes import Causes
 from longarm_comp.jobs.collect.progress import Progress, progress_message
 from longarm_comp.jobs.measurement_schedule import Visit
-from longarm_comp.jobs.pace import Pace
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.sessions.bag import open_bag, read_visit
@@ -314,11 +313,7 @@ def _visit(client: ArmClient, visit: Visit, pace: Pace) -> tuple[int, list[np.nd
     client.driver_takes()
     start = client.joints
     begun = client.send(visit.path, pace.move_s)
-    client.spin(0.05)  # the driver has taken it up when its joints move
-    tolerance = np.full(client.arm.n, pace.tolerance)
-    now = client.arrive(visit.path, tolerance, pace.dwell_s, pace.arrive_s, start)
-    # a sighting shall be taken this long after the joints came to rest
-    return begun, client.look(now + int(0.05 * 1e9), pace.sightings, pace.look_s)
+    return begun, client.look(visit.path, pace, start)[1]
 
 
 def _tell_visit(client: ArmClient, recorder: Recorder, visit: Visit) -> None:

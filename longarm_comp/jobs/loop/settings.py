@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.jobs.pace import Pace
+from longarm_comp.jobs.client import Pace
 
 NEAR_NOISE = 2.0
 """A mean error below so many times what the noise alone shows is as good as measured."""

@@ -1,11 +1,11 @@
-"""``longarm servo scan``."""
+"""``longarm servo scan``, ``servo set-id`` and ``find-port``: what is on the servo bus."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,10 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@options.port
-@options.protocol
-@options.baud
-@options.bus_ids
+@options.servo_line
 @click.option(
     "--timeout",
     default=0.02,
@@ -31,14 +28,7 @@ if TYPE_CHECKING:
     help="Patience with one id, s.",
 )
 @options.as_json
-def command(
-    port: str | None,
-    protocol: str | None,
-    baud: int | None,
-    ids: str,
-    timeout: float,
-    as_json: bool,
-) -> None:
+def scan(port: str | None, as_json: bool, **line: Any) -> None:
     """List the servos on a bus: id, model, firmware, ids that two servos share.
 
     Asks every id alone. Without --protocol and --baud it tries those that are usual, one after
@@ -52,7 +42,7 @@ def command(
     """
     from longarm_comp.cli.dialogue import Dialogue
 
-    found = scanned(asked_port(Dialogue("servo scan"), port, None), protocol, baud, ids, timeout)
+    found = scanned(asked_port(Dialogue("servo scan"), port, None), **line)
     if as_json:
         print_json(asdict(found))
     else:
@@ -120,3 +110,55 @@ def _ids(text: str) -> Sequence[int]:
             raise InputError("servo scan", "--ids", text, "ids 0 to 252, for instance 1-20 or 1,2")
         ids += range(ends[0], ends[1] + 1)
     return sorted(set(ids))
+
+
+@click.command("set-id")
+@click.argument("servo_id", type=int, metavar="ID")
+@options.servo_line
+def set_id(servo_id: int, port: str | None, **line: Any) -> None:
+    """Give the one servo that is connected the id ID; it keeps it without power.
+
+    New servos all have the id 1. Connect one alone, give it its id, take it off, connect the next.
+
+    \b
+    Example:
+      longarm servo set-id 3 --port /dev/ttyUSB0
+    """
+    from longarm_comp.cli.dialogue import Dialogue
+    from longarm_comp.cli.output import note
+    from longarm_comp.devices.servo_bus.scan import renumber
+
+    found = scanned(asked_port(Dialogue("servo set-id"), port, None), **line)
+    old = renumber(found, servo_id)
+    note(f"servo {old} is servo {servo_id} now: write it on the servo")
+    note("next: connect the next servo alone; when all are done, longarm servo setup DIR")
+
+
+@click.command("find-port")
+def find_port() -> None:
+    """Find the servo bus among the serial ports: unplug it when asked, and see which one goes.
+
+    \b
+    Example:
+      longarm find-port
+    """
+    from longarm_comp.cli.dialogue import Dialogue
+    from longarm_comp.core.errors import JobError
+    from longarm_comp.devices.servo_bus import usable_ports
+
+    there = dict(usable_ports())
+    if not there:
+        raise JobError(
+            "no serial port: is the adapter plugged in, with a cable that carries data? "
+            "`sudo dmesg | tail` says what the system sees"
+        )
+    for device, description in there.items():
+        note(f"{device}  {description}")
+    dialogue = Dialogue("find-port")
+    dialogue.go_on("Unplug the bus's USB cable.")
+    gone = sorted(set(there) - set(dict(usable_ports())))
+    if len(gone) != 1:
+        raise JobError("not one port went away: unplug this cable alone", went=gone)
+    dialogue.go_on("Plug it in again.")
+    note(f"next: longarm servo scan --port {gone[0]}")
+    click.echo(gone[0])

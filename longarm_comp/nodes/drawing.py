@@ -1,4 +1,4 @@
-"""Markers for RViz: the arm as declared and as it hangs, target, pseudo-target, tip, error."""
+"""How the arm is shown: its links and URDF on /tf, markers for RViz."""
 
 from __future__ import annotations
 
@@ -8,18 +8,23 @@ from collections.abc import Sequence
 import numpy as np
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Vector3
-from rclpy.node import Node
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from longarm_comp.core.arm.context import Context
-from longarm_comp.core.model.link_frames import exaggerated, outline
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.link_frames import BASE_LINK, Placed, exaggerated, link_frames, outline
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.interfaces import MARKERS
 from longarm_comp.nodes.messages import Answer, sighting_of
 from longarm_comp.nodes.params import Param
+from longarm_comp.urdf_export import export_urdf
 
 PARAMS = (
+    Param("frames.period_s", 0.1, "between two transforms on /tf; 0: none", 0.0, 60.0),
+    Param("frames.wait_s", 0.5, "patience with tf that is older than a target", 0.0, 60.0),
     Param("markers.period_s", 0.5, "between two pictures; 0: none", 0.0, 60.0),
     Param("markers.sag_factor", 1.0, "sag is drawn so many times larger", 0.0, 1000.0, live=True),
     Param(
@@ -27,6 +32,37 @@ PARAMS = (
         live=True,
     ),
 )  # fmt: skip
+
+_TIP_PREDICTED = "tip_predicted"
+
+
+class ArmFrames:
+    """Publishes where the links stand, and the arm's URDF once."""
+
+    def __init__(self, state: ArmState) -> None:
+        self._state, node = state, state.node
+        self._prefix, self._teller = prefix_of(node), FrameTeller(node)
+        self._description = graph.ROBOT_DESCRIPTION.publisher(node)
+        try:
+            self._description.publish(String(data=export_urdf(declared_model(state.arm))))
+        except InputError as error:
+            node.get_logger().warning(f"no robot_description: {error}")
+        if state.p["frames.period_s"] and graph.HAS_TF:
+            foot = Placed.at(state.base_frame, self._prefix + BASE_LINK, np.eye(4))
+            self._teller.tell_static([foot])
+            node.every("frames.period_s", self._tell)
+
+    def _tell(self) -> None:
+        state, q = self._state, self._state.joints
+        if q is None:
+            return
+        placed = link_frames(state.files.rigid, q, self._prefix)
+        others = self._teller.listeners > 1  # one is this node's own
+        if others and (context := state.known()) is not None:
+            tip = state.files.loaded.model.pose(q, context)  # takes 10 times as long as the links
+            placed.append(Placed.at(state.base_frame, self._prefix + _TIP_PREDICTED, tip))
+        self._teller.tell(placed, state.stamp)
+
 
 Colour = tuple[float, float, float, float]
 DECLARED: Colour = (0.6, 0.6, 0.6, 0.5)
@@ -37,11 +73,12 @@ TIP: Colour = (0.9, 0.1, 0.1, 1.0)
 
 
 class Markers:
-    """Keeps the latest target and tip; `publish` draws them with the arm."""
+    """Keeps the latest target and tip, and draws them with the arm every so often."""
 
-    def __init__(self, node: Node, frame: str) -> None:
-        self._node, self._frame = node, frame
-        self._publisher = MARKERS.publisher(node)
+    def __init__(self, state: ArmState) -> None:
+        self._state, self._node = state, state.node
+        self._publisher = MARKERS.publisher(self._node)
+        self._node.every("markers.period_s", self._draw)
         self._target: np.ndarray | None = None
         self._pseudo: np.ndarray | None = None
         self._tip: np.ndarray | None = None
@@ -57,14 +94,15 @@ class Markers:
         tip, _ = sighting_of(message)
         self._tip = tip if all(map(math.isfinite, tip.tolist())) else None
 
-    def publish(
-        self, declared: Model, model: Model, q: np.ndarray, context: Context, sag: float,
-        error: float,
-    ) -> None:  # fmt: skip
-        """Draw the arm at q (n,). Without a subscriber nothing is computed."""
-        if not self._publisher.get_subscription_count():
+    def _draw(self) -> None:
+        """Draw the arm as it stands. Without a subscriber nothing is computed."""
+        if not self._publisher.get_subscription_count() or (now := self._state.standing) is None:
             return
-        straight = outline(declared, q)
+        model, q, context = now
+        sag, error = (
+            self._node.get_parameter(f"markers.{name}_factor").value for name in ("sag", "error")
+        )
+        straight = outline(self._state.files.rigid, q)
         hanging = exaggerated(outline(model, q, context), straight, sag)
         drawn = [
             self._marker(0, "declared", Marker.LINE_STRIP, DECLARED, 0.008, straight),
@@ -92,8 +130,8 @@ class Markers:
     ) -> Marker:  # fmt: skip
         """A marker. Without points it is removed."""
         marker = Marker(ns=name, id=number, type=kind, action=Marker.ADD)
-        marker.header.frame_id = self._frame
-        marker.header.stamp = self._node.get_clock().now().to_msg()
+        marker.header.frame_id = self._state.base_frame
+        marker.header.stamp = self._state.stamp
         marker.pose.orientation.w = 1.0
         marker.scale = Vector3(x=size, y=size if kind != Marker.ARROW else 2 * size, z=size)
         marker.color = ColorRGBA(**dict(zip("rgba", colour, strict=True)))

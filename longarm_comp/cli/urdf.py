@@ -1,4 +1,4 @@
-"""``longarm export-urdf``."""
+"""``longarm import-urdf`` and ``export-urdf``."""
 
 from __future__ import annotations
 
@@ -12,6 +12,38 @@ from longarm_comp.cli.output import note, print_json, print_rows
 
 
 @click.command()
+@click.argument("urdf", type=click.Path(path_type=Path), metavar="URDF")
+@click.option("--base", required=True, metavar="LINK", help="Fixed link.")
+@click.option("--tip", required=True, metavar="LINK", help="Link that is commanded and measured.")
+@options.output("arm.yaml", "Arm to write.", outputs.never)
+def import_urdf(urdf: Path, base: str, tip: str, output: Path) -> None:
+    """Write an arm.yaml for the chain of URDF from --base to --tip.
+
+    Limits, masses, centres of mass and mimic joints are taken over, lengths lie along a and d of
+    the joints' rows; add the elastic beams (links) there by hand (docs/arm.md).
+
+    \b
+    Example:
+      longarm import-urdf panda.urdf --base panda_link0 --tip panda_link8 -o arm.yaml
+    """
+    import yaml
+
+    from longarm_comp import urdf as read
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.files import write_text
+
+    data = read.import_urdf(urdf, base, tip)
+    arm = Arm.parse(data, str(urdf))
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+    write_text(output, f"# From {urdf.name}, {base} to {tip}; add `links` where it bends.\n{text}")
+    note(f"{arm.n} joints ({', '.join(arm.joint_names)}) in {output}")
+    lengths = [f"row {joint.id} ({joint.name}) {role} {size:.4g} m" for joint in arm.joints
+               for role, size in (("a", joint.a_m), ("d", joint.d_m)) if size]  # fmt: skip
+    if lengths:
+        note(f"a URDF says nothing of what bends; links can lie along {', '.join(lengths)}")
+
+
+@click.command()
 @options.arm
 @options.path_option("--model", "Calibrated model.yaml.", required=True)
 @options.output("calibrated.urdf", "URDF to write.", outputs.URDF)
@@ -19,7 +51,9 @@ from longarm_comp.cli.output import note, print_json, print_rows
 @click.option("--marker", default="", help="Marker that is the link tip, instead of the arm's tip.")
 @options.effects
 @options.as_json
-def command(arm: Path, model: Path, output: Path, group: str, marker: str, as_json: bool) -> None:
+def export_urdf(
+    arm: Path, model: Path, output: Path, group: str, marker: str, as_json: bool
+) -> None:
     """Write the rigid part of MODEL as a URDF with calibrated joint origins.
 
     The link base_link is the frame of the measurements, the link tip the tip. Offsets of the
@@ -30,14 +64,14 @@ def command(arm: Path, model: Path, output: Path, group: str, marker: str, as_js
     Example:
       longarm export-urdf arm.yaml --model model.yaml -o calibrated.urdf
     """
+    from longarm_comp import urdf_export as made
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.files import write_text
     from longarm_comp.core.model.model_file import load_model
-    from longarm_comp.urdf_export import export_urdf, zero_offsets
 
     declared = Arm.load(arm)
     known = load_model(model, declared)
-    write_text(output, export_urdf(known, group, marker))
+    write_text(output, made.export_urdf(known, group, marker))
     left = sorted({e.name for e in known.effects if not e.geometry})
     rows = [
         {
@@ -46,7 +80,7 @@ def command(arm: Path, model: Path, output: Path, group: str, marker: str, as_js
             "unit": z.unit,
             "deg": math.degrees(z.value) if z.unit == "rad" else None,
         }
-        for z in zero_offsets(known)
+        for z in made.zero_offsets(known)
     ]
     if as_json:
         print_json({"output": str(output), "zero_offsets": rows, "left_out": left})

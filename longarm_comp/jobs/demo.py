@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,19 +16,138 @@ from geometry_msgs.msg import PointStamped
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
-from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.demo import table
-from longarm_comp.jobs.demo.settings import NAMESPACE, DemoSettings
+from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.loop.run import Loop, LoopResult, Round
+from longarm_comp.jobs.loop.settings import LoopSettings, Names
 from longarm_comp.jobs.loop.summary import write_loop
-from longarm_comp.jobs.parameters import set_parameter
 from longarm_comp.jobs.targets import Trial
-from longarm_comp.nodes.bringup import running
+from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.nodes.simulated_arm import sizes
 from longarm_comp.nodes.stamps import stamp_ns
+from longarm_comp.share import folder
 from longarm_comp.sim.plant import hidden_effects
 from longarm_comp.workflows.inputs import load_predictor
 from longarm_interfaces.srv import Compensate
+
+ORIGINAL, DECLARED, FOUND, LEARNED = (
+    "original", "declared", "effect found", "effect found + network",
+)  # fmt: skip
+"""Nothing compensated; the declared deflection; the diagnosed model; that and the network."""
+
+NAMES = Names(ORIGINAL, DECLARED, FOUND, LEARNED)
+
+_PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 180.81)}
+"""Table I, 300 samples: mean of the absolute error (mm) and its variance (mm^2)."""
+
+
+def rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
+    """One row a trial: what the cameras measured, what really was, what the paper has."""
+    return [_row(trial) for trial in trials]
+
+
+def _row(trial: Trial) -> dict[str, Any]:
+    seen, true = Errors.of(trial.error), Errors.of(trial.true_error)
+    mean, variance = _PAPER.get(trial.name, (None, None))
+    return {
+        "model": trial.name,
+        "n": seen.n,
+        "mean_mm": 1e3 * seen.mean,
+        "rms_mm": 1e3 * seen.rms,
+        "max_mm": 1e3 * seen.max,
+        "mean_abs_z_mm": 1e3 * seen.mean_abs_z,
+        "variance_mm2": 1e6 * seen.variance,
+        "true_mean_mm": 1e3 * true.mean,
+        "paper_mean_mm": mean,
+        "paper_variance_mm2": variance,
+    }
+
+
+def improved(trials: Sequence[Trial]) -> bool:
+    """Whether the last trial came nearer to the targets than the first, measured and truly."""
+    first, last = trials[0], trials[-1]
+    return (
+        Errors.of(last.error).mean < Errors.of(first.error).mean
+        and Errors.of(last.true_error).mean < Errors.of(first.true_error).mean
+    )
+
+
+NAMESPACE = "longarm_demo"
+"""Its own namespace: apart from any real arm on the same network."""
+
+PACE = Pace(sightings=3, dwell_s=0.08, move_s=0.05, arrive_s=60.0, look_s=30.0, tolerance=2e-4)
+_PATIENCE_S = 30.0
+"""Age of an order: on a busy machine one waits for seconds, and no simulated arm does harm."""
+
+
+@dataclass(frozen=True)
+class DemoSettings:
+    """One demonstration.
+
+    Attributes:
+        poses: to measure, from random sides. targets: fresh ones to judge by.
+        hidden: undeclared effects of the simulated arm, ``name=mm``.
+        speed: motion so many times faster than the servos' file says.
+        seed: of the hidden effects, the plan and the targets.
+        more_play: what the arm's play grows by before a second round, ``joint=rad``; empty: no
+            second round.
+    """
+
+    out: Path
+    poses: int = 120
+    targets: int = 40
+    hidden: str = "joint_compliance=8.0 backlash=3.0"
+    speed: float = 20.0
+    seed: int = 1
+    arm: Path = field(default_factory=lambda: folder("config") / "arm_demo_steps.yaml")
+    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    more_play: str = ""
+
+    def __post_init__(self) -> None:
+        _ = self.loop  # its settings are checked
+
+    @property
+    def loop(self) -> LoopSettings:
+        """The loop that is run on the graph."""
+        return LoopSettings(
+            self.out, 1, self.poses, self.targets, seed=self.seed, pace=PACE, names=NAMES
+        )
+
+    @property
+    def bag(self) -> Path:
+        """Session that was collected."""
+        return self.out / "session"
+
+    @property
+    def model(self) -> Path:
+        """Calibrated model with the effects that the diagnosis found."""
+        return self.out / "model.yaml"
+
+    @property
+    def predictor(self) -> Path:
+        """Learned residual."""
+        return self.out / "predictor.npz"
+
+    def graph(self) -> BringUp:
+        """The graph; model and predictor are taken up once they are there."""
+        given: dict[str, dict[str, Any]] = {
+            "servo_driver": {"follower.blend_s": 0.05, "order_max_age_s": _PATIENCE_S},
+            "simulated_arm": {
+                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 20.0,
+            },
+            "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": _PATIENCE_S},
+        }  # fmt: skip
+        for node, more in self.parameters.items():
+            given[node] = {**given.get(node, {}), **more}
+        return BringUp(
+            arm=self.arm,
+            model=self.model,
+            predictor=self.predictor,
+            sim=True,
+            namespace=NAMESPACE,
+            speed=self.speed,
+            set=given,
+        )
 
 
 class TrueTip:
@@ -82,7 +202,7 @@ class _DemoResult:
     @property
     def improved(self) -> bool:
         """Whether compensation helped."""
-        return table.improved(self.trials)
+        return improved(self.trials)
 
     @property
     def outside(self) -> int:
@@ -123,11 +243,9 @@ def demonstrate(
             shutil.copyfile(settings.loop.path("diagnosis", 1) / name, settings.out / name)
         second = None
         if settings.more_play:
-            set_parameter(client, "simulated_arm", "more_play", settings.more_play)
+            client.set_parameter("simulated_arm", "more_play", settings.more_play)
             again, second = go_round(SECOND)
-            second["true_mean_mm"] = {
-                r["model"]: r["true_mean_mm"] for r in table.rows(again.trials)
-            }
+            second["true_mean_mm"] = {r["model"]: r["true_mean_mm"] for r in rows(again.trials)}
     return _DemoResult(first, inputs, second)
 
 
@@ -163,7 +281,7 @@ def report(settings: DemoSettings, result: _DemoResult) -> dict[str, Any]:
     found, seconds = result.round, _seconds(result.loop.seconds)
     second = {} if result.second is None else {"second_round": result.second}
     return {
-        "rows": table.rows(result.trials),
+        "rows": rows(result.trials),
         "improved": result.improved,
         "collected": found.collected,
         "outside_training_data": result.outside,

@@ -1,0 +1,350 @@
+"""``longarm stereo marker``, ``webcams``, ``calibrate`` and ``hand-eye``."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from longarm_comp.cli import options, outputs
+from longarm_comp.cli.output import note, print_json, print_table, progress
+from longarm_comp.cli.signals import on_graph
+from longarm_comp.core.errors import InputError
+
+if TYPE_CHECKING:
+    from longarm_comp.devices.stereo import CharucoTarget, TagBoard, Target
+    from longarm_comp.devices.stereo.board_calibration import BoardCalibration
+    from longarm_comp.devices.stereo.views import BoardView
+
+    Size = tuple[int, int]
+    from longarm_comp.jobs.camera_placement import HeadPlacement
+
+_SQUARE_MM, _TAG_SHARE = 25.0, 0.72
+
+
+def _board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Options ``--board``, ``--square-mm``, ``--tag-mm``, ``--dictionary``.
+
+    The command gets `board`: the `CharucoTarget`, or None where there is none.
+    """
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def command(
+            board: str | None, square_mm: float, tag_mm: float | None, dictionary: str, **rest: Any
+        ) -> Any:
+            made = None if board is None else _target(board, square_mm, tag_mm, dictionary)
+            return function(board=made, **rest)
+
+        made: Callable[..., Any] = command
+        for option in (
+            click.option("--dictionary", default="DICT_5X5_100", show_default=True,
+                         help="Tag family of the board, another than the marker's."),
+            click.option("--tag-mm", type=float, default=None,
+                         help="Side of its tags. Default: 0.72 squares."),
+            click.option("--square-mm", type=float, default=_SQUARE_MM, show_default=True,
+                         help="Side of its squares, measured on the print."),
+            click.option("--board", default=default, show_default=default is not None,
+                         metavar="COLUMNSxROWS", help="ChArUco board: squares across and down."),
+        ):  # fmt: skip
+            made = option(made)
+        return made
+
+    return add
+
+
+def _target(size: str, square_mm: float, tag_mm: float | None, dictionary: str) -> CharucoTarget:
+    from longarm_comp.devices.stereo import CharucoTarget
+
+    found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", size)
+    if found is None:
+        raise InputError("board", "--board", size, "COLUMNSxROWS, for instance 7x5")
+    tag = square_mm * _TAG_SHARE if tag_mm is None else tag_mm
+    return CharucoTarget(square_mm / 1e3, tag / 1e3, int(found[1]), int(found[2]), dictionary)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path), metavar="[DIR]", required=False)
+@_board(None)
+@options.output("marker.pdf", "Page to print.", outputs.PICTURE)
+def marker(folder: Path | None, board: CharucoTarget | None, output: Path) -> None:
+    """Write the marker of DIR/stereo_bridge.yaml, or a calibration board, in true size.
+
+    The page has a ruler of 100 mm: measure it, because printers scale. Then measure the tags and
+    set tag_m and gap_m, or say the board's --square-mm to `longarm stereo calibrate`.
+
+    \b
+    Examples:
+      longarm stereo marker my_arm -o marker.pdf
+      longarm stereo marker --board 7x5 --square-mm 25 -o board.pdf
+    """
+    from longarm_comp.arm_folder.marker_sheet import write_sheet
+
+    if (folder is None) == (board is None):
+        given = "neither" if folder is None else "both"
+        raise InputError("stereo marker", "DIR, --board", given, "one of the two")
+    paper = write_sheet(board or _marker(folder), output)
+    note(f"{output}: {paper}, to be printed at 100 %")
+
+
+def _marker(folder: Any) -> CharucoTarget | TagBoard:
+    from longarm_comp.arm_folder.parameter_file import parameters_of
+    from longarm_comp.devices.stereo.marker import marker_of
+
+    return marker_of(parameters_of("stereo_bridge", folder / "stereo_bridge.yaml"))
+
+
+@click.command()
+@options.written("--frames", "Folder for a picture of each.", outputs.never)
+def webcams(frames: Path | None) -> None:
+    """List the webcams, take a picture of each, and print what publishes two of them for ROS.
+
+    \b
+    Example:
+      longarm stereo webcams --frames pictures
+    """
+    import cv2
+
+    from longarm_comp.core.errors import JobError
+    from longarm_comp.core.files import atomic_path
+    from longarm_comp.devices.stereo.webcams import driver_lines, picture, webcams
+
+    found = webcams()
+    for camera in found:
+        click.echo(f"{camera.device}  {camera.name}")
+        if frames is not None:
+            file = frames / f"{Path(camera.device).name}.png"
+            with atomic_path(file) as partial:
+                cv2.imwrite(str(partial), picture(camera.device))
+            note(f"what it sees: {file}")
+    if len(found) < 2:
+        raise JobError("two webcams are needed", found=len(found))
+    note("two nodes publish them; exchange left and right where the pictures say so:")
+    for line in driver_lines(*(camera.device for camera in found[:2])):
+        click.echo(line)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@options.path_option("--images", "Folder of image pairs: left and right in their names.")
+@click.option("--live", is_flag=True, help="Guided capture from left/ and right/image_raw.")
+@_board("7x5")
+@options.path_option("--save", "Live: folder that the used images are written to.")
+@click.option(
+    "--within", type=float, default=600.0, show_default=True, help="Live: give up after so long, s."
+)
+@options.namespace
+@options.as_json
+def calibrate(
+    folder: Path,
+    images: Path | None,
+    live: bool,
+    board: Target,
+    save: Path | None,
+    within: float,
+    namespace: str,
+    as_json: bool,
+) -> None:
+    """Calibrate the stereo head from views of a printed board; write DIR/cameras/left.yaml, right.
+
+    The views come from files, or from the topics: hold the board before the cameras, and it takes
+    a pair whenever the board rests somewhere new, and says what is still missing. Views that are
+    too few, blurred or one-sided are refused in words. The files are what ROS camera drivers take
+    as camera_info_url. `longarm stereo marker --board 7x5` prints the board.
+
+    \b
+    Examples:
+      longarm stereo calibrate my_arm --live
+      longarm stereo calibrate my_arm --images pictures --board 7x5 --square-mm 25.1
+    """
+    from longarm_comp.arm_folder.camera_files import write_cameras
+    from longarm_comp.devices.stereo.board_calibration import calibrated
+
+    if (images is not None) == live:
+        given = "both" if live else "neither"
+        raise InputError("stereo calibrate", "--images, --live", given, "one of the two")
+    if not folder.is_dir():
+        raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR`")
+    if images is not None:
+        views, size = _from_files(board, images)
+    else:
+        views, size = _from_topics(board, save, within, namespace)
+    found = calibrated(board, views, size)
+    files = write_cameras(folder, found)
+    if as_json:
+        print_json({"files": files, **_calibration_facts(found, size)})
+        return
+    rows = list(_calibration_facts(found, size).items())
+    print_table("Stereo head", ("", "value"), rows)
+    note(f"{files[0]} and {files[1]}: give them to the camera driver as camera_info_url")
+
+
+def _from_files(target: Target, folder: Path) -> tuple[list[BoardView], Size]:
+    from longarm_comp.devices.stereo import StereoRefusal
+    from longarm_comp.devices.stereo.camera_file import pair_files, read_grey
+    from longarm_comp.devices.stereo.views import view_of
+
+    views: list[BoardView] = []
+    size: Size | None = None
+    pairs = pair_files(folder)
+    with progress("views") as tell:
+        for k, (left, right) in enumerate(pairs):
+            tell(left.name, k / len(pairs))
+            greys = read_grey(left), read_grey(right)
+            height, width = greys[0].shape
+            size = size or (width, height)
+            if size != (width, height):
+                allowed = f"{size[0]}x{size[1]} as the others"
+                raise InputError(left, "size", f"{width}x{height}", allowed)
+            try:
+                views.append(view_of(target, *greys))
+            except StereoRefusal as refusal:
+                note(f"{left.name}, {right.name} are left out: {refusal}")
+    assert size is not None
+    return views, size
+
+
+def _from_topics(
+    target: Target, save: Path | None, within: float, namespace: str
+) -> tuple[list[BoardView], Size]:
+    from longarm_comp.jobs.board_capture import capture
+
+    last = ""
+
+    def tell(text: str) -> None:
+        nonlocal last
+        if text != last:
+            note(text)
+        last = text
+
+    with on_graph("board_capture", namespace) as client:
+        return capture(client, target, within, tell, save=save)
+
+
+def _calibration_facts(found: BoardCalibration, size: Size) -> dict[str, object]:
+    fit = found.fit
+    return {
+        "size_px": f"{size[0]}x{size[1]}",
+        "focal_left_px": float(fit.rig.left.k[0, 0]),
+        "focal_right_px": float(fit.rig.right.k[0, 0]),
+        "baseline_mm": 1e3 * fit.rig.baseline_m,
+        "views_used": len(fit.used),
+        "views_left_out": len(fit.rejected),
+        "reprojection_rms_px": fit.rms_px,
+        "held_out_views": found.held_out,
+        "held_out_rms_mm": found.held_out_mm,
+        "nearest_m": found.distances_m[0],
+        "farthest_m": found.distances_m[1],
+    }
+
+
+@click.command("hand-eye")
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.argument("session", type=click.Path(path_type=Path), required=False)
+@click.option("--live", is_flag=True, help="From joint_states and tip_measured, pose by pose.")
+@click.option("--poses", type=click.IntRange(10), default=20, show_default=True, help="Live.")
+@click.option(
+    "--within", type=float, default=900.0, show_default=True, help="Live: give up after so long, s."
+)
+@options.model
+@click.option("--free-tip", is_flag=True, help="The seen point's place on the tip is unknown too.")
+@click.option("--dry-run", is_flag=True, help="Write nothing.")
+@options.namespace
+@options.as_json
+def hand_eye(
+    folder: Path,
+    session: Path | None,
+    live: bool,
+    poses: int,
+    within: float,
+    model: Path | None,
+    free_tip: bool,
+    dry_run: bool,
+    namespace: str,
+    as_json: bool,
+) -> None:
+    """Find where the stereo head stands, and write it into DIR/stereo_bridge.yaml.
+
+    From SESSION (CSV or bag), measured with the hand_eye that stands in the file now (the same
+    session may be given again: what stood there before is in measured.yaml); or live:
+    move the arm to one pose after the other and let it rest. The arm's own errors go into the
+    residual: with a calibrated --model it is smaller. DIR/simulated_arm.yaml follows.
+
+    \b
+    Examples:
+      longarm stereo hand-eye my_arm my_arm/session --model my_arm/model.yaml
+      longarm stereo hand-eye my_arm --live --poses 20
+    """
+    from longarm_comp.arm_folder.head_file import head_at, write_head
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.jobs.camera_placement import placed_cameras
+    from longarm_comp.sessions.read import read_session
+    from longarm_comp.workflows.inputs import physics
+
+    if (session is not None) == live:
+        given = "both" if live else "neither"
+        raise InputError("stereo hand-eye", "SESSION, --live", given, "one of the two")
+    arm = Arm.load(folder / "arm.yaml")
+    known = physics(arm, model)
+    if session is not None:
+        rows = read_session(session, arm)
+    else:
+        from longarm_comp.jobs.rest_sightings import sightings_at_rest
+
+        with on_graph("hand_eye", namespace, arm) as client:
+            rows = sightings_at_rest(client, poses, within, note)
+    assumed = head_at(folder, rows.hash)
+    found = placed_cameras(known, rows, assumed, free_tip)
+    quality = _place_quality(found)
+    written = [] if dry_run else write_head(folder, found.pose, assumed, rows.hash, quality)
+    if as_json:
+        print_json({"files": written, "xyz": found.pose[:3, 3], "quaternion": found.quaternion,
+                    **quality, "tip_off_mm": found.tip_off_mm})  # fmt: skip
+    else:
+        _show_place(found)
+    if written:
+        note(
+            f"{' and '.join(written)} written: a running graph reads them when it is started again"
+        )
+    if arm.camera is not None and written:
+        off = float(sum((a - b) ** 2 for a, b in zip(arm.camera.position_m, found.pose[:3, 3],
+                                                     strict=True)) ** 0.5)  # fmt: skip
+        if off > 0.01:
+            note(f"arm.yaml has its camera {1e3 * off:.0f} mm from there: put position_m and "
+                 "optical_axis right before the next calibration")  # fmt: skip
+
+
+def _place_quality(found: HeadPlacement) -> dict[str, object]:
+    return {
+        "rows": found.rows,
+        "outliers": found.outliers,
+        "position_sd_mm": [round(float(v), 3) for v in found.position_sd_mm],
+        "rotation_sd_deg": [round(float(v), 4) for v in found.rotation_sd_deg],
+        "residual_mm": round(found.residual_mm, 3),
+        "held_out_mm": round(found.held_out_mm, 3),
+    }
+
+
+def _show_place(found: HeadPlacement) -> None:
+    rows = [
+        (f"{axis}, m", f"{value:.4f}", f"{sd:.2f} mm")
+        for axis, value, sd in zip("xyz", found.pose[:3, 3], found.position_sd_mm, strict=True)
+    ]
+    rows += [
+        (f"q{axis}", f"{value:.5f}", f"{sd:.3f} deg" if sd is not None else "")
+        for axis, value, sd in zip(
+            "xyzw", found.quaternion, [*found.rotation_sd_deg, None], strict=True
+        )
+    ]
+    print_table("Left camera in the base frame", ("", "value", "1 sigma"), rows)
+    note(f"{found.rows} rows, {found.outliers} left out as outliers; residual "
+         f"{found.residual_mm:.2f} mm, on rows held out {found.held_out_mm:.2f} mm")  # fmt: skip
+    note(f"it was assumed {found.moved_mm:.1f} mm and {found.turned_deg:.2f} deg from there")
+    if found.tip_off_mm is not None:
+        off = ", ".join(f"{v:.2f}" for v in found.tip_off_mm)
+        note(f"the seen point is at ({off}) mm from the declared tip, in the tip frame: "
+             "correct tip_in_marker or the tip of arm.yaml")  # fmt: skip

@@ -1,1 +1,0 @@
-"""The whole loop over the real graph on the simulated arm: `longarm demo`."""

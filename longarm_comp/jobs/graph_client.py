@@ -1,0 +1,164 @@
+"""A client of a running graph: waits, services, parameters, and what its nodes report.
+
+It uses one executor in the caller's thread. Every wait ends at once when ``stop`` is set.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any, TypeVar
+
+import rclpy
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.signals import SignalHandlerOptions
+
+from longarm_comp.core.errors import JobError
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.interfaces import Service
+
+_ANSWER_S = 60.0
+"""A node that is starting beside six others on two cores has answered by then."""
+_ASK_AGAIN_S = 2.0
+"""Without an answer for so long, a request that may be served twice is sent again."""
+
+_GET = Service("~/get_parameters", GetParameters, "offered by every node of rclpy")
+_SET = Service("~/set_parameters", SetParameters, "the same")
+
+Client = TypeVar("Client", bound="GraphClient")
+
+
+class Interrupted(JobError):  # noqa: N818
+    """The caller's stop event was set."""
+
+    exit_code = 130
+
+
+def drivers(node: Node) -> int:
+    """How many servo drivers there are in a node's namespace."""
+    return node.count_publishers(node.resolve_topic_name(graph.DRIVER_STATE.name))
+
+
+class GraphClient:
+    """A node on a graph. Use as a context manager.
+
+    Args:
+        stop: ends every wait with `Interrupted`.
+    """
+
+    def __init__(
+        self, namespace: str = "", stop: threading.Event | None = None, name: str = "longarm_client"
+    ) -> None:
+        self.stop = stop or threading.Event()
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.node = Node(
+            name, context=self.context, namespace=namespace, start_parameter_services=False
+        )
+        self.executor.add_node(self.node)
+
+    def __enter__(self: Client) -> Client:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.executor.shutdown(timeout_sec=1.0)
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+    # ------------------------------------------------------------------ waiting
+
+    def until(
+        self, condition: Callable[[], Any], within_s: float, what: str | Callable[[], str]
+    ) -> Any:
+        """Spin until a condition is truthy and return its value.
+
+        Args:
+            what: is waited for, in words; or makes the whole message of an end without it.
+        """
+        end = time.monotonic() + within_s
+        while not (found := condition()):
+            if self.stop.is_set():
+                raise Interrupted("interrupted")
+            if time.monotonic() > end:
+                late = f"{what}: not within {within_s:g} s" if isinstance(what, str) else what()
+                raise JobError(late)
+            self.executor.spin_once(timeout_sec=0.01)
+        return found
+
+    @contextmanager
+    def putting_back(self) -> Iterator[None]:
+        """``stop`` ends no wait meanwhile: for what must be put back after an interruption."""
+        stop, self.stop = self.stop, threading.Event()
+        try:
+            yield
+        finally:
+            self.stop = stop
+
+    def spin(self, seconds: float) -> None:
+        """Serve callbacks for a number of seconds. Raises Interrupted."""
+        end = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() >= end, seconds + 60.0, "waiting")
+
+    # ------------------------------------------------------------------ asking
+
+    def call(
+        self, client: Any, request: Any, within_s: float = _ANSWER_S, *, again: bool = False
+    ) -> Any:
+        """Call a service and return its response.
+
+        The middleware drops an answer to a client that the server has not matched yet.
+
+        Args:
+            again: ask again where no answer came for a while; for requests that may be served
+                twice.
+        """
+        self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
+        asked = [client.call_async(request)]
+        sent = time.monotonic()
+
+        def answered() -> Any:
+            nonlocal sent
+            if again and time.monotonic() - sent > _ASK_AGAIN_S:
+                asked.append(client.call_async(request))
+                sent = time.monotonic()
+            return next((future for future in asked if future.done()), None)
+
+        try:
+            future = self.until(answered, within_s, f"no answer of {client.srv_name}")
+        finally:
+            for waiting in asked:
+                client.remove_pending_request(waiting)
+        return future.result()
+
+    def ask(self, node: str, service: Service, request: Any, within_s: float = _ANSWER_S) -> Any:
+        """The response of a node's own service to a request that may be served twice."""
+        made = service.client(self.node, of=node)
+        try:
+            return self.call(made, request, within_s, again=True)
+        finally:
+            self.node.destroy_client(made)
+
+    def parameters(self, node: str, *names: str, within_s: float = _ANSWER_S) -> list[Any]:
+        """Values of a node's parameters, in the order of the names; None where it has none."""
+        asked = GetParameters.Request(names=list(names))
+        answer = self.ask(node, _GET, asked, within_s)
+        return [parameter_value_to_python(value) for value in answer.values]
+
+    def set_parameter(self, node: str, name: str, value: bool | float | str) -> None:
+        """Set a parameter of a node."""
+        told = Parameter(name, value=value).to_parameter_msg()
+        answer = self.ask(node, _SET, SetParameters.Request(parameters=[told]))
+        if not answer.results[0].successful:
+            raise JobError(answer.results[0].reason, node=node, parameter=name, value=value)

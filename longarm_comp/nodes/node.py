@@ -1,0 +1,163 @@
+"""What all nodes have alike: checked parameters, workers, health, and the process they run in."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import rclpy
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from longarm_comp.core.errors import LongarmError
+from longarm_comp.nodes.health import PERIOD, Health, Tally
+from longarm_comp.nodes.interfaces import Service
+from longarm_comp.nodes.params import Param, declare
+from longarm_comp.nodes.supervisor import GUARD
+from longarm_comp.nodes.ticks import steady_timer
+from longarm_comp.nodes.worker import Worker
+
+WATCH = Param(
+    "watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0
+)
+"""A parameter of every node that reads files again."""
+
+
+class ArmNode(Node):
+    """A node of an arm's graph.
+
+    Args:
+        executor: that the node will be in.
+        table: its parameters. sections: prefixes of parameters that are checked elsewhere.
+
+    Attributes:
+        p: values of the parameters, by name.
+        health: its ``parts`` are reported on /diagnostics.
+    """
+
+    def __init__(
+        self, executor: SingleThreadedExecutor, name: str, table: Sequence[Param],
+        sections: Sequence[str] = (),
+    ) -> None:  # fmt: skip
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        self.p = declare(self, table, sections)
+        self.tally = Tally(self)
+        self.health = Health(self, self.p[PERIOD.name])
+        self._made_for = executor
+        self._workers: list[Worker] = []
+
+    def worker(self, capacity: int) -> Worker:
+        """A worker thread, which ends with the node."""
+        self._workers.append(Worker(self, self._made_for, capacity, self.survived))
+        return self._workers[-1]
+
+    def close(self) -> None:
+        """Stop what the node started; must not raise."""
+        for worker in self._workers:
+            worker.close()
+
+    def survived(self, error: Exception) -> None:
+        """Count an exception that a callback raised."""
+        self.health.fault(error)
+
+    def every(self, name: str, callback: Callable[[], Any]) -> None:
+        """Call back every so many seconds, as a parameter says; never where it says 0."""
+        if self.p[name]:
+            steady_timer(self, self.p[name], callback)
+
+    def on_change(self, files: Sequence[str], worker: Worker, job: Callable[[], Any]) -> None:
+        """Have a worker do a job when one of the files was made, changed, replaced or removed."""
+        seen = [*map(_signature, files)]
+
+        def look() -> None:
+            before, seen[:] = list(seen), map(_signature, files)
+            if seen != before:
+                worker.submit(job)
+
+        self.every(WATCH.name, look)
+
+    def on_request(
+        self, service: Service, worker: Worker, job: Callable[[Any], tuple[bool, str]]
+    ) -> None:
+        """Offer a service of std_srvs: a worker does the job, given the request."""
+
+        async def serve(request: Any, response: Any) -> Any:
+            future = worker.ask(partial(job, request))
+            response.message = "too many jobs wait"
+            if future is not None:
+                response.success, response.message = await future
+            return response
+
+        service.server(self, serve, ReentrantCallbackGroup())
+
+
+def _signature(file: str) -> tuple[int, int, int] | None:
+    try:
+        stat = os.stat(file)
+    except OSError:
+        return None
+    return stat.st_ino, stat.st_size, stat.st_mtime_ns
+
+
+def run(make: Callable[[SingleThreadedExecutor], ArmNode | Sequence[ArmNode]]) -> int:
+    """Spin a node, or several, until a signal.
+
+    Signals only set an event, so a second one does not interrupt the clean-up.
+
+    Returns:
+        The exit code: 0, or 2 for bad parameters or files.
+    """
+    # Interval in which the threads of a node are switched, s. Python's default is 5 ms
+    sys.setswitchinterval(2e-4)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor()
+    nodes: Sequence[ArmNode] = ()
+    try:
+        made = make(executor)
+        nodes = made if isinstance(made, Sequence) else (made,)
+        for node in nodes:
+            executor.add_node(node)
+        gc.freeze()  # everything loaded so far stays, so collections need not scan it again
+        spin(executor, nodes[-1], stop)
+    except LongarmError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    finally:
+        for node in reversed(nodes):
+            node.close()
+        executor.shutdown(timeout_sec=1.0)
+        for node in reversed(nodes):
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event) -> None:
+    """Serve callbacks until the event is set. Their exceptions are reported and not fatal.
+
+    A node that a supervisor started ends when the supervisor is gone.
+    """
+    guard = os.environ.get(GUARD)
+    while not stop.is_set() and guard in (None, str(os.getppid())):
+        try:
+            executor.spin_once(timeout_sec=0.2)
+        except ExternalShutdownException:
+            return
+        except Exception as error:  # a message must not end a node
+            node.survived(error)
+
+
+def program(make: Callable[[SingleThreadedExecutor], Any]) -> Callable[[], None]:
+    """The main of a module: a process that runs what ``make`` makes."""
+    return lambda: sys.exit(run(make))
