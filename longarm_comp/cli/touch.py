@@ -74,11 +74,11 @@ def command(
       longarm touch arm.yaml -o touches.csv --resume --by-hand
     """
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.jobs.touch import TouchLog, limp, with_distances
+    from longarm_comp.jobs.touch import TouchLog, limp
     from longarm_comp.sessions.read import read_session
 
     declared = Arm.load(arm)
-    touches = with_distances(TouchLog(declared), distances, 1e-3 * tolerance_mm)
+    touches = TouchLog(declared, tuple((*known, 1e-3 * tolerance_mm) for known in distances))
     if output.exists() and not resume:
         raise InputError(str(output), "session", "exists", "a new file, or --resume")
     if output.exists():

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
@@ -17,7 +16,7 @@ from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.graph_client import GraphClient, drivers
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.messages import duration, joints_of, sighting_of
+from longarm_comp.nodes.messages import joints_of, sighting_of, trajectory_message
 from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.msg import DriverState, Motion
@@ -169,15 +168,8 @@ class ArmClient(GraphClient):
         Returns:
             The stamp (ns) of the command.
         """
-        still = [0.0] * self.arm.n
-        points = [
-            JointTrajectoryPoint(
-                positions=q, velocities=still, time_from_start=duration(k * move_s)
-            )
-            for k, q in enumerate(path.tolist(), 1)
-        ]
-        sent = JointTrajectory(joint_names=list(self.arm.joint_names), points=points)
-        sent.header.stamp = self._stamps.next()
+        stamp = self._stamps.next()
+        sent = trajectory_message(self.arm, path, move_s, stamp, np.zeros_like(path))
         self._sent, self._refused, self._reached = order_id(sent), "", False
         self._trajectory.publish(sent)
         return stamp_ns(sent.header.stamp)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -155,11 +154,3 @@ def resting(client: ArmClient) -> np.ndarray:
 
     client.until(still, PATIENCE_S, lambda: f"the arm did not rest within {PATIENCE_S:g} s")
     return np.asarray(np.mean(held, axis=0))
-
-
-def with_distances(
-    touches: TouchLog, given: Sequence[tuple[str, str, float]], tolerance: float
-) -> TouchLog:
-    """The same with known distances (m), each known to a tolerance (m)."""
-    known = tuple((one, other, length, tolerance) for one, other, length in given)
-    return dataclasses.replace(touches, distances=known)

@@ -10,44 +10,25 @@ import itertools
 import math
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from longarm_comp.devices.servo_arm import ServoReading
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import duration, seconds
+from longarm_comp.nodes.orders import Driver
 from longarm_comp.nodes.ticks import Ticks
 from longarm_interfaces.msg import Motion
-
-
-class _FollowSite(Protocol):
-    """What the action needs of the driver."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Names of the joints."""
-
-    @property
-    def readings(self) -> Mapping[str, ServoReading]:
-        """The last read-back by joint; empty where a servo was silent."""
-
-    @property
-    def set_points(self) -> Mapping[str, float]:
-        """Where each joint should be now, rad or m; empty while none is driven."""
-
-    def take(self, message: JointTrajectory, name: str) -> None:
-        """Check and follow a trajectory; what becomes of it is told by its id ``name``."""
 
 
 class FollowServer:
     """Serves goals. A new one replaces the one before, as a new message does."""
 
-    def __init__(self, node: Node, site: _FollowSite) -> None:
+    def __init__(self, node: Node, site: Driver) -> None:
         self._node, self._site = node, site
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
         self._told: dict[str, tuple[int, str] | None] = {}

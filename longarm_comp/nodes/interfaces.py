@@ -250,24 +250,6 @@ FOLLOW_PLANNED = Action(
 
 HAS_FOLLOW = FollowJointTrajectory is not None
 
-TOPICS: tuple[Topic, ...] = (
-    *(TARGET_POSE, JOINT_TRAJECTORY, WITHDRAWN, COMPENSATION, JOINT_STATES, MOTION, DRIVER_STATE),
-    PLANNED_JOINTS,
-    PREDICTED_ERROR,
-    *(TIP_MEASURED, TIP_BY_READINGS),
-    *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_COMPRESSED, RIGHT_COMPRESSED, LEFT_INFO, RIGHT_INFO),
-    *(TEMPERATURE, PAYLOAD, INCLINATION, WRENCH, CONTACT),
-    *(MARKERS, COLLECT_PROGRESS, DIAGNOSTICS, ROBOT_DESCRIPTION),
-    *((TF, TF_STATIC) if HAS_TF else ()),
-)
-SERVICES: tuple[Service, ...] = (
-    COMPENSATE,
-    PREDICT_ERROR,
-    RELOAD,
-    ESTOP,
-    HOLD,
-    RESET,
-    PAUSE,
-    FREEZE,
-    UNDO,
-)
+TOPICS = tuple(held for held in list(vars().values()) if isinstance(held, Topic) and held.type)
+SERVICES = tuple(held for held in list(vars().values()) if isinstance(held, Service))
+"""All that the graph may have: the transforms only where their message is installed."""

@@ -167,13 +167,21 @@ def seconds(message: Duration) -> float:
 
 
 def trajectory_message(
-    arm: Arm, points: np.ndarray, move_time_s: float, stamp: Time
-) -> JointTrajectory:
-    """Way-points (k, n), each ``move_time_s`` after the one before; ``stamp``: sent when."""
+    arm: Arm, points: np.ndarray, times: float | np.ndarray, stamp: Time,
+    velocities: np.ndarray | None = None,
+) -> JointTrajectory:  # fmt: skip
+    """Way-points (k, n) that are due at times (k,), s, or so long after each other.
+
+    Args:
+        stamp: when it is sent. velocities: (k, n) rad/s and m/s; None: left to the driver.
+    """
     message = JointTrajectory(header=Header(stamp=stamp), joint_names=list(arm.joint_names))
-    for k, q in enumerate(points.tolist(), 1):
-        after = duration(k * move_time_s)
-        message.points.append(JointTrajectoryPoint(positions=q, time_from_start=after))
+    due = times * np.arange(1, len(points) + 1) if np.ndim(times) == 0 else np.asarray(times)
+    speeds = np.zeros((len(points), 0)) if velocities is None else velocities
+    message.points = [
+        JointTrajectoryPoint(positions=q, velocities=v, time_from_start=duration(at))
+        for q, v, at in zip(points.tolist(), speeds.tolist(), due.tolist(), strict=True)
+    ]
     return message
 
 

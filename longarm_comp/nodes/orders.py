@@ -6,6 +6,7 @@ import hashlib
 import time
 from array import array
 from collections import deque
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from builtin_interfaces.msg import Time
@@ -14,6 +15,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
+from longarm_comp.devices.servo_arm import ServoReading
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.stamps import stamp_ns, stamp_of
@@ -105,8 +107,20 @@ PARAMS = (
 _NO_STAMP = "header.stamp: 0; allowed: when it was sent, or set unstamped of servo_driver to true"
 
 
-class _Site(Protocol):
-    """What the intake needs of the driver."""
+class Driver(Protocol):
+    """What decides of a trajectory needs of the driver."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Names of the joints."""
+
+    @property
+    def readings(self) -> Mapping[str, ServoReading]:
+        """The last read-back by joint; empty where a servo was silent."""
+
+    @property
+    def set_points(self) -> Mapping[str, float]:
+        """Where each joint should be now, rad or m; empty while none is driven."""
 
     @property
     def following(self) -> str:
@@ -122,7 +136,7 @@ class _Site(Protocol):
 class Intake:
     """Hears `joint_trajectory` and `withdrawn`."""
 
-    def __init__(self, node: Node, site: _Site, max_age_s: float, *, unstamped: bool) -> None:
+    def __init__(self, node: Node, site: Driver, max_age_s: float, *, unstamped: bool) -> None:
         self._site, self._unstamped = site, unstamped
         self._fresh = Freshness(node, max_age_s)
         # Withdrawn ids that are remembered: more than can wait

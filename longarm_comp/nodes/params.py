@@ -50,20 +50,21 @@ class Param:
         described = ParameterDescriptor(
             name=self.name, description=self.description, read_only=not self.live
         )
-        if self.choices:
-            described.additional_constraints = "one of " + ", ".join(self.choices)
-        if self.lower is None and self.upper is None:
-            return described
         low, high = self._range
-        if isinstance(self.default, float):
+        if self.bounded and isinstance(self.default, float):
             described.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-        elif isinstance(self.default, int):
+        elif self.bounded and isinstance(self.default, int) and not self.choices:
             described.integer_range = [
                 IntegerRange(from_value=int(low), to_value=int(high), step=1)
             ]
-        else:
+        elif self.bounded:
             described.additional_constraints = self.allowed
         return described
+
+    @property
+    def bounded(self) -> bool:
+        """Whether not every value of the type is allowed."""
+        return bool(self.choices) or self.lower is not None or self.upper is not None
 
     @property
     def allowed(self) -> str:
@@ -71,16 +72,13 @@ class Param:
         kind = "numbers" if isinstance(self.default, list) else type(self.default).__name__
         if self.choices:
             return "one of " + ", ".join(self.choices)
-        if self.lower is None and self.upper is None:
-            return kind
-        return f"{kind}, {self._range[0]:g} to {self._range[1]:g}"
+        return f"{kind}, {self._range[0]:g} to {self._range[1]:g}" if self.bounded else kind
 
     @property
     def comment(self) -> str:
         """The comment on this parameter in the parameter file."""
-        bounded = self.choices or self.lower is not None or self.upper is not None
         live = "; may be set while running" if self.live else ""
-        return self.description + (f" ({self.allowed})" if bounded else "") + live
+        return self.description + (f" ({self.allowed})" if self.bounded else "") + live
 
     @property
     def _range(self) -> tuple[float, float]:
@@ -117,7 +115,8 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
     """
     known = {param.name: param for param in table}
     given = {k: v for k, v in overrides(node).items() if k.split(".")[0] not in sections}
-    _refuse_unknown(node, given, tuple(known))
+    for name in given.keys() - known.keys():
+        raise InputError(where(node), name, given[name], "known: " + ", ".join(known))
     values = {}
     for name, param in known.items():
         value = given.get(name, param.default)
@@ -184,13 +183,6 @@ def overrides(node: Node) -> dict[str, Any]:
     names = node.list_parameters([], 0).names
     own = [name for name in names if name.split(".")[0] not in ROS_OWN]
     return {name: node.get_parameter(name).value for name in own}
-
-
-def _refuse_unknown(node: Node, given: Mapping[str, Any], known: Sequence[str]) -> None:
-    """Raise `InputError` for a parameter that the node does not have."""
-    for name in given:
-        if name not in known:
-            raise InputError(where(node), name, given[name], "known: " + ", ".join(known))
 
 
 def where(node: Node) -> str:

@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
-from rclpy.event_handler import QoSSubscriptionEventType, UnsupportedEventTypeError
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -39,7 +37,6 @@ _USED: dict[str, tuple[str, ...]] = {
     "Subscription": ("take_message",),
     "Service": ("service_take_request", "service_send_response"),
     "Client": ("send_request", "take_response"),
-    "EventHandle": ("take_event",),
 }
 
 
@@ -66,29 +63,6 @@ class _Aside(CallbackGroup):
         """Nothing to do."""
 
 
-_LOST = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
-
-
-class _Event:
-    """A count that the middleware keeps of a subscription.
-
-    In an executor an event costs as much as a topic; asked for once a second it costs nothing.
-    """
-
-    def __init__(self, topic: Subscription, kind: QoSSubscriptionEventType) -> None:
-        self._count, self._handle = 0, None
-        with suppress(UnsupportedEventTypeError), topic.handle:
-            self._handle = rclpy_implementation.EventHandle(topic.handle, kind)
-
-    def count(self) -> int:
-        """How often it has happened; 0 where the middleware does not tell it."""
-        if self._handle is not None:
-            with self._handle:
-                told = self._handle.take_event()
-            self._count = self._count if told is None else int(told.total_count)
-        return self._count
-
-
 class Inlets:
     """Topics, services and clients of one thread, and the wait set that it sleeps on."""
 
@@ -97,7 +71,6 @@ class Inlets:
         self._node, self._aside = node, _Aside()
         self._bell = GuardCondition(None, None, context=node.context)
         self._topics: list[tuple[Subscription, SequenceWatch, Callable[[Any, float], None]]] = []
-        self._losses: list[tuple[_Event, SequenceWatch]] = []
         self._services: list[Service] = []
         self._set: Any = None
 
@@ -113,9 +86,7 @@ class Inlets:
 
     def _hear(self, topic: Topic, callback: Callable[[Any, float], None], *, raw: bool) -> None:
         made = topic.subscription(self._node, lambda message: None, self._aside, raw=raw)
-        watch = SequenceWatch()
-        self._topics.append((made, watch, callback))
-        self._losses.append((_Event(made, _LOST), watch))
+        self._topics.append((made, SequenceWatch(), callback))
 
     def serve(self, service: ServiceName, callback: Callable[[Any, Any, float], None]) -> None:
         """Offer a service.
@@ -140,12 +111,8 @@ class Inlets:
 
     @property
     def lost(self) -> int:
-        """Messages that were lost, at least.
-
-        The middleware counts what its publishers dropped, and not what a full queue of this node
-        did. The numbers of the messages show both, but not always with several publishers.
-        """
-        return sum(max(event.count(), watch.lost) for event, watch in self._losses)
+        """Messages that were lost, by the numbers of those that came."""
+        return sum(watch.lost for _, watch, _ in self._topics)
 
     def wake(self) -> None:
         """End a wait; from any thread."""

@@ -16,7 +16,7 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Method, physics_of
@@ -37,7 +37,7 @@ from longarm_comp.nodes import arm_state
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import OK, PERIOD, WARN, Report
-from longarm_comp.nodes.messages import duration, joints_message, seconds
+from longarm_comp.nodes.messages import joints_message, seconds, trajectory_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.orders import Freshness, Stamps
 from longarm_comp.nodes.params import Param, where
@@ -181,17 +181,8 @@ class _TrajectoryCompensator(ArmNode):
         return answer.result
 
     def _message(self, made: CompensatedPath) -> JointTrajectory:
-        timed = made.timed
-        message = JointTrajectory(joint_names=list(self._arm.joint_names))
-        message.header.stamp = self._stamps.next()
-        rows = zip(
-            timed.times.tolist(), timed.joints.tolist(), timed.velocities.tolist(), strict=True
-        )
-        message.points = [
-            JointTrajectoryPoint(positions=q, velocities=v, time_from_start=duration(at))
-            for at, q, v in rows
-        ]
-        return message
+        timed, stamp = made.timed, self._stamps.next()
+        return trajectory_message(self._arm, timed.joints, timed.times, stamp, timed.velocities)
 
     # ------------------------------------------------------------------ on the worker's thread
 
