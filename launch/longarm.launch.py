@@ -85,7 +85,7 @@ def nodes(context):
             executable=name,
             name=None if name == "composed" else name,
             namespace=graph.namespace,
-            parameters=graph.given(name, bus, scratch),
+            parameters=graph.files(name, bus, scratch),
             output="screen",
             respawn=True,
             respawn_delay=1.0,

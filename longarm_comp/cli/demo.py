@@ -41,15 +41,7 @@ MORE_PLAY = "joint1=0.002"
 )
 @options.as_json
 def command(
-    out: Path,
-    arm: Path | None,
-    poses: int,
-    targets: int,
-    hidden: str | None,
-    speed: float,
-    seed: int,
-    second_round: bool,
-    as_json: bool,
+    out: Path, arm: Path | None, targets: int, second_round: bool, as_json: bool, **given: Any
 ) -> None:
     """Run the whole loop over the real ROS graph on a simulated arm.
 
@@ -66,22 +58,19 @@ def command(
       longarm demo --out build/mine --arm my_arm
     """
     import json
-    from dataclasses import replace
 
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.files import write_text
-    from longarm_comp.jobs.demo import DemoSettings, demonstrate, report
+    from longarm_comp.jobs.demo import DemoSettings, demonstrate
 
-    settings = DemoSettings(out, poses, targets, speed=speed, seed=seed)
     if second_round:
-        settings = replace(settings, more_play=MORE_PLAY)
-    if hidden is not None:
-        settings = replace(settings, hidden=hidden)
+        given["more_play"] = MORE_PLAY
     if arm is not None:
-        settings = replace(settings, arm=arm / "arm.yaml" if arm.is_dir() else arm)
+        given["arm"] = arm / "arm.yaml" if arm.is_dir() else arm
+    said = {name: value for name, value in given.items() if value is not None}
+    settings = DemoSettings(out, targets=targets, **said)
     with stop_on_signals() as stop, progress("demo", lines=True) as show:
-        result = demonstrate(settings, stop, show)
-    printed = report(settings, result)
+        printed = demonstrate(settings, stop, show)
     write_text(out / "demo.json", json.dumps(printed, indent=2))
     if as_json:
         print_json(printed)
@@ -105,7 +94,7 @@ def command(
         )
         if "second_round" in printed:
             _print_second(printed["second_round"])
-    if not result.improved:
+    if not printed["improved"]:
         raise JobError("compensation did not bring the arm nearer to its targets")
 
 

@@ -18,7 +18,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.jobs.client import ArmClient, Pace
-from longarm_comp.jobs.loop.run import Loop, LoopResult, Round
+from longarm_comp.jobs.loop.run import Loop, LoopResult
 from longarm_comp.jobs.loop.settings import LoopSettings, Names
 from longarm_comp.jobs.loop.summary import write_loop
 from longarm_comp.jobs.targets import Trial
@@ -100,7 +100,6 @@ class DemoSettings:
     speed: float = 20.0
     seed: int = 1
     arm: Path = field(default_factory=lambda: folder("config") / "arm_demo_steps.yaml")
-    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
     more_play: str = ""
 
     def __post_init__(self) -> None:
@@ -112,11 +111,6 @@ class DemoSettings:
         return LoopSettings(
             self.out, 1, self.poses, self.targets, seed=self.seed, pace=PACE, names=NAMES
         )
-
-    @property
-    def bag(self) -> Path:
-        """Session that was collected."""
-        return self.out / "session"
 
     @property
     def model(self) -> Path:
@@ -137,17 +131,10 @@ class DemoSettings:
             },
             "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": _PATIENCE_S},
         }  # fmt: skip
-        for node, more in self.parameters.items():
-            given[node] = {**given.get(node, {}), **more}
         return BringUp(
-            arm=self.arm,
-            model=self.model,
-            predictor=self.predictor,
-            sim=True,
-            namespace=NAMESPACE,
-            speed=self.speed,
-            set=given,
-        )
+            arm=self.arm, model=self.model, predictor=self.predictor, sim=True,
+            namespace=NAMESPACE, speed=self.speed, set=given,
+        )  # fmt: skip
 
 
 class TrueTip:
@@ -175,45 +162,13 @@ class TrueTip:
 Say = Callable[[str, float], None]
 
 
-@dataclass(frozen=True, eq=False)
-class _DemoResult:
-    """What came of it.
-
-    Attributes:
-        loop: the round on the arm as it was started.
-        inputs: of the network; none where none was trained.
-        second: the round after the arm's play grew, as plain data; None where there was none.
-    """
-
-    loop: LoopResult
-    inputs: tuple[str, ...]
-    second: dict[str, Any] | None = None
-
-    @property
-    def trials(self) -> list[Trial]:
-        """In the order of `table`."""
-        return self.loop.trials
-
-    @property
-    def round(self) -> Round:
-        """The round on the arm as it was started."""
-        return self.loop.rounds[0]
-
-    @property
-    def improved(self) -> bool:
-        """Whether compensation helped."""
-        return improved(self.trials)
-
-    @property
-    def outside(self) -> int:
-        """At how many targets of the last trial the network was not used: it refused to answer."""
-        return self.trials[-1].count(Compensate.Response.OUT_OF_DOMAIN)
-
-
 def demonstrate(
     settings: DemoSettings, stop: threading.Event, say: Say = lambda text, share: None
-) -> _DemoResult:
-    """Run the whole loop; every process has ended when this returns or raises."""
+) -> dict[str, Any]:
+    """Run the whole loop; what came of it, for --json and the file in the folder.
+
+    Every process has ended when this returns or raises.
+    """
     arm = Arm.load(settings.arm)
     hidden_effects(arm, sizes(settings.hidden), np.random.default_rng(settings.seed))  # checked
     prepare(settings)
@@ -246,7 +201,28 @@ def demonstrate(
             client.set_parameter("simulated_arm", "more_play", settings.more_play)
             again, second = go_round(SECOND)
             second["true_mean_mm"] = {r["model"]: r["true_mean_mm"] for r in rows(again.trials)}
-    return _DemoResult(first, inputs, second)
+    found, seconds = first.rounds[0], {k.removesuffix("_1"): v for k, v in first.seconds.items()}
+    return {
+        "rows": rows(first.trials),
+        "improved": improved(first.trials),
+        "collected": found.collected,
+        "outside_training_data": first.trials[-1].count(Compensate.Response.OUT_OF_DOMAIN),
+        "verdict": found.report.verdict,
+        "diagnosis": found.report.summary,
+        "effects_found": found.effects_found,
+        "network_inputs": list(inputs),
+        "network_refused": (found.applied or {}).get("network_refused", ""),
+        "hidden": settings.hidden,
+        "seed": settings.seed,
+        "seconds": {**seconds, "total": sum(seconds.values())},
+        "files": {
+            "session": str(settings.out / "session"),
+            "model": str(settings.model),
+            "predictor": str(settings.predictor),
+            **{name: str(settings.out / f"{name}.html") for name in ("report", "loop")},
+        },
+        **({} if second is None else {"second_round": second}),
+    }
 
 
 _LOGS = "log"
@@ -267,37 +243,3 @@ def prepare(settings: DemoSettings) -> None:
         raise InputError(settings.out, "--out", why, "a folder to write in") from error
     os.environ.setdefault("ROS_LOG_DIR", str(settings.out.absolute() / _LOGS))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-
-def report(settings: DemoSettings, result: _DemoResult) -> dict[str, Any]:
-    """Everything as plain data, for --json and the file in the folder."""
-    files = {
-        "session": settings.bag,
-        "model": settings.model,
-        "predictor": settings.predictor,
-        "report": settings.out / "report.html",
-        "loop": settings.out / "loop.html",
-    }
-    found, seconds = result.round, _seconds(result.loop.seconds)
-    second = {} if result.second is None else {"second_round": result.second}
-    return {
-        "rows": rows(result.trials),
-        "improved": result.improved,
-        "collected": found.collected,
-        "outside_training_data": result.outside,
-        "verdict": found.report.verdict,
-        "diagnosis": found.report.summary,
-        "effects_found": found.effects_found,
-        "network_inputs": list(result.inputs),
-        "network_refused": (found.applied or {}).get("network_refused", ""),
-        "hidden": settings.hidden,
-        "seed": settings.seed,
-        "seconds": {**seconds, "total": sum(seconds.values())},
-        "files": {name: str(path) for name, path in files.items()},
-        **second,
-    }
-
-
-def _seconds(steps: dict[str, float]) -> dict[str, float]:
-    """Seconds of each step, without the number of the only round."""
-    return {name.removesuffix("_1"): value for name, value in steps.items()}

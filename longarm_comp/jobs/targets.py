@@ -7,11 +7,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 
 from longarm_comp.core.compensation.compensate import Method, Status
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_state import NO_JOINTS
 from longarm_comp.nodes.messages import joints_of
 from longarm_interfaces.srv import Compensate
 
@@ -79,13 +81,21 @@ class TargetRunner:
     def ready(self, target: np.ndarray, within_s: float) -> None:
         """Wait until kinematics knows the joints, so that it can answer for a target (3,), m."""
         client = self._client
+        mine = f"{client.node.resolve_topic_name('kinematics')}: targets"
+        said: list[str] = []
+
+        def hear(array: DiagnosticArray) -> None:
+            said.extend(status.message for status in array.status if status.name == mine)
 
         def knows() -> bool:
-            if self.ask(target, execute=False).status != Compensate.Response.NOT_READY:
-                return True
-            client.spin(0.2)
-            return False
+            answer = self.ask(target, execute=False)
+            return bool(answer.status != Compensate.Response.NOT_READY)
 
+        health = graph.DIAGNOSTICS.subscription(client.node, hear)
+        client.until(
+            lambda: said and said[-1] != NO_JOINTS, within_s, "kinematics hears no joint_states"
+        )
+        client.node.destroy_subscription(health)
         (self._frame,) = client.parameters("kinematics", "base_frame")
         client.until(knows, within_s, "kinematics has no joint_states")
 

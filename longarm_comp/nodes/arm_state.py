@@ -44,6 +44,10 @@ PARAMS = (
 """Parameters of every node that computes with the arm's state."""
 
 
+NO_JOINTS = "no joint_states yet"
+"""What `kinematics` says of its targets on /diagnostics until it knows the joints."""
+
+
 class ArmState:
     """Subscribes to the arm's topics. Values are replaced whole, so other threads may read them.
 
@@ -163,7 +167,7 @@ class ArmState:
         """Why the arm must not be moved from where `joints` say that it is; empty if it may."""
         held = self._joints
         if held is None:
-            return self._trust.doubt or "no joint_states yet"
+            return self._trust.doubt or NO_JOINTS
         age_s = time.monotonic() - held[1]
         old = f"the last joint_states is {age_s:.1f} s old"
         return self._trust.doubt or (old if age_s > self._max_age_s else "")

@@ -194,41 +194,33 @@ class BringUp:
             return self.nodes
         return ("composed", *(node for node in self.nodes if node not in COMPOSED))
 
-    def given(self, process: str, bus: str, scratch: Path) -> list[Path | dict[str, Any]]:
-        """Parameters of a process: files and values, the later ones override the earlier ones.
+    def files(self, process: str, bus: str, scratch: Path) -> list[Path]:
+        """Parameter files of a process: of its nodes, then one of what overrides them.
 
         Args:
             bus: link to the simulated servo bus.
-            scratch: folder for a file of values, where a process has several nodes.
+            scratch: folder for the last one.
         """
-        if process != "composed":
-            return [self.file(process), self.parameters(process, bus)]
-        values = {f"/**/{n}": {"ros__parameters": self.parameters(n, bus)} for n in COMPOSED}
-        write_text(scratch / "composed.yaml", yaml.safe_dump(values))
-        return [*map(self.file, COMPOSED), scratch / "composed.yaml"]
+        nodes = COMPOSED if process == "composed" else (process,)
+        values = {f"/**/{n}": {"ros__parameters": self.parameters(n, bus)} for n in nodes}
+        write_text(scratch / f"{process}.given.yaml", yaml.safe_dump(values))
+        return [*map(self.file, nodes), scratch / f"{process}.given.yaml"]
 
     def commands(self, scratch: Path) -> dict[str, list[str]]:
         """Program and arguments of every process, by its name; ``scratch``: folder for files."""
         bus = str(scratch / "servo_bus")
+        space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else []
         return {
-            name: [*self._program(name), *_words(self.given(name, bus, scratch))]
+            name: [
+                *(sys.executable, "-m", f"{PACKAGE}.nodes.{name}", "--ros-args", *space),
+                *(
+                    w
+                    for file in self.files(name, bus, scratch)
+                    for w in ("--params-file", str(file))
+                ),
+            ]
             for name in self.processes
         }
-
-    def _program(self, module: str) -> list[str]:
-        words = [sys.executable, "-m", f"{PACKAGE}.nodes.{module}", "--ros-args"]
-        return words + (["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else [])
-
-
-def _words(given: list[Path | dict[str, Any]]) -> list[str]:
-    """Parameters on a command line."""
-    words: list[str] = []
-    for part in given:
-        if isinstance(part, Path):
-            words += ["--params-file", str(part)]
-        else:
-            words += [w for name, value in part.items() for w in ("-p", f"{name}:={_text(value)}")]
-    return words
 
 
 def _path(name: str, path: Path | None) -> dict[str, Any]:
@@ -237,16 +229,6 @@ def _path(name: str, path: Path | None) -> dict[str, Any]:
 
 def _paths(name: str, paths: tuple[Path, ...]) -> dict[str, Any]:
     return {name: os.pathsep.join(str(p.absolute()) for p in paths)} if paths else {}
-
-
-def _text(value: Any) -> str:
-    """A parameter's value as YAML that keeps its type."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        quoted = value.replace("'", "''")
-        return f"'{quoted}'"
-    return repr(value)
 
 
 def _ros_parameters(path: Path) -> dict[str, Any]:
