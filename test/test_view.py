@@ -255,7 +255,7 @@ def says_how_well_the_nodes_are(stand: Stand) -> None:
     driver.foreign.publish()
     stand.shows(f"✖ servo_driver: error\n✖ part: {MEAN_WORDS}")
     assert "tester" not in stand.words() and "another namespace" not in stand.words()
-    where = Progress(7, 24, visit=6, seen=5, lost=("too far", "too far"))
+    where = Progress(7, 24, visit=6, made=dict(enumerate(["too far"] * 2 + [""] * 5)))
     driver.collecting.publish(progress_message(where, f"/{NAMESPACE}"))
     stand.shows("collect: 7 of 24 poses driven; marker lost at 2 of 7 poses: ")
 

@@ -15,7 +15,7 @@ from longarm_comp.core.errors import InputError, JobError, LongarmError
 if TYPE_CHECKING:
     from longarm_comp.jobs.client import Pace
     from longarm_comp.jobs.collect.preview import Preview
-    from longarm_comp.jobs.collect.progress import Outcomes, Progress
+    from longarm_comp.jobs.collect.progress import Progress
     from longarm_comp.jobs.collect.run import Collected
 
 _LOOK_S = 0.2
@@ -130,13 +130,12 @@ def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any
     """Collect; draw what became of each pose, also where it ends early."""
     from longarm_comp.cli.live import shown
     from longarm_comp.cli.signals import on_graph, pause_on_stop_key
-    from longarm_comp.jobs.collect.progress import Outcomes
     from longarm_comp.jobs.collect.run import collect
 
-    outcomes = Outcomes()
+    made: dict[int, str] = {}
 
     def follow(now: Progress) -> None:
-        outcomes.add(now)
+        made.update(now.made)
         show(now)
 
     done: Collected | None = None
@@ -152,22 +151,21 @@ def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any
             )  # fmt: skip
             return done
     finally:
-        _end(ahead, outcomes, output, whole=done is not None)
+        _end(ahead, made, output, whole=done is not None)
 
 
-def _end(ahead: Preview, outcomes: Outcomes, output: Path, whole: bool) -> None:
+def _end(ahead: Preview, made: dict[int, str], output: Path, whole: bool) -> None:
     """What is kept, drawn and to be done next; whatever ended it is said after this."""
-    lost = sum(map(bool, outcomes.made.values()))
-    if outcomes.made:
+    if made:
         from longarm_comp.jobs.collect.picture import coverage  # takes a second
 
         try:
-            note(f"coverage: {coverage(ahead, outcomes, output)}")
+            note(f"coverage: {coverage(ahead, made, output)}")
         except (LongarmError, OSError) as error:
             note(f"no picture of the coverage: {error}")
     if not whole and (output / "metadata.yaml").is_file():
-        seen = len(outcomes.made) - lost
-        note(f"driven in this run: {len(outcomes.made)} of {len(ahead.visits)} visits, marker seen "
+        seen = list(made.values()).count("")
+        note(f"driven in this run: {len(made)} of {len(ahead.visits)} visits, marker seen "
              f"at {seen}; {output} keeps them, the same command with --resume adds the "
              "others")  # fmt: skip
 

@@ -58,8 +58,7 @@ def table(arm: Arm, now: Progress) -> RenderableType:
     rows.add_row("state", escape(str(now) if now.state != "running" else f"pose {now.visit}"), "")
     if now.q is not None:
         rows.add_row("joints", _joints(arm, now.q), "")
-    seen = now.seen + len(now.lost)
-    rows.add_row("marker seen", f"{now.seen} of {seen}", "")
+    rows.add_row("marker seen", f"{now.seen} of {len(now.made)}", "")
     if now.losses:
         rows.add_row("", escape(now.losses), "")
     if math.isfinite(now.error_mm):

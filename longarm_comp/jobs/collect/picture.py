@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,6 @@ from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.collect.preview import Preview, kind_of
-from longarm_comp.jobs.collect.progress import Outcomes
 from longarm_comp.report.style import (
     BLUE,
     INK,
@@ -73,9 +72,9 @@ def draw(found: Preview, faults: Sequence[str], path: Path, good: str, title: st
         save(drawn, path)
 
 
-def coverage(found: Preview, outcomes: Outcomes, bag: Path) -> Path:
-    """Draw what became of each visit, beside the bag; the file."""
-    faults = [outcomes.made.get(visit.index, NOT_DRIVEN) for visit in found.visits]
+def coverage(found: Preview, made: Mapping[int, str], bag: Path) -> Path:
+    """Draw what became of each visit (`Progress.made`), beside the bag; the file."""
+    faults = [made.get(visit.index, NOT_DRIVEN) for visit in found.visits]
     path = bag.absolute().with_name(f"{bag.name}_coverage.png")
     draw(found, faults, path, "marker seen", f"{found.arm.name}: {bag.name}")
     return path

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -39,8 +40,8 @@ class Progress:
     Attributes:
         done, total: visits in the bag, of the plan.
         q: (n,) joints it goes to, rad and m; None before the first and after the last.
-        seen: visits of this run at which the marker was seen.
-        lost: why it was lost at the others, in words.
+        made: visits of this run by their index, the last one last: why the marker was lost there,
+            or "" where it was seen.
         error_mm: distance of the last seen tip from the declared arm's; NaN: none yet.
         seconds_left: NaN: not known yet.
         state: "running", "paused", "waiting", "done" or "ended".
@@ -51,8 +52,7 @@ class Progress:
     total: int
     visit: int = -1
     q: np.ndarray | None = None
-    seen: int = 0
-    lost: tuple[str, ...] = ()
+    made: Mapping[int, str] = field(default_factory=dict)
     error_mm: float = float("nan")
     seconds_left: float = float("nan")
     state: str = "running"
@@ -64,12 +64,21 @@ class Progress:
         return self.done / max(1, self.total)
 
     @property
+    def lost(self) -> list[str]:
+        """Why the marker was lost, for each visit at which it was."""
+        return [why for why in self.made.values() if why]
+
+    @property
+    def seen(self) -> int:
+        """Visits of this run at which the marker was seen."""
+        return len(self.made) - len(self.lost)
+
+    @property
     def losses(self) -> str:
         """How often the marker was lost, and why; empty if never."""
         if not self.lost:
             return ""
-        made = self.seen + len(self.lost)
-        return f"marker lost at {len(self.lost)} of {made} poses: {in_words(self.lost)}"
+        return f"marker lost at {len(self.lost)} of {len(self.made)} poses: {in_words(self.lost)}"
 
     def __str__(self) -> str:
         if self.state != "running":
@@ -77,18 +86,3 @@ class Progress:
         left = f", {self.seconds_left:.0f} s left" if math.isfinite(self.seconds_left) else ""
         poses = f"{self.done} of {self.total} poses driven{left}"
         return "; ".join(filter(None, (poses, self.losses)))
-
-
-class Outcomes:
-    """What became of each visit, gathered from `Progress` as it comes."""
-
-    def __init__(self) -> None:
-        self.made: dict[int, str] = {}
-        self._before = 0
-
-    def add(self, now: Progress) -> None:
-        """Take what a new message says of the visit at hand."""
-        if now.seen + len(now.lost) > self._before:
-            lost = len(now.lost) > sum(map(bool, self.made.values()))
-            self.made[now.visit] = now.lost[-1] if lost else ""
-        self._before = now.seen + len(now.lost)

@@ -132,11 +132,11 @@ def collect(
         try:
             run.drive([visit for visit in todo if visit.index not in done], give_up)
         except JobError as error:
-            if not run.seen and not done:
+            if run.lost == run.made and not done:
                 bag.discard()  # nothing in it is worth going on with
             run.ended(error)
             raise
-    return Collected(run.made, len(done), len(todo), run.lost, run.blocked)
+    return Collected(len(run.made), len(done), len(todo), run.lost, run.blocked)
 
 
 class _Run:
@@ -154,14 +154,14 @@ class _Run:
         self._model = declared_model(client.arm)
         self._driving_s, self._error_mm = 0.0, float("nan")
         self._visit: Visit | None = None
-        self.seen = 0
-        self.lost: dict[int, str] = {}
+        self.made: dict[int, str] = {}
+        """Visits in the bag, of this run: why the marker was lost there, or ""."""
         self.blocked: dict[int, str] = {}
 
     @property
-    def made(self) -> int:
-        """Visits in the bag, of this run."""
-        return self.seen + len(self.lost)
+    def lost(self) -> dict[int, str]:
+        """Those at which the marker was not seen, and why."""
+        return {index: why for index, why in self.made.items() if why}
 
     def drive(self, left: list[Visit], give_up: int) -> None:
         """Make the visits that are left."""
@@ -177,7 +177,7 @@ class _Run:
             self._visit = visit
             self._tell()
             self._make(visit)
-            if give_up and not self.seen and not self._before and self.made >= give_up:
+            if self.lost == self.made and not self._before and 0 < give_up <= len(self.made):
                 raise JobError(f"{self._now().losses}. {_HINT}")
             if len(self.lost) > half:
                 raise JobError(f"the marker is not seen at most poses. {self._now().losses}")
@@ -206,11 +206,11 @@ class _Run:
                     raise
                 self._wait_for_driver(str(stopped))
                 begun_s = time.monotonic()
+        self.made[visit.index] = ""
         if row.located[0]:
-            self.seen += 1
             self._error_mm = self._causes.error_mm(visit.q, row.xyz[0])
         else:
-            self.lost[visit.index] = self._causes.of(visit.q, row.lost.get(visit.index, ""))
+            self.made[visit.index] = self._causes.of(visit.q, row.lost.get(visit.index, ""))
         self._driving_s += time.monotonic() - begun_s
         self._tell()
 
@@ -283,12 +283,12 @@ class _Run:
         return response
 
     def _now(self, state: str = "running", why: str = "") -> Progress:
-        visit, made = self._visit, self.made
+        visit, made = self._visit, len(self.made)
         each = self._driving_s / made if made else float("nan")
         done = self._before + made
         return Progress(
             done, self._total, -1 if visit is None else visit.index,
-            None if visit is None else visit.q, self.seen, tuple(self.lost.values()),
+            None if visit is None else visit.q, dict(self.made),
             self._error_mm, each * (self._total - done), state, why,
         )  # fmt: skip
 
