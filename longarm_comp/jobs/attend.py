@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import SetBool, Trigger
 
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.jobs.graph_client import GraphClient
+from longarm_comp.jobs.graph_client import GraphClient, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
 from longarm_comp.nodes.health import INSTANCE, LEARNED_SAID, TIP_SAID
@@ -76,20 +76,11 @@ class Attendant:
     def __init__(self, client: GraphClient) -> None:
         self._client, self._namespace = client, client.node.get_namespace().rstrip("/")
         self._driver: DriverState | None = None
-        self._reports: dict[str, dict[str, tuple[int, str]]] = {}
+        self._reports = Reports(client)
         self._states = graph.DRIVER_STATE.subscription(client.node, self._on_state)
-        graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
 
     def _on_state(self, message: DriverState) -> None:
         self._driver = message
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            node, colon, part = status.name.partition(": ")
-            name = node.removeprefix(f"{self._namespace}/")
-            if colon and name != node and "/" not in name:
-                told = ord(status.level), status.message
-                self._reports.setdefault(name, {})[part] = told
 
     def standing(self) -> _Standing:
         """How the arm stands, as soon as every node of it that is on the graph has reported."""
@@ -107,34 +98,35 @@ class Attendant:
         def heard() -> bool:
             named = there()
             driver = self._driver is not None or DRIVER not in named
-            return driver and named <= set(self._reports)
+            return driver and named <= set(self._reports.nodes)
 
         try:
             client.until(heard, _PATIENCE_S, "reports")
         except JobError as late:
             if client.stop.is_set():
                 raise
-            silent = sorted(there() - set(self._reports))
-            for name in silent:
-                self._reports[name] = {"process": (3, f"does not report: {late}")}
+            silent = DiagnosticStatus(
+                level=DiagnosticStatus.STALE, message=f"does not report: {late}"
+            )
+            for name in there() - set(self._reports.nodes):
+                self._reports.nodes[name] = {"process": silent}
         return self._standing()
 
     def _standing(self) -> _Standing:
-        driver = self._driver
+        driver, reports = self._driver, self._reports
         troubles = tuple(
-            _Trouble(node, part, _LEVELS[min(level, 3)], message)
-            for node, parts in sorted(self._reports.items())
-            for part, (level, message) in parts.items()
-            if level
+            _Trouble(node, part, _LEVELS[min(ord(said.level), 3)], said.message)
+            for node, parts in sorted(reports.nodes.items())
+            for part, said in parts.items()
+            if ord(said.level)
         )
         words = STATES.get(driver.state, f"in the unknown state {driver.state}") if driver else ""
         why = driver.message if driver else f"no {DRIVER} is on the graph"
         step = _NEXT.get(driver.state, "") if driver else "longarm up ARM"
         if step == "longarm reset" and self._namespace:
             step += f" --namespace {self._namespace[1:]}"
-        said = self._reports.get("kinematics", {})
-        tip, learned = (said.get(part, (0, ""))[1] for part in (TIP_SAID, LEARNED_SAID))
-        return _Standing(words, why, tuple(sorted(self._reports)), troubles, step, tip, learned)
+        tip, learned = (reports.said("kinematics", part) for part in (TIP_SAID, LEARNED_SAID))
+        return _Standing(words, why, tuple(sorted(reports.nodes)), troubles, step, tip, learned)
 
     # ------------------------------------------------------------------ asking
 
@@ -202,27 +194,21 @@ def frozen(client: GraphClient, node: str) -> Iterator[int]:
     Raises:
         InputError: no such node. JobError: it does not report, or runs on another machine.
     """
-    pids: dict[str, int] = {}
-
-    def heard(message: DiagnosticArray) -> None:
-        for status in message.status:
-            name, _, part = status.name.partition(": ")
-            if part == "process":
-                told = {pair.key: pair.value for pair in status.values}
-                pids[name.rsplit("/", 1)[-1]] = int(told[INSTANCE].split("-")[0])
-
-    listening = graph.DIAGNOSTICS.subscription(client.node, heard)
-    client.until(lambda: SIMULATED in pids, _HEARD_S, "no simulated arm reports (`longarm up`)")
+    reports = Reports(client)
+    missing = "no simulated arm reports (`longarm up`)"
+    client.until(lambda: SIMULATED in reports.nodes, _HEARD_S, missing)
     if node != SIMULATED:
         client.spin(2.0)
-    client.node.destroy_subscription(listening)
-    if node not in pids:
-        raise InputError("sim freeze", "NODE", node, ", ".join(sorted(pids)))
+    reports.close()
+    if node not in reports.nodes:
+        raise InputError("sim freeze", "NODE", node, ", ".join(sorted(reports.nodes)))
+    told = {pair.key: pair.value for pair in reports.nodes[node]["process"].values}
+    process = int(told[INSTANCE].split("-")[0])
     try:
-        os.kill(pids[node], signal.SIGSTOP)
+        os.kill(process, signal.SIGSTOP)
     except OSError as error:
         raise JobError("the node runs on another machine", node=node) from error
     try:
-        yield pids[node]
+        yield process
     finally:
-        os.kill(pids[node], signal.SIGCONT)
+        os.kill(process, signal.SIGCONT)

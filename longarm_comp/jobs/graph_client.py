@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -162,3 +163,32 @@ class GraphClient:
         answer = self.ask(node, _SET, SetParameters.Request(parameters=[told]))
         if not answer.results[0].successful:
             raise JobError(answer.results[0].reason, node=node, parameter=name, value=value)
+
+
+class Reports:
+    """What the nodes of a client's namespace report on /diagnostics from now on.
+
+    Attributes:
+        nodes: the last status of each part, by the names of node and part.
+    """
+
+    def __init__(self, client: GraphClient) -> None:
+        self._client, self._space = client, client.node.get_namespace().rstrip("/")
+        self.nodes: dict[str, dict[str, DiagnosticStatus]] = {}
+        self._heard = graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            node, colon, part = status.name.partition(": ")
+            name = node.removeprefix(f"{self._space}/")
+            if colon and name != node and "/" not in name:
+                self.nodes.setdefault(name, {})[part] = status
+
+    def said(self, node: str, part: str) -> str:
+        """The last message of a part; empty before the first."""
+        status = self.nodes.get(node, {}).get(part)
+        return "" if status is None else str(status.message)
+
+    def close(self) -> None:
+        """Hear no more."""
+        self._client.node.destroy_subscription(self._heard)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 
 from longarm_comp.core.compensation.compensate import Method, Status
 from longarm_comp.jobs.client import ArmClient, Pace
+from longarm_comp.jobs.graph_client import Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import NO_JOINTS
 from longarm_comp.nodes.messages import joints_of
@@ -81,21 +82,16 @@ class TargetRunner:
     def ready(self, target: np.ndarray, within_s: float) -> None:
         """Wait until kinematics knows the joints, so that it can answer for a target (3,), m."""
         client = self._client
-        mine = f"{client.node.resolve_topic_name('kinematics')}: targets"
-        said: list[str] = []
-
-        def hear(array: DiagnosticArray) -> None:
-            said.extend(status.message for status in array.status if status.name == mine)
+        reports = Reports(client)
+        said = partial(reports.said, "kinematics", "targets")
 
         def knows() -> bool:
             answer = self.ask(target, execute=False)
             return bool(answer.status != Compensate.Response.NOT_READY)
 
-        health = graph.DIAGNOSTICS.subscription(client.node, hear)
-        client.until(
-            lambda: said and said[-1] != NO_JOINTS, within_s, "kinematics hears no joint_states"
-        )
-        client.node.destroy_subscription(health)
+        deaf = "kinematics hears no joint_states"
+        client.until(lambda: said() not in ("", NO_JOINTS), within_s, deaf)
+        reports.close()
         (self._frame,) = client.parameters("kinematics", "base_frame")
         client.until(knows, within_s, "kinematics has no joint_states")
 

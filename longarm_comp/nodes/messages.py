@@ -231,6 +231,17 @@ def sighting_of(message: PoseWithCovarianceStamped) -> tuple[np.ndarray, np.ndar
     return np.array([p.x, p.y, p.z]), covariance[[0, 7, 14]]
 
 
+def tip_message(
+    tip: np.ndarray, covariance: np.ndarray, stamp: Time, frame: str
+) -> PoseWithCovarianceStamped:
+    """A tip (3,), m, with the covariance (6, 6) of its pose; `sighting_of` reads it."""
+    message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=frame))
+    x, y, z = tip.tolist()
+    message.pose.pose.position = Point(x=x, y=y, z=z)
+    message.pose.covariance = covariance.ravel()
+    return message
+
+
 @dataclass(frozen=True)
 class Answer:
     """Everything that is published about one target on `compensation`.

@@ -18,7 +18,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import OK, WARN, Report
-from longarm_comp.nodes.messages import sighting_of
+from longarm_comp.nodes.messages import sighting_of, tip_message
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_comp.nodes.stamps import stamp_ns
@@ -62,15 +62,10 @@ class ReadingsTeller:
         if now is None:
             return None
         found = self.last = tip_by_readings(*now)
-        message = PoseWithCovarianceStamped()
-        message.header.stamp = self._state.stamp
-        message.header.frame_id = self._state.base_frame
-        point = message.pose.pose.position
-        point.x, point.y, point.z = found.tip.tolist()
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = np.nan_to_num(found.doubt.covariance)
-        message.pose.covariance = covariance.ravel()
-        self._tips.publish(message)
+        state = self._state
+        self._tips.publish(tip_message(found.tip, covariance, state.stamp, state.base_frame))
         return found
 
     def report(self) -> Report:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import CameraInfo
 
@@ -25,7 +23,6 @@ from longarm_comp.devices.stereo import (
     StereoPairer,
     StereoRefusal,
     StereoRig,
-    StereoSighting,
 )
 from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.marker import marker_of
@@ -34,7 +31,7 @@ from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
 from longarm_comp.nodes.image_inlet import ImageInlet
 from longarm_comp.nodes.images import decoded, pixels_of, same_camera
-from longarm_comp.nodes.messages import pose_message
+from longarm_comp.nodes.messages import pose_message, tip_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.stamps import stamp_ns, stamp_of
@@ -196,20 +193,14 @@ class _StereoBridge(ArmNode):
         self._sightings += 1
         self._lost = False
         self._last = f"{seen.corners} corners, rms {seen.rms_px:.3f} px"
-        message = self._message(seen)
+        message = tip_message(
+            seen.point, seen.pose_covariance, stamp_of(seen.stamp_ns), self._base_frame
+        )
+        message.pose.pose.orientation = pose_message(seen.pose).orientation
         self._tips.publish(message)
         turn = quaternion.from_rotation(seen.pose[:3, :3])
         tip = Placed(self._base_frame, f"{self._prefix}tip_measured", seen.point, turn)
         self._frames.tell([tip], message.header.stamp)
-
-    def _message(self, seen: StereoSighting) -> PoseWithCovarianceStamped:
-        message = PoseWithCovarianceStamped()
-        message.header.stamp, message.header.frame_id = stamp_of(seen.stamp_ns), self._base_frame
-        message.pose.pose = pose_message(seen.pose)
-        x, y, z = seen.point.tolist()
-        message.pose.pose.position = Point(x=x, y=y, z=z)
-        message.pose.covariance = seen.pose_covariance.ravel().tolist()
-        return message
 
     def _refuse(self, error: LongarmError, ns: int | None) -> None:
         self._last = str(error)
@@ -220,10 +211,8 @@ class _StereoBridge(ArmNode):
         self._lost = True
         if ns is None or not self._publish_lost:
             return
-        message = PoseWithCovarianceStamped()
-        message.header.stamp, message.header.frame_id = stamp_of(ns), self._base_frame
-        message.pose.pose.position = Point(x=math.nan, y=math.nan, z=math.nan)
-        self._tips.publish(message)
+        lost = np.full(3, np.nan)
+        self._tips.publish(tip_message(lost, np.zeros((6, 6)), stamp_of(ns), self._base_frame))
 
     def _calibration(self) -> str:
         """Where the calibration is from, and whether the cameras tell another one."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import CameraInfo
 
 from longarm_comp.arm_folder.visible import Lens, View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.graph_client import GraphClient
+from longarm_comp.jobs.graph_client import GraphClient, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.stereo_bridge import MARKER_LOST
 from longarm_comp.sessions.settled import NO_REST
@@ -26,12 +25,10 @@ class Causes:
 
     def __init__(self, client: GraphClient, arm: Arm, view: View | None) -> None:
         self._model, self._view = declared_model(arm), view
-        self._said = ""
-        self._bridge = client.node.resolve_topic_name("stereo_bridge")
+        self._reports = Reports(client)
         self._infos: dict[str, CameraInfo] = {}
         graph.LEFT_INFO.subscription(client.node, lambda m: self._on_info("left", m))
         graph.RIGHT_INFO.subscription(client.node, lambda m: self._on_info("right", m))
-        graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
 
     def of(self, q: np.ndarray, recorded: str = "") -> str:
         """The likely cause at joints q (n,); ``recorded`` is what the recording says."""
@@ -41,7 +38,9 @@ class Causes:
         if why:
             return why
         near = "in view, but " if self._view is not None else ""
-        return near + (self._said or "not seen")
+        said = self._reports.said("stereo_bridge", "stereo")
+        why = said.removeprefix(MARKER_LOST)
+        return near + (why.partition(" (")[0] if why != said else "not seen")
 
     def error_mm(self, q: np.ndarray, tip: np.ndarray) -> float:
         """Distance of a tip (3,), m, from the declared arm's at q (n,)."""
@@ -53,10 +52,3 @@ class Causes:
             return
         lens = Lens.of(self._infos["left"], self._infos["right"])
         self._view = self._view if lens is None else replace(self._view, lens=lens)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name == f"{self._bridge}: stereo":
-                lost = status.message.startswith(MARKER_LOST)
-                why = status.message.removeprefix(MARKER_LOST).partition(" (")[0]
-                self._said = why if lost else ""
