@@ -20,6 +20,7 @@ import click
 from longarm_comp.core.errors import InputError
 
 _LOOKED_AT = 4096
+"""Bytes at either end in which the marks of every kind of file stand."""
 Kind = Callable[[Path], bool]
 """Whether a file that exists is one that the command would write, and may be replaced."""
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from longarm_comp.jobs.camera_placement import HeadPlacement
 
 _SQUARE_MM, _TAG_SHARE = 25.0, 0.72
+"""A 7x5 board of such squares fills A4; the white around a tag lets its edge be found."""
 
 
 def _board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from longarm_comp.devices.servo_setup import ServoSetup, Sweep
 
 _STILL_S = 1.0
+"""Rest after which a hand has let go, and no joint is on its way to a stop."""
 _COVERED = 0.98
 """Share of the declared range that counts as all of it."""
 

@@ -22,6 +22,7 @@ from longarm_interfaces.msg import DriverState
 
 DRIVER = "servo_driver"
 _PATIENCE_S = 5.0
+"""A node reports once a second, and a person waits for the answer."""
 _LEVELS = ("ok", "warning", "error", "stale")
 
 _LEAVE: Mapping[int, tuple[Service, Any]] = {
@@ -167,6 +168,7 @@ KNOWN = {"kinematics", "error_predictor", "stereo_bridge", DRIVER, "simulated_ar
 
 SIMULATED = "simulated_arm"
 _HEARD_S = 10.0
+"""Patience with a simulated arm: a node that is there is found within it on a busy machine."""
 
 
 def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:

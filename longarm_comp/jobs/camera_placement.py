@@ -13,7 +13,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.devices.stereo import HandEye, hand_eye
 
 FEWEST_POSES = 10
-_FOLDS = 5
+"""Six unknowns by three numbers a pose, and as much again to see outliers and to hold rows out."""
 _SIGMA_M = 1e-4
 """Of a sighting whose session does not say it. What the arm's own errors add is seen in the fit."""
 
@@ -85,8 +85,8 @@ def placed_cameras(
     fit = fitted(every)
     good = np.setdiff1d(every, fit.outliers)
     left_out = []
-    for fold in range(_FOLDS):
-        out = good[fold::_FOLDS]
+    for fold in range(5):
+        out = good[fold::5]
         left_out.append(_off(fitted(np.setdiff1d(good, out)), tips[out], seen[out]))
     sd = np.sqrt(np.diag(fit.covariance))
     moved = np.linalg.inv(assumed) @ fit.camera_in_base

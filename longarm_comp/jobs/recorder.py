@@ -32,7 +32,9 @@ HELD_TOPICS = (graph.TEMPERATURE, graph.PAYLOAD, graph.INCLINATION)
 IMAGE_TOPICS = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE, graph.LEFT_INFO, graph.RIGHT_INFO)
 
 _DRAIN_S, _AT_ONCE = 5.0, 20
+"""Patience with what has arrived, s; callbacks between two looks whether more does."""
 _SEGMENT_S = 20.0
+"""A killed recorder loses at most so much."""
 
 
 class Recorder:

@@ -26,6 +26,7 @@ READINGS = 10
 STILL = 2e-3
 """Share of a joint's range within which it is at rest: a hand is less still than a servo."""
 PATIENCE_S = 30.0
+"""Patience with an arm that comes to rest under a hand."""
 ENOUGH = 8
 """Rows from which their spread says something."""
 

@@ -17,6 +17,7 @@ from longarm_comp.core.errors import JobError
 GUARD = "LONGARM_SUPERVISOR"
 """Environment variable with the supervisor's process id. Its nodes end when it is gone."""
 _GENTLE_S, _FIRM_S = 6.0, 2.0
+"""Patience with SIGINT, s: a driver reads and switches off every servo; then with SIGTERM."""
 
 
 @dataclass
