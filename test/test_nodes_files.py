@@ -190,11 +190,8 @@ def test_a_launch_starts_every_node_with_what_it_takes(
     assert [call["executable"] for call in calls] == list(programs)
     passed = {}
     for call in calls:
-        if call["executable"] != "composed":
-            assert call["name"] == call["executable"]
-            passed[call["executable"]] = call["parameters"]
-            continue
-        assert call["name"] is None  # it would rename both nodes
+        several = call["executable"] == "composed"  # a name would rename both nodes
+        assert call["name"] == (None if several else call["executable"])
         *listed, written = call["parameters"]
         for file, (node, values) in zip(listed, read_yaml(Path(written)).items(), strict=True):
             passed[node.removeprefix("/**/")] = [file, values["ros__parameters"]]
