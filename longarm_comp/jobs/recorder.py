@@ -55,7 +55,7 @@ class Recorder:
         segment_s: float = _SEGMENT_S,
     ) -> None:
         self._node, self._bag, self._segment_s = node, bag, segment_s
-        self._waiting: list[Message] = []
+        self.waiting: list[Message] = []
         self._stamped: set[str] = set()
         self._held = {node.resolve_topic_name(topic.name) for topic in HELD_TOPICS}
         self._since = time.monotonic()
@@ -80,7 +80,7 @@ class Recorder:
     def put(self, topic: str, kind: str, raw: bytes) -> None:
         """Take a serialised message that was just received; ``topic`` is its full name."""
         received = time.time_ns()
-        self._waiting.append((topic, kind, received, raw))
+        self.waiting.append((topic, kind, received, raw))
         self.newest[topic] = max(self.newest.get(topic, 0), self._moment(topic, received, raw))
 
     def keep(self, *, since_ns: int = 0, finish: bool = False) -> None:
@@ -93,7 +93,7 @@ class Recorder:
         for topic, kind, received, raw in self.about(since_ns):
             self._bag.write(topic, kind, received, raw)
             self.counts[topic] = self.counts.get(topic, 0) + 1
-        self._waiting.clear()
+        self.waiting.clear()
         if finish or time.monotonic() - self._since > self._segment_s:
             self._bag.finish_segment()
             self._since = time.monotonic()
@@ -102,7 +102,7 @@ class Recorder:
         """Waiting messages about this time (ns) and later, and those that still hold."""
         return [
             entry
-            for entry in self._waiting
+            for entry in self.waiting
             if entry[0] in self._held or self._moment(entry[0], entry[2], entry[3]) >= since_ns
         ]
 
@@ -112,18 +112,14 @@ class Recorder:
             return received
         return moment(stamp_of_raw(raw), received)
 
-    def waits(self, topic: str = "") -> int:
-        """Messages that wait, of one topic or of all."""
-        return sum(entry[0] == topic or not topic for entry in self._waiting)
-
     def drop(self) -> None:
         """Drop the waiting messages, but for those that still hold."""
-        last = {entry[0]: entry for entry in self._waiting if entry[0] in self._held}
-        self._waiting = list(last.values())
+        last = {entry[0]: entry for entry in self.waiting if entry[0] in self._held}
+        self.waiting = list(last.values())
 
     def waits_for(self) -> list[str]:
         """Topics of `HELD_TOPICS` that another node publishes and that were not heard yet."""
-        heard = {topic for topic, *_ in self._waiting} | set(self.counts)
+        heard = {topic for topic, *_ in self.waiting} | set(self.counts)
         return [
             name
             for name in sorted(self._held - heard)
@@ -142,8 +138,8 @@ def _type_name(kind: type) -> str:
 def _drain(executor: SingleThreadedExecutor, recorder: Recorder) -> None:
     """Take what has arrived and was not taken yet, at most for some seconds."""
     end, before = time.monotonic() + _DRAIN_S, -1
-    while recorder.waits() > before and time.monotonic() < end:
-        before = recorder.waits()
+    while len(recorder.waiting) > before and time.monotonic() < end:
+        before = len(recorder.waiting)
         for _ in range(_AT_ONCE):
             executor.spin_once(timeout_sec=0.0)
 

@@ -87,7 +87,6 @@ class Topic:
         callback: Callable[..., None],
         group: CallbackGroup | None = None,
         listens: ReliabilityPolicy | None = None,
-        events: SubscriptionEventCallbacks = _UNHEARD_SUBSCRIPTION,
         depth: int | None = None,
         *,
         raw: bool = False,
@@ -102,7 +101,7 @@ class Topic:
         )  # fmt: skip
         return node.create_subscription(
             self.type, self.name, callback, qos,
-            callback_group=group, event_callbacks=events, raw=raw,
+            callback_group=group, event_callbacks=_UNHEARD_SUBSCRIPTION, raw=raw,
         )  # fmt: skip
 
 
