@@ -13,8 +13,6 @@ import uuid
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -33,11 +31,7 @@ class FollowServer:
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
         self._told: dict[str, tuple[int, str] | None] = {}
         self._ticks = Ticks(node, 0.05)
-        self._server = ActionServer(
-            node, graph.FOLLOW.type, graph.FOLLOW.name, self._serve,
-            callback_group=ReentrantCallbackGroup(),
-            cancel_callback=lambda goal: CancelResponse.ACCEPT,
-        )  # fmt: skip
+        self._server = graph.FOLLOW.server(node, self._serve)
 
     def told(self, event: int, name: str, why: str) -> None:
         """Take what the driver tells of a trajectory: an event of `Motion`."""

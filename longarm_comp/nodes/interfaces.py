@@ -18,7 +18,8 @@ from geometry_msgs.msg import (
     Vector3Stamped,
     WrenchStamped,
 )
-from rclpy.callback_groups import CallbackGroup
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -112,6 +113,13 @@ class Action:
     name: str
     type: Any  # with Goal, Result and Feedback
     meaning: str
+
+    def server(self, node: Node, serve: Callable[[Any], Any]) -> Any:
+        """Offer the action on a node; the goal that ``serve`` awaits may be cancelled."""
+        return ActionServer(
+            node, self.type, self.name, serve, callback_group=ReentrantCallbackGroup(),
+            cancel_callback=lambda goal: CancelResponse.ACCEPT,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

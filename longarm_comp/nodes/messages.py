@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,8 +106,14 @@ def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
     if len(message.name) != len(message.position):
         found = f"{len(message.name)} names, {len(message.position)} positions"
         raise InputError(where, "position", found, "one position a name")
-    at = dict(zip(message.name, message.position, strict=True))
-    return _in_order(at, list(message.name), arm, where)
+    at, names = dict(zip(message.name, message.position, strict=True)), list(message.name)
+    for name in arm.joint_names:
+        if names.count(name) != 1:
+            allowed = f"each of {', '.join(arm.joint_names)} once"
+            raise InputError(where, "name", ", ".join(names), allowed)
+        if not math.isfinite(at[name]):
+            raise InputError(where, name, at[name], "a finite number, rad or m")
+    return np.array([at[name] for name in arm.joint_names])
 
 
 def efforts_of(message: JointState, arm: Arm) -> np.ndarray:
@@ -134,25 +140,11 @@ def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str
 
 def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
     """The points of a trajectory, (k, n)."""
-    where, names = "joint_trajectory", list(message.joint_names)
-    for point in message.points:
-        if len(point.positions) != len(names):
-            found = f"{len(names)} names, {len(point.positions)} positions"
-            raise InputError(where, "positions", found, "one position a name")
+    where, names = "joint_trajectory", message.joint_names
     if not message.points:
         raise InputError(where, "points", 0, "at least one")
-    rows = [dict(zip(names, point.positions, strict=True)) for point in message.points]
-    return np.array([_in_order(row, names, arm, where) for row in rows])
-
-
-def _in_order(at: Mapping[str, float], names: list[str], arm: Arm, where: str) -> np.ndarray:
-    for name in arm.joint_names:
-        if names.count(name) != 1:
-            allowed = f"each of {', '.join(arm.joint_names)} once"
-            raise InputError(where, "name", ", ".join(names), allowed)
-        if not math.isfinite(at[name]):
-            raise InputError(where, name, at[name], "a finite number, rad or m")
-    return np.array([at[name] for name in arm.joint_names])
+    rows = [JointState(name=names, position=point.positions) for point in message.points]
+    return np.array([joints_of(row, arm, where) for row in rows])
 
 
 def duration(value_s: float) -> Duration:

@@ -8,8 +8,6 @@ from collections import deque
 from typing import Any
 
 import numpy as np
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
 
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.nodes import interfaces as graph
@@ -41,11 +39,7 @@ class ReachServer:
         self._turns: deque[object] = deque()
         self._ticks = Ticks(node, self._period_s)
         self._told: dict[str, Motion] = {}  # by trajectory, since the goal at hand was begun
-        self._server = ActionServer(
-            node, graph.REACH.type, graph.REACH.name, self._serve,
-            callback_group=ReentrantCallbackGroup(),
-            cancel_callback=lambda goal: CancelResponse.ACCEPT,
-        )  # fmt: skip
+        self._server = graph.REACH.server(node, self._serve)
 
     def told(self, motion: Motion) -> None:
         """Take what the driver says of a trajectory; from any thread."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.action import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from trajectory_msgs.msg import JointTrajectory
@@ -77,12 +77,10 @@ class _TrajectoryCompensator(ArmNode):
         self._worker, self._driver = self._state.worker, self._state.driver
         self._fresh, self._stamps = Freshness(self, p["order_max_age_s"]), Stamps(self.get_clock())
         self._ticks, self._following = Ticks(self, 0.05), 0
-        type_, group = graph.FOLLOW.type, ReentrantCallbackGroup()
-        self._out = ActionClient(self, type_, self._controller, callback_group=group)
-        self._server = ActionServer(
-            self, type_, graph.FOLLOW_PLANNED.name, self._serve, callback_group=group,
-            cancel_callback=lambda goal: CancelResponse.ACCEPT,
-        )  # fmt: skip
+        self._out = ActionClient(
+            self, graph.FOLLOW.type, self._controller, callback_group=ReentrantCallbackGroup()
+        )
+        self._server = graph.FOLLOW_PLANNED.server(self, self._serve)
         self._planned = graph.PLANNED_JOINTS.publisher(self)
         self._due = self._ready = False
         self._worker.idle = self._tell_planned
