@@ -23,7 +23,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.jobs.attend import frozen
-from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.share import folder
 
@@ -41,9 +41,10 @@ def test_a_new_folder_runs_as_it_is(ros_domain: int, tmp_path: Path) -> None:
             client.ready(120.0)
             assert client.joints is not None
             assert np.abs(goal - client.joints).min() > 0.05
+            pace = Pace(sightings=2, dwell_s=0.1, arrive_s=120.0, look_s=60.0, tolerance=2e-3)
+            start = client.joints
             client.send(goal[None], 0.1)
-            rest = client.arrive(goal[None], np.full(arm.n, 2e-3), 0.1, 120.0)
-            seen = client.look(rest + 50_000_000, 2, 60.0)
+            _, seen = client.look(goal[None], pace, start)
         process.send_signal(signal.SIGINT)
         noise = process.communicate(timeout=60)[1]
     finally:

@@ -15,7 +15,7 @@ from std_msgs.msg import Float64
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp, running
 from longarm_interfaces.msg import Compensation
@@ -73,7 +73,7 @@ def test_a_payload_that_is_told_wrong_is_felt_and_then_used(arm_at_work: ArmClie
         q = arm.lower + rng.uniform(0.2, 0.8, arm.n) * (arm.upper - arm.lower)
         start = client.joints
         client.send(q[None], 0.2)
-        client.arrive(q[None], np.full(arm.n, 2e-3), 0.2, 60.0, start=start)
+        client.arrive(q[None], Pace(dwell_s=0.2, tolerance=2e-3), start)
         client.until(lambda n=k + 1: rests(payload()) >= n, 60.0, "weighed")
         found = payload()
         if found.level == DiagnosticStatus.WARN:
