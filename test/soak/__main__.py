@@ -78,8 +78,9 @@ def _show(report: dict[str, Any]) -> None:
     judged = report["leaks_judged"]
     if judged < len(rows):
         note(f"leaks: {len(rows) - judged} of {len(rows)} processes ran too short to be judged")
-    if report["driver_resets"]:
-        note(f"the driver was reset {report['driver_resets']} times: its servos were silent")
+    for why, times in report["driver_faults"].items():
+        note(f"the driver was reset {times} times, which no fault explains: {why}")
+    note(f"learned from {report['learned_from']} sightings")
     verdict = "passed" if report["passed"] else "failed"
     held = f", {report['held_back']} held back" if report["held_back"] else ""
     if report["driver_refusals"]:

@@ -12,7 +12,7 @@ from typing import Protocol
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from longarm_comp.core.files import write_text
 from longarm_comp.nodes import interfaces as graph
@@ -214,6 +214,27 @@ class Flood:
     def strike(self, scene: Scene) -> None:
         """Send them all at once."""
         scene.flood(2000)
+
+
+@dataclass(frozen=True)
+class LearningStopped:
+    """What was learned at work is undone, and nothing is learned for a while."""
+
+    name: str = "learning stopped"
+
+    def strike(self, scene: Scene) -> None:
+        """Undo and freeze, then let it learn again. Targets go on meanwhile."""
+        for service, request in (
+            (graph.UNDO, Trigger.Request()),
+            (graph.FREEZE, SetBool.Request(data=True)),
+            (graph.FREEZE, SetBool.Request(data=False)),
+        ):
+            client = service.client(scene.client.node, of="kinematics")
+            done = scene.client.call(client, request, again=True)
+            if not done.success:
+                scene.ledger.wrong[f"kinematics refused {service.name}: {done.message}"] += 1
+            scene.client.node.destroy_client(client)
+            scene.go_on(_BROKEN_S)
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,15 @@ import numpy as np
 
 from bench.dummy_predictor import train_dummy
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.data.plan import random_joints
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.identify.calibrate import declared_model, stages
+from longarm_comp.core.identify.uncertainty import with_uncertainty
+from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes.bringup import running
+from longarm_comp.sim.arm_truth import TrueArm
 from soak.faults import (
     BadImages,
     BreakFile,
@@ -27,6 +32,7 @@ from soak.faults import (
     Freeze,
     Hold,
     Kill,
+    LearningStopped,
     PathSent,
     RubbishParameters,
 )
@@ -34,6 +40,8 @@ from soak.scene import Scene
 from soak.setting import NAMESPACE, SoakSettings
 
 Say = Callable[[str, float], None]
+NOISE_M = 2e-4
+"""Of the sightings that the model is of: a good camera's."""
 
 
 def faults(setting: SoakSettings) -> list[Fault]:
@@ -54,6 +62,7 @@ def faults(setting: SoakSettings) -> list[Fault]:
         Freeze("trajectory_compensator", 1.0),
         Flood(),
         PathSent(),
+        LearningStopped(),
         ClockFault("clock stands", rate=0.0),
         ClockFault("clock runs away", rate=10.0),
         ClockFault("clock jumps ahead", jump_s=100.0),
@@ -74,7 +83,7 @@ def soak(
     """
     setting.out.mkdir(parents=True, exist_ok=True)
     arm = Arm.load(setting.arm)
-    save_model(setting.model, store(declared_model(arm)))
+    save_model(setting.model, store(_calibrated(arm, setting.seed)))
     train_dummy(arm, setting.predictor)
     rng = np.random.default_rng(setting.seed)
     whole = 3600.0 * setting.hours
@@ -103,6 +112,15 @@ def soak(
         scene.audit()
         scene.ledger.close()
         return _report(scene, time.monotonic() - begun)
+
+
+def _calibrated(arm: Arm, seed: int) -> Model:
+    """A model that says how well it is known, of sightings of an arm as declared: it can learn."""
+    rng = np.random.default_rng(seed)
+    q = random_joints(arm, 60, rng)
+    seen = TrueArm(arm).tip(q) + NOISE_M * rng.standard_normal((len(q), 3))
+    rows = Session.record(q, seen)
+    return with_uncertainty(dict(stages(declared_model(arm), rows))["geometry"])
 
 
 @contextmanager
@@ -140,7 +158,9 @@ def _report(scene: Scene, seconds: float) -> dict[str, Any]:
         "faults": dict(scene.struck),
         "wrong": dict(ledger.wrong),
         "crashes": crashes,
-        "driver_resets": scene.resets,
+        "driver_resets": scene.resets.total(),
+        "driver_faults": dict(scene.resets),
+        "learned_from": scene.learned_from,
         "driver_refusals": scene.driver_refusals,
         "growth": [{**vars(g), "leaks": g.leaks} for g in growth],
         "leaks_judged": sum(g.judged for g in growth),

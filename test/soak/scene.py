@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -21,6 +22,7 @@ from bench.slow_path import slow_path
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import LEARNED_SAID
 from longarm_comp.nodes.messages import duration, pose_message
 from longarm_comp.nodes.stamps import stamp_ns, stamp_of
 from longarm_comp.nodes.supervisor import Supervisor
@@ -57,8 +59,10 @@ class Scene:
     held_back: int = 0
     driver_refusals: int = 0
     """Trajectories that the driver received and refused."""
-    resets: int = 0
-    """Faults of the driver that no fault of the soak explains: it or its servos got no time."""
+    resets: Counter[str] = field(default_factory=Counter)
+    """Faults of the driver that no fault of the soak explains, by what the driver said."""
+    learned_from: int = 0
+    """Sightings that the kinematics node learned from, the most in one of its lives."""
     _untold: int | None = None
     _aside: set[int] = field(default_factory=set)
     """Stamps of targets that are not in the ledger: their answers may come late."""
@@ -106,6 +110,8 @@ class Scene:
             facts = {pair.key: pair.value for pair in status.values}
             if status.name == f"/{NAMESPACE}/kinematics: targets":
                 self._untold = int(facts["superseded, not told yet"])
+            if status.name == f"/{NAMESPACE}/kinematics: {LEARNED_SAID}":
+                self.learned_from = max(self.learned_from, int(facts["sightings"]))
             if status.name == f"/{NAMESPACE}/servo_driver: arm":
                 before, refused = self._driver, int(facts["refused"])
                 self.driver_refusals += refused - (self._refused if refused >= self._refused else 0)
@@ -249,7 +255,7 @@ class Scene:
         """Reset the driver if the last answer says that it needs it."""
         said, self._answer = self._answer, None
         if said and said.status == Compensation.NO_DRIVER and "reset" in said.message:
-            self.resets += 1
+            self.resets[re.split(r"-?[\[\d]", said.message)[0].strip()] += 1
             self.reset()
 
     def reset(self) -> None:

@@ -66,7 +66,7 @@ class SoakSettings:
                 "seed": self.seed,
                 "wire_faults_hz": self.wire_faults_hz,
             },
-            "kinematics": {"move_time_s": 0.05},
+            "kinematics": {"move_time_s": 0.05, "learning": True},
         }
         return BringUp(
             arm=self.arm,
