@@ -19,7 +19,7 @@ from longarm_comp.sim.hidden.catalogue import (
     OUTSIDE_EVERY_LIBRARY,
     draw,
     hidden,
-    shift,
+    seen_tip,
     typical_context,
 )
 from studies.random_arms import Mix, paper_mix, random_arm
@@ -94,9 +94,10 @@ def test_dose(twin: Arm, name: str) -> None:
     context = typical_context(len(poses), twin, rng)
     effect = draw(name, twin, rng, 3.0, poses)
     assert effect.name == name
+    sound = TrueArm(twin, steps=2).tip(poses, context)  # as sizes are drawn
 
     def rms_mm(dose: float) -> float:
-        moved = shift(effect.scaled(dose), twin, poses, context)
+        moved = seen_tip(effect.scaled(dose), twin, poses, context, sound) - sound
         return 1e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
     assert rms_mm(0.0) < 1e-9

@@ -12,11 +12,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from chessboard import Chessboard
 from stereo_head import rigid_rms
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo import (
-    Chessboard,
     Corners,
     StereoCalibration,
     calibrate_stereo,

@@ -14,7 +14,6 @@ from stereo_head import HEAD, PLATE, TAG, eye_for, marker_pose, pair
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo import (
     CharucoTarget,
-    Chessboard,
     Limits,
     PixelNoise,
     RefusalReason,
@@ -180,7 +179,6 @@ def test_refusals_survive_a_process_boundary() -> None:
         lambda: TagBoard(0.05, dictionary="DICT_5X5"),
         lambda: TagBoard(0.05, columns=8, rows=8, first_id=0),
         lambda: CharucoTarget(0.04, 0.05, 5, 5),
-        lambda: Chessboard(0.02, 7, 5),
         lambda: Limits(seen_share=1.5),
         lambda: Limits(size=0.0),
         lambda: PixelNoise(0.0),

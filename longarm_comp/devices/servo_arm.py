@@ -21,7 +21,6 @@ from longarm_comp.devices.servo_bus import (
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import (
     Accepted,
-    FollowerState,
     KeepsOut,
     Shapes,
     Step,
@@ -224,8 +223,3 @@ class ServoArm:
             if self.bus is not None:
                 self.bus.close()
             self.bus = None
-
-    @property
-    def holding(self) -> bool:
-        """Whether a trajectory has been followed to its end."""
-        return self.follower.state is FollowerState.HOLDING

@@ -9,7 +9,6 @@ from longarm_comp.devices.stereo.pairing import Drop, Pair, Side, StereoPairer
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import (
     CharucoTarget,
-    Chessboard,
     Corners,
     TagBoard,
     Target,
@@ -24,7 +23,6 @@ from longarm_comp.devices.stereo.triangulate import (
 __all__ = [
     "Camera",
     "CharucoTarget",
-    "Chessboard",
     "Corners",
     "Drop",
     "HandEye",

@@ -1,4 +1,4 @@
-"""Printed targets and their corners in an image: tag boards, ChArUco boards, chessboards.
+"""Printed targets and their corners in an image: tag boards and ChArUco boards.
 
 The marker frame of every target: origin in its middle, x to the right, y up as printed, z out of
 the paper towards the viewer; metres.
@@ -153,7 +153,9 @@ class CharucoTarget:
 
     def points(self, ids: NDArray[np.int64]) -> Array:
         """Inner corners (N, 3) m, counted along the rows from the top left."""
-        return _grid(ids, self.columns - 1, self.rows - 1, self.square_m)
+        row, column = np.divmod(ids, self.columns - 1)
+        x, y = column - (self.columns - 2) / 2, (self.rows - 2) / 2 - row
+        return self.square_m * np.column_stack([x, y, np.zeros(len(ids))])
 
     def detect(self, grey: Grey) -> Corners:
         """Inner corners next to tags that were read."""
@@ -182,70 +184,7 @@ class CharucoTarget:
         return cv2.aruco.CharucoDetector(board)
 
 
-@dataclass(frozen=True)
-class Chessboard:
-    """A plain chessboard (for calibration), with `columns` x `rows` inner corners.
-
-    One of the two must be odd and the other even, or the board looks the same upside down.
-    """
-
-    square_m: float
-    columns: int
-    rows: int
-
-    def __post_init__(self) -> None:
-        _check_size("chessboard", square_m=self.square_m)
-        if min(self.columns, self.rows) < 3 or (self.columns + self.rows) % 2 == 0:
-            shape = (self.columns, self.rows)
-            raise InputError("chessboard", "columns, rows", shape, ">= 3, one odd and one even")
-
-    @property
-    def n_corners(self) -> int:
-        """Inner corners."""
-        return self.columns * self.rows
-
-    def points(self, ids: NDArray[np.int64]) -> Array:
-        """Inner corners (N, 3) m, counted along the rows."""
-        return _grid(ids, self.columns, self.rows, self.square_m)
-
-    def detect(self, grey: Grey) -> Corners:
-        """All inner corners or none."""
-        ok, found = cv2.findChessboardCorners(grey, (self.columns, self.rows))
-        if not ok:
-            return _NONE
-        grid = self._ordered(grey, np.asarray(found).reshape(self.rows, self.columns, 2))
-        pixels = np.ascontiguousarray(grid, dtype=np.float32).reshape(-1, 1, 2)
-        steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
-        near = int(np.clip(0.3 * min(steps), 2, 7))
-        stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-3)
-        cv2.cornerSubPix(grey, pixels, (near, near), (-1, -1), stop)
-        half = int(np.clip(0.55 * min(steps), 3, 15))
-        refined = refine_saddles(grey, pixels.reshape(-1, 2).astype(float), half)
-        return Corners(np.arange(self.n_corners), refined)
-
-    @staticmethod
-    def _ordered(grey: Grey, grid: Array) -> Array:
-        """Corners (rows, columns, 2) so that both cameras count from the same one.
-
-        Rows go down where columns go right, and the first inner square is a dark one.
-        """
-        (ax, ay), (bx, by) = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
-        if ax * by - ay * bx < 0.0:
-            grid = grid[::-1]
-        first, second = (grid[:2, i : i + 2].reshape(-1, 2).mean(axis=0) for i in (0, 1))
-        at = np.rint([first, second]).astype(int)
-        smooth = cv2.blur(grey, (5, 5))
-        light = smooth[at[:, 1], at[:, 0]]
-        return grid if light[0] < light[1] else grid[::-1, ::-1]
-
-
 _NONE = Corners(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
-
-
-def _grid(ids: NDArray[np.int64], columns: int, rows: int, square: float) -> Array:
-    row, column = np.divmod(ids, columns)
-    x, y = (column - (columns - 1) / 2) * square, ((rows - 1) / 2 - row) * square
-    return np.column_stack([x, y, np.zeros(len(ids))])
 
 
 def _check_size(what: str, **sizes: float) -> None:

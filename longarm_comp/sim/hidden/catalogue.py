@@ -188,7 +188,7 @@ def draw(
     sound = TrueArm(arm, steps=_STEPS).tip(poses, context)
     dose = 1.0
     for _ in range(8):
-        moved = _tip(effect.scaled(dose), arm, poses, context, sound) - sound
+        moved = seen_tip(effect.scaled(dose), arm, poses, context, sound) - sound
         size = 1e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
         if size == 0.0:
             raise InputError("hidden effect", "name", name, "an effect that moves this arm")
@@ -198,13 +198,7 @@ def draw(
     return effect.scaled(dose)
 
 
-def shift(effect: Hidden, arm: Arm, poses: Array, context: TrueContext) -> Array:
-    """Shift of the seen tip by one effect, (N, 3) m in the base frame."""
-    sound = TrueArm(arm, steps=_STEPS).tip(poses, context)
-    return _tip(effect, arm, poses, context, sound) - sound
-
-
-def _tip(effect: Hidden, arm: Arm, poses: Array, context: TrueContext, sound: Array) -> Array:
+def seen_tip(effect: Hidden, arm: Arm, poses: Array, context: TrueContext, sound: Array) -> Array:
     """Seen tip (N, 3) with one effect; `sound` is the tip without it."""
     if isinstance(effect, CameraEffect):
         return TrueCamera.of(arm, [effect]).seen(sound, State.of(arm, poses, context).t_s)
