@@ -17,6 +17,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_compliance import BaseCompliance
 from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.camera_drift import CameraDrift
+from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.joint_gain import JointGain
@@ -24,9 +25,8 @@ from longarm_comp.core.effects.shapes import Legendre, Linear, Square, Switch
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
 from longarm_comp.core.identify.discover.causes import Cause, causes
-from longarm_comp.core.identify.discover.functions import SWITCH, Functions, switch
+from longarm_comp.core.identify.discover.functions import Functions, switch
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
 from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
@@ -249,12 +249,12 @@ def test_of_three_positions_only_lines_are_tried() -> None:
 def test_poses_lie_in_the_gap_of_a_switch() -> None:
     fitted = calibrated(SMALL, measured(SMALL, (), 40, 1))
     flip = Function((Switch("q2", 0.2, 1.2, 0.7, 0.05),))
-    guess = Hypothesis(((Spot("joint 2", "turn z"), flip),), (1.0,), SWITCH, 0.0)
+    guess = Discovered("joint 2", "turn z", flip.text, flip.domain)
     assert doubts(fitted, [guess]) == ("it changes over somewhere between q2 0.65 and 0.75",)
     poses = proposed(fitted, [guess], seed=1)
     assert len(poses) == POSES
     assert (np.abs(poses[:, 1] - 0.7) < 0.05).all()
-    smooth = Hypothesis(((Spot("joint 2", "turn z"), Function(())),), (1.0,), SWITCH, 0.0)
+    smooth = Discovered("joint 2", "turn z")
     assert doubts(fitted, [smooth]) == ()
     assert proposed(fitted, [smooth], seed=1).shape == (0, SMALL.n)
 

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from demo_rows import session_of
 from discover_rows import DEMO, ROWS, calibrated, measured
+from hidden_arm import at
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.effect import parameter
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.servo_droop import ServoDroop
+from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.evidence import columns_at
@@ -26,6 +31,7 @@ from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import offered, tolerances
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.model.model import Model
+from longarm_comp.sim.hidden import drives
 from studies.outside import PumpShake, RubberStop
 
 KINDS = (JointCompliance, JointGain, GearEccentricity, ServoDroop)
@@ -50,6 +56,26 @@ def test_every_name_is_as_likely_and_functions_have_a_twentieth() -> None:
     assert len({o.log_prior for o in forms}) == 1
     assert bank.known == ()
     assert bank.standing == pytest.approx(bank.base)
+
+
+@dataclasses.dataclass(frozen=True)
+class SmallGain(JointGain):
+    """That is hardly possible."""
+
+    name: ClassVar[str] = "small_gain"
+
+    gain: float = parameter("1", "extra motion", prior=0.05, lower=-0.01, upper=0.02)
+
+
+def test_an_offer_pays_for_its_form_and_keeps_to_its_bounds() -> None:
+    rows = session_of(DEMO, 2)
+    fitted = fit(Model(DEMO, (LinkDeflection(),)), rows)
+    odd = ServoQuantisation.of_step(DEMO, 1, 0.01)
+    tried = [Candidate(t.name, (t,)) for t in (odd, SmallGain(2))]
+    bank = offered(fitted, columns_at(fitted), tried, (), (), 0.01).bank
+    assert bank.offers[0].log_prior == pytest.approx(math.log(0.95 / 2) - odd.price(DEMO))
+    (k,) = bank.offers[1].places
+    assert (bank.lower[k], bank.upper[k]) == (pytest.approx(-0.2), pytest.approx(0.4))
 
 
 def planted(seed: int = 2) -> tuple[ModelFit, FoundEffect]:
@@ -136,6 +162,26 @@ def test_functions_on_offer_are_the_best_and_none_is_of_geometry() -> None:
     still = [p for p in made if all(t.function == "1" for t in p.terms)]  # type: ignore[union-attr]
     for p in still:
         assert not any(t.where.split(", ")[1].startswith(("move", "turn")) for t in p.terms)
+
+
+def test_a_joint_far_off_its_zero_is_no_function() -> None:
+    """Fifteen tolerances: a constant turn of the joint would have much evidence."""
+    rows = measured(SMALL, (), ROWS, 3)
+    moved = dataclasses.replace(rows, q=rows.q + np.array([0.0, 0.06, 0.0, 0.0]))
+    for p in propositions(calibrated(SMALL, moved), ()):
+        parts = {t.where.split(", ")[1][:4] for t in p.terms}
+        assert not ({t.function for t in p.terms} == {"1"} and parts <= {"move", "turn"})  # type: ignore[union-attr]
+
+
+def test_functions_are_on_offer_in_the_place_of_what_was_found() -> None:
+    """On top of the gain nothing is left to explain."""
+    rows = measured(SMALL, (drives.JointGain(at(2, 0.02)),), ROWS, 3)
+    bare = calibrated(SMALL, rows)
+    whole = fit(bare.model.plus(JointGain(2)), rows)
+    named = Candidate("joint_gain", (JointGain(2),))
+    made = [propositions(whole, found) for found in ((), (named,))]
+    same = [any(t.place == "joint 2, turn z, linear(q2)" for p in m for t in p.terms) for m in made]
+    assert same == [False, True]
 
 
 def test_a_unit_of_a_functions_prior_moves_the_rows_by_one_noise() -> None:

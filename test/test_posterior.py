@@ -205,6 +205,15 @@ def test_one_form_at_a_place(columns: np.ndarray) -> None:
     assert whole.beside(frozenset({"four"})) is whole
 
 
+def test_no_second_effect_takes_a_place_that_is_held(across: np.ndarray) -> None:
+    """Two forms at one place, each of which explains a part; elsewhere both would be there."""
+    y = across[:, :2] @ [2.0, 2.0]
+    forms = [single("a", 0), single("b", 1)]
+    here = [dataclasses.replace(form, keys=("joint 2",)) for form in forms]
+    assert len(explain(bank(y, across[:, :2], forms, UNBOUND[:2])).effects) == 2
+    assert len(explain(bank(y, across[:, :2], here, UNBOUND[:2])).effects) == 1
+
+
 # ------------------------------------------------------------------ planted on the small arm
 
 

@@ -39,6 +39,13 @@ def case(group: str = "single", effects: tuple[str, ...] = ("backlash",), **othe
     return Case(group, effects, **{**plain, **other})
 
 
+def test_soft_beams_are_told_from_a_load_that_bends_them(arm):
+    """Columns tell a part only: each rival is fitted, and what fits better begins anew."""
+    soft = case(effects=("link_stiffness",), one_place=False, rows=300)
+    found = loop.run_case(soft, arm)["result"]
+    assert (found["verdict"], found["found"]) == ("named", [["link_stiffness"]])
+
+
 def test_a_design_holds_every_combination_once():
     design = Design(plans=("grid", "sobol"), arms=2, repeats=3, pairs=190)
     cases = design.cases()

@@ -20,7 +20,7 @@ from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import OUTLIER
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.explain import explain_session
-from longarm_comp.core.identify.thresholds import retuned
+from longarm_comp.core.identify.posterior.forms import retuned
 from longarm_comp.core.model.model import Model
 
 PLAY = Backlash(6, gate=0.1, blend=0.01, width=0.03)

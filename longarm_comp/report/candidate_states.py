@@ -8,13 +8,9 @@ from typing import Any
 
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import (
-    IMPLAUSIBLE,
-    columns_at,
-    marginal_without,
-    score,
-)
-from longarm_comp.core.identify.visible_size import Smallest, detectable
+from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.posterior.offers import evidence_of_each
+from longarm_comp.core.identify.visible_size import IMPLAUSIBLE, Smallest, detectable
 
 Label = tuple[str, str]
 
@@ -64,9 +60,8 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
     accepted = {}
     for term in result.chosen:
         single = Candidate(term.name, (term,))
-        gain = score(
-            result.fit, marginal_without(result.fit, columns, {term.key}), single, columns
-        ).log_bayes_factor
+        rest = columns.without({term.key})
+        gain = float(evidence_of_each(result.fit, rest, columns, [single])[0])
         form = f", {_form(single)}" if single.form else ""
         state, why = "accepted", f"log Bayes factor {gain:.1f} on top of the rest{form}"
         if term.key not in {t.key for t in diagnosis.model.terms}:

@@ -19,8 +19,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model, Slot, slots_of
 
 Key = tuple[str, str]
-WIDEST = 3
-"""Parameters of an effect that may change, at most: those first that it declares first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +30,7 @@ class Parameters:
         absent: effects that it does not hold, at none.
         slots: of the model, then of these.
         keys: (C,) effect and place of every possible change.
-        places: (C, `WIDEST`) positions of its numbers; -1 where it has fewer.
+        places: (C, k) positions of its numbers; -1 where it has fewer than k.
         log_prior: (C,) of it, given that something changes: every name as likely as any other,
             and every place of it.
     """
@@ -55,9 +53,8 @@ class Parameters:
             if slot.owner.searched and not slot.owner.geometry and not slot.owner.passing:
                 at.setdefault(slot.owner.key, []).append(k)
         keys = tuple(at)
-        places = np.full((len(keys), WIDEST), -1)
-        for row, key in enumerate(keys):
-            mine = at[key][:WIDEST]
+        places = np.full((len(keys), max(map(len, at.values()), default=0)), -1)
+        for row, mine in enumerate(at.values()):
             places[row, : len(mine)] = mine
         names = Counter(name for name, _ in keys)
         prior = np.array([-math.log(len(names) * names[name]) for name, _ in keys])

@@ -20,11 +20,13 @@ from longarm_comp.core.at_work.posterior import NEGLIGIBLE, RecursivePosterior, 
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 
 MOST = 4
-"""Explanations that are carried along."""
+"""Explanations that are carried along: each costs as much time as the first."""
 KEPT = 0.99
-"""Probability that these must have among all, so that the others may be forgotten."""
+"""Probability that these must have among all, so that the others may be forgotten: as
+sure as that a sighting is right (`learner.DOUBT`)."""
 FEWEST, LATEST = 2, 15
-"""Sightings of a change after which posteriors part: at least, and whatever is left out."""
+"""Sightings of a change after which posteriors part: at least, as one alone may be wrong, and
+whatever is left out, as its jump is then known four times better than by one."""
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,11 @@ from longarm_comp.core.yaml_file import Declared
 DOUBT = 0.01
 """Probability that a sighting is wrong: of another point, or of an arm that still moves."""
 STEP_M = 2e-3
-"""Largest step of the tip by one sighting's learning."""
+"""Largest step of the tip by one sighting's learning, m: a wrong one moves no command by
+more."""
 WORTH = 0.1
-"""Step, in standard deviations of a sighting, from which on another model is served."""
+"""Step, in standard deviations of a sighting, from which on another model is served: less is
+lost in what scatters."""
 
 
 class Named(Declared):

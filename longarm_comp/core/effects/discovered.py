@@ -32,7 +32,7 @@ from longarm_comp.core.effects.quantities import (
 from longarm_comp.core.effects.shapes import LARGEST, FunctionError
 from longarm_comp.core.errors import InputError
 
-DISTANCE = "distance"
+CAMERA, DISTANCE = "camera", "distance"
 
 
 def views(arm: Arm) -> list[str]:
@@ -156,6 +156,8 @@ class DiscoveredView(_OfFunction, Bias):
     action: ClassVar[str] = "Check mount, lenses and calibration of the camera."
     searched: ClassVar[bool] = False
 
+    at: ClassVar[str] = CAMERA
+
     axis: str = place(views, default="x")
     function: str = place(default="1")
     domain: str = place(default="")
@@ -163,9 +165,14 @@ class DiscoveredView(_OfFunction, Bias):
     amount: float = parameter("of its function", "displacement of what is seen", prior=1e-3)
 
     @property
+    def component(self) -> str:
+        """Its axis, or `DISTANCE`."""
+        return self.axis
+
+    @property
     def where(self) -> str:
         """``camera, x``."""
-        return f"camera, {self.axis}"
+        return f"{self.at}, {self.axis}"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The amount, in m, or as a share of the distance, per unit of the function."""

@@ -20,7 +20,7 @@ from longarm_comp.core.identify.diagnosis import (
     WITH_FUNCTIONS,
     Diagnosis,
 )
-from longarm_comp.core.identify.discover.causes import causes, hypothesis
+from longarm_comp.core.identify.discover.causes import causes
 from longarm_comp.core.identify.discover.propose import doubts, proposed
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.findings import findings
@@ -124,7 +124,8 @@ def diagnose(
         say("network")
         learned = train_network(final.model, final.session.take(final.weights > 0))
         network = learned if learned.gain.helps else None
-    unnamed = [hypothesis(f.terms) for f in found.found if f.unnamed]
+    without_name = causes(found.fit, found.found)
+    unnamed = [t for cause in without_name for t in cause.terms]
     say("next poses")
     models = {
         "nominal": standing(nominal, train)[0],
@@ -143,7 +144,7 @@ def diagnose(
         arm=arm,
         search=found,
         findings=named,
-        causes=causes(found.fit, found.found),
+        causes=without_name,
         fits=fits,
         expected=expected,
         written=written,

@@ -11,8 +11,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
-from longarm_comp.core.identify.evidence import columns_at, neighbours
+from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.model_fit import ModelFit, priors
+from longarm_comp.core.identify.posterior.forms import neighbours
 
 RESAMPLES = 300
 """Draws of the bootstrap: a standard deviation is then known to 4 %."""

@@ -13,6 +13,7 @@ from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
 
 POOL = 512
+"""Poses that are looked at: of six joints each has three values then."""
 
 
 @dataclass(frozen=True)

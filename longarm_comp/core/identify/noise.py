@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,20 +42,6 @@ class NoiseEstimate:
     source: str
     rho: float
     degrees: float
-
-    @property
-    def unevenness(self) -> float:
-        """Largest over smallest of the first three channels, the axes of a position."""
-        axes = self.sigma[:3]
-        return float(axes.max() / axes.min()) if np.isfinite(axes).all() else 1.0
-
-    def without(self, fit: ModelFit, parts: Sequence[np.ndarray]) -> NoiseEstimate:
-        """The noise beside parts (N, d) of a fit's residual that are known not to be noise."""
-        if not parts:
-            return self
-        left = fit.residual - np.sum(parts, axis=0)
-        sigma = linear.spread(left, fit.weights, fit.effective, fit.session.mask)
-        return dataclasses.replace(self, sigma=np.minimum(self.sigma, sigma))
 
 
 def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:

@@ -37,6 +37,7 @@ AHEAD = 20
 WIDEST = 1.0
 """Standard deviation (m, rad) of what nothing is known of: any pose tells it better."""
 PASSES = 2
+"""Times at most that every pose is exchanged: each costs as much as the first choice."""
 
 
 @dataclass(frozen=True, eq=False)

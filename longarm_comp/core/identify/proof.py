@@ -18,6 +18,7 @@ from longarm_comp.core.model.model import Model
 NETWORK = "with_network"
 """Name of the stage with a learned correction on top of the model."""
 RESAMPLES = 2000
+"""Draws of a bootstrap: 50 of them lie beyond either end of a 95 % interval."""
 BLOCKS = 20
 """Blocks of rows that a paired bootstrap draws; at 20 a 95 % interval is known to a tenth."""
 

@@ -20,6 +20,7 @@ from longarm_comp.core.identify.model_fit import ModelFit
 
 PERMUTATIONS = 400
 SIGNIFICANT = 0.005
+"""Chance of structure where there is none; 400 permutations tell half of it."""
 MOST_GROUPS = 40
 """Groups that count as the structure, at most; those above a third of the strongest are named."""
 WORTH = 0.25

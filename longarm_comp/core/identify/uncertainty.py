@@ -45,6 +45,8 @@ HALVINGS = 30
 MOST_STRETCH, STRETCHES = 1e4, 13
 """Variance over the posterior's, at most: a hundred standard deviations; how many are tried."""
 GROWTHS = (1.0, 1.5)
+"""Powers of the posterior's variance: what a form lacks grows as the posterior does, or as a term
+of one order more (`Stretch`)."""
 
 
 def with_uncertainty(fit: ModelFit) -> Model:

@@ -8,16 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.identify.candidates import Candidate, distinct
-from longarm_comp.core.identify.evidence import (
-    IMPLAUSIBLE,
-    FitColumns,
-    FitMarginal,
-    columns_at,
-    rms_shift,
-    score,
-)
+from longarm_comp.core.identify.candidates import Candidate
+from longarm_comp.core.identify.evidence import FitMarginal, columns_at, rms_shift
 from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.posterior.offers import evidence_of_each
+
+IMPLAUSIBLE = 5.0
+"""Prior standard deviations beyond which nobody believes a size."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +39,12 @@ class Smallest:
         return self.size <= IMPLAUSIBLE
 
 
-def smallest(
-    fit: ModelFit,
-    marginal: FitMarginal,
-    columns: FitColumns,
-    candidate: Candidate,
-    threshold: float,
-) -> Smallest:
-    """Smallest size whose expected log Bayes factor reaches the threshold, noise apart.
+def detectable(
+    fit: ModelFit, candidates: Sequence[Candidate], threshold: float
+) -> tuple[Smallest, ...]:
+    """Of candidates on top of everything that was fitted, in the order given.
 
+    The smallest size is the one whose expected log Bayes factor reaches the threshold, noise apart.
     With ``S = B'PB`` of the k prior-scaled columns, parameters drawn with a standard deviation
     of c priors give ``E[t'(I+S)^-1 t] = c^2 tr(S (I+S)^-1 S)``; c solves
     ``c^2 tr(S (I+S)^-1 S) / 2 - ln|I+S| / 2 = threshold``.  An effect without parameters has
@@ -58,33 +52,25 @@ def smallest(
 
     Args:
         fit: whose rows, noise and weights count.
-        marginal: what is in the model already.
-        columns: of candidates at the fit's rows.
-        candidate: the hypothesis.
+        candidates: the hypotheses.
         threshold: log Bayes factor to reach.
     """
-    scored = score(fit, marginal, candidate, columns).log_bayes_factor
-    if candidate.slots(fit.model.arm):
-        raw = columns.of(candidate.terms)
-    else:
-        raw = columns.shift(candidate.terms)[..., None]
-    b = fit.whitened(raw)
-    s = b.T @ marginal.project(b)
-    values = np.clip(np.linalg.eigvalsh((s + s.T) / 2), 0.0, None)
-    if candidate.slots(fit.model.arm):
-        gain = float((values**2 / (1.0 + values)).sum())
-        need = 2.0 * threshold + float(np.log1p(values).sum())
-        size = math.sqrt(need / gain) if gain > 1e-12 else math.inf
-    else:
-        size = 1.0 if values.sum() / 2.0 >= threshold else math.inf
-    length = rms_shift(fit, raw)
-    return Smallest(candidate, scored, size, size * length if length else math.inf)
-
-
-def detectable(
-    fit: ModelFit, candidates: Sequence[Candidate], threshold: float
-) -> tuple[Smallest, ...]:
-    """`smallest` of candidates on top of everything that was fitted, in the order given."""
     columns, marginal = columns_at(fit), FitMarginal(fit)
-    columns.prepare(distinct(candidates))
-    return tuple(smallest(fit, marginal, columns, c, threshold) for c in candidates)
+    worth = evidence_of_each(fit, marginal, columns, candidates).tolist()
+    made = []
+    for candidate, factor in zip(candidates, worth, strict=True):
+        free = candidate.slots(fit.model.arm)
+        raw = columns.of(candidate.terms) if free else columns.shift(candidate.terms)[..., None]
+        b = fit.whitened(raw)
+        s = b.T @ marginal.project(b)
+        values = np.clip(np.linalg.eigvalsh((s + s.T) / 2), 0.0, None)
+        gain = float((values**2 / (1.0 + values)).sum())
+        if not free:
+            size = 1.0 if values.sum() / 2.0 >= threshold else math.inf
+        elif gain > 1e-12:
+            size = math.sqrt((2.0 * threshold + float(np.log1p(values).sum())) / gain)
+        else:
+            size = math.inf
+        length = rms_shift(fit, raw)
+        made.append(Smallest(candidate, factor, size, size * length if length else math.inf))
+    return tuple(made)

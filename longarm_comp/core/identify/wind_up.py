@@ -27,10 +27,9 @@ from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_residual
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
+from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.model.model import Model
 
-ODDS = math.log(20.0)
-"""Memory must be this much (log) more probable than the side alone, after paying for the search."""
 RUN_UPS = (0.02, 0.035, 0.05, 0.07, 0.1)
 """Lengths that are tried first (rad); the data hardly tell a factor of 1.5."""
 NEAR = (0.65, 0.85, 1.2)
@@ -40,7 +39,9 @@ FAR = (0.08, 0.15, 0.28)
 FARTHEST = 0.6
 """Largest radius (rad)."""
 _FINER = (1.25, 1.1, 1.04)
+"""Steps of the search, as factors; the last is finer than the data tell a radius."""
 _WORTH = 0.1
+"""Log evidence that a step must bring: less is no reason to go on."""
 AnyTerm = TypeVar("AnyTerm", bound=Effect | Bias)
 
 
@@ -110,7 +111,7 @@ def wind_up(
     evidence = _Evidence.of_library(model, rows, candidates, terms)
     best = evidence.searched()
     tried = len(RUN_UPS) * len(NEAR) * len(FAR)
-    return best if best.log_bayes_factor > math.log(tried) + ODDS else None
+    return best if best.log_bayes_factor > math.log(tried) + NONE else None
 
 
 def refined(

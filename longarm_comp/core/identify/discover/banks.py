@@ -9,7 +9,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.effects.components import components, stations
-from longarm_comp.core.effects.discovered import DISTANCE, Discovered, DiscoveredView, views
+from longarm_comp.core.effects.discovered import CAMERA, DISTANCE, Discovered, DiscoveredView, views
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
 from longarm_comp.core.identify.discover.bank import Bank, Spot
@@ -18,7 +18,6 @@ from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import slots_of
 
-CAMERA = "camera"
 _STILL = 1e-12
 """Motion (m, rad) by a unit below which a component does nothing there."""
 

@@ -7,16 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
-from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.discovered import CAMERA
 from longarm_comp.core.identify.discover import words
-from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
-from longarm_comp.core.identify.discover.banks import CAMERA
-from longarm_comp.core.identify.discover.functions import CONSTANT
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
-
-Term = Effect | Bias
 
 
 @dataclass(frozen=True)
@@ -49,7 +43,7 @@ class Cause:
         compensated: whether commands correct for it; never what the camera alone sees.
     """
 
-    terms: tuple[Term, ...]
+    terms: tuple[words.Found, ...]
     where: tuple[str, ...]
     names: tuple[tuple[str, float], ...]
     formula: str
@@ -78,47 +72,36 @@ def causes(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Cause, ...]:
     return tuple(sorted(made, key=lambda c: -c.tip_m[0]))
 
 
-def hypothesis(terms: Sequence[Term]) -> Hypothesis:
-    """Places and functions of terms."""
-    members = []
-    for t in terms:
-        if isinstance(t, Discovered):
-            members.append((Spot(t.at, t.component), t.of))
-        elif isinstance(t, DiscoveredView):
-            members.append((Spot(CAMERA, t.axis), t.of))
-    return Hypothesis(tuple(members), (1.0,) * len(members), CONSTANT, 0.0)
-
-
 def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
     places = {t.key for t in found.terms}
     held = [(i, s) for i, s in enumerate(fit.slots) if s.owner.key in places]
-    of = hypothesis([s.owner for _, s in held])
+    terms = tuple(s.owner for _, s in held if isinstance(s.owner, words.Found))
     amounts, shift = [], np.zeros(fit.residual.shape)
-    for (place, function), (i, slot) in zip(of.members, held, strict=True):
+    for term, (i, slot) in zip(terms, held, strict=True):
         value = float(getattr(slot.owner, slot.parameter.name))
         error = float(fit.standard_errors[i])
         shift = shift + value * fit.columns[..., i]
-        amounts.append((words.where(place), function.formula, value, error, slot.parameter.unit))
+        amounts.append((words.where(term), term.of.formula, value, error, slot.parameter.unit))
     size = np.linalg.norm(shift * fit.metres, axis=1)
     return Cause(
-        tuple(slot.owner for _, slot in held),
-        _places(of, found),
+        terms,
+        _places(terms, found),
         tuple((name, p) for name, p in found.names if name != found.name and p > 1 - CREDIBLE),
-        words.formula(of, [(v, e, u) for _, _, v, e, u in amounts]),
-        words.reading(of),
-        tuple(words.domain(of)),
-        tuple(dict.fromkeys(s.of for f in of.functions for s in f.factors)),
+        words.formula(terms, [(v, e, u) for _, _, v, e, u in amounts]),
+        words.reading(terms),
+        tuple(words.domain(terms)),
+        tuple(dict.fromkeys(s.of for t in terms for s in t.of.factors)),
         tuple(Coefficient(w, f, v, (v - 1.96 * e, v + 1.96 * e), u) for w, f, v, e, u in amounts),
         found.log_bayes_factor,
         found.there,
         (float(np.sqrt((size**2).mean())), float(size.max())),
-        all(p.at != CAMERA for p, _ in of.members),
+        all(t.at != CAMERA for t in terms),
     )
 
 
-def _places(of: Hypothesis, found: FoundEffect) -> tuple[str, ...]:
+def _places(terms: Sequence[words.Found], found: FoundEffect) -> tuple[str, ...]:
     """Where it may act: the place in the model, then others of the credible set."""
-    mine = dict.fromkeys(words.where(p) for p, _ in of.members)
+    mine = dict.fromkeys(map(words.where, terms))
     first = " and ".join(mine)
     made, total = {first: None}, 0.0
     for places, chance in found.where:
@@ -126,4 +109,4 @@ def _places(of: Hypothesis, found: FoundEffect) -> tuple[str, ...]:
             break
         total += chance
         made.setdefault(" and ".join(places))
-    return (*dict.fromkeys((first, *words.seen_alike(of), *made)),)
+    return (*dict.fromkeys((first, *words.seen_alike(terms), *made)),)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -139,13 +139,9 @@ class _Screen:
     def _singles(self, count: int) -> Iterator[Hypothesis]:
         of = self.of
         t, s, size2 = (part[:, of.chosen] for part in (self.t, self.s, of.size2))
-        most = np.where(self.usable[:, of.chosen], t**2 / (2.0 * s) + of.prior, -np.inf)
-
-        def exact(k: np.ndarray, j: np.ndarray) -> np.ndarray:
-            return rank_one(t[k, j], s[k, j], size2[k, j]) + of.prior[j]
-
+        worth = np.where(self.usable[:, of.chosen], rank_one(t, s, size2) + of.prior, -np.inf)
         for wanted in (of.sharp, ~of.sharp):
-            for k, j in _best(np.where(wanted, most, -np.inf), count, exact):
+            for k, j in _top(np.where(wanted, worth, -np.inf), count):
                 group = of.singles[j]
                 member = (self.bank.places[k], self.bank.functions.listed[of.chosen[j]])
                 yield Hypothesis((member,), (1.0,), group.family, float(of.prior[j]))
@@ -226,26 +222,6 @@ class _Screen:
 
 def _outer(rows: np.ndarray) -> np.ndarray:
     return np.asarray(rows @ np.swapaxes(rows, 1, 2))
-
-
-def _best(
-    most: np.ndarray, count: int, exact: Callable[[np.ndarray, np.ndarray], np.ndarray]
-) -> list[tuple[int, int]]:
-    """Places of the largest entries of a table that is dear, best first.
-
-    Args:
-        most: what each entry is at most; minus infinity where it is none.
-        count: how many.
-        exact: the entries at some rows and columns.
-    """
-    flat = most.ravel()
-    first = np.array(_top(most, 4 * count), dtype=int).reshape(-1, 2)
-    least = np.sort(exact(first[:, 0], first[:, 1]))[-min(count, len(first)) :][:1]
-    rows, columns = np.divmod(np.flatnonzero(flat >= (least[0] if len(least) else np.inf)),
-                              most.shape[1])  # fmt: skip
-    values = exact(rows, columns)
-    order = np.argsort(-values, kind="stable")[:count]
-    return [(int(rows[i]), int(columns[i])) for i in order]
 
 
 def _top(table: np.ndarray, count: int) -> list[tuple[int, int]]:

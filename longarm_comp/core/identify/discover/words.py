@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import floor, log10
 
@@ -16,6 +16,7 @@ from longarm_comp.core.effects.components import (
     Weight,
     Wrench,
 )
+from longarm_comp.core.effects.discovered import CAMERA, Discovered, DiscoveredView
 from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.quantities import (
     Gravity,
@@ -30,10 +31,11 @@ from longarm_comp.core.effects.quantities import (
     Warmth,
 )
 from longarm_comp.core.effects.shapes import Above, Below, Cosine, Shape, Sine, Switch
-from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
-from longarm_comp.core.identify.discover.banks import CAMERA
 
 TIME = "t_s"
+Found = Discovered | DiscoveredView
+MEASURED = "what is measured"
+"""Where a cause on the measuring side is, for people."""
 
 
 @dataclass(frozen=True)
@@ -41,18 +43,20 @@ class Traits:
     """What readings are chosen by.
 
     Attributes:
-        places: of its members.
-        shapes: all shapes of its functions.
+        terms: its members.
     """
 
-    places: tuple[Spot, ...]
-    shapes: tuple[Shape, ...]
+    terms: Sequence[Found]
 
-    @classmethod
-    def of(cls, candidate: Hypothesis) -> Traits:
-        """The traits of a candidate."""
-        places = tuple(dict.fromkeys(p for p, _ in candidate.members))
-        return cls(places, tuple(s for f in candidate.functions for s in f.factors))
+    @property
+    def shapes(self) -> list[Shape]:
+        """All shapes of its functions."""
+        return [s for t in self.terms for s in t.of.factors]
+
+    @property
+    def places(self) -> dict[tuple[str, str], None]:
+        """Places and components of its members."""
+        return dict.fromkeys((t.at, t.component) for t in self.terms)
 
     def quantity(self, *kinds: type[Quantity]) -> bool:
         """Whether it depends on a quantity of some kinds."""
@@ -68,13 +72,13 @@ class Traits:
 
     def acts(self, kind: type) -> bool:
         """Whether all its components are of a kind."""
-        found = [COMPONENTS.get(p.component) for p in self.places]
+        found = [COMPONENTS.get(t.component) for t in self.terms]
         return all(isinstance(c, kind) for c in found)
 
     @property
     def camera(self) -> bool:
         """Whether it is on the measuring side."""
-        return any(p.at == CAMERA for p in self.places)
+        return any(t.at == CAMERA for t in self.terms)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -131,49 +135,45 @@ READINGS = (
 """What fits, the most telling first."""
 
 
-def reading(candidate: Hypothesis) -> str:
-    """What it behaves like; never what it is."""
-    traits = Traits.of(candidate)
+def reading(terms: Sequence[Found]) -> str:
+    """What terms behave like together; never what they are."""
+    traits = Traits(terms)
     words = next((r.words for r in READINGS if r.fits(traits)), "no known cause")
     return f"behaves like {words}" if words != "no known cause" else words
 
 
-def formula(candidate: Hypothesis, amounts: list[tuple[float, float, str]]) -> str:
+def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> str:
     """``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``, one part a member.
 
     Args:
-        candidate: what was found.
+        terms: what was found.
         amounts: value, standard error and unit of each member.
     """
     by_place: dict[str, list[str]] = {}
-    for (place, function), amount in zip(candidate.members, amounts, strict=True):
-        by_place.setdefault(where(place), []).append(_part(function, *amount))
+    for term, amount in zip(terms, amounts, strict=True):
+        by_place.setdefault(where(term), []).append(_part(term.of, *amount))
     return "; ".join(f"{place}: {' + '.join(parts)}" for place, parts in by_place.items())
 
 
-def where(place: Spot) -> str:
+def where(term: Found) -> str:
     """``joint 5, force y``; ``what is measured, x``."""
-    if place.at == CAMERA:
-        return f"what is measured, {place.component}"
-    return f"{place.at}, {place.component}"
+    return f"{MEASURED if term.at == CAMERA else term.at}, {term.component}"
 
 
-def seen_alike(candidate: Hypothesis) -> list[str]:
+def seen_alike(terms: Sequence[Found]) -> list[str]:
     """What the camera may see in its place: a shift of all points, wherever the arm stands."""
-    traits = Traits.of(candidate)
-    moved = all(p.at == BASE_PLACE and p.component.startswith(Move.word) for p in traits.places)
+    traits = Traits(terms)
+    moved = all(t.at == BASE_PLACE and t.component.startswith(Move.word) for t in terms)
     recorded = all(isinstance(s.quantity, (Recorded, Warmth)) for s in traits.shapes)
     if not (moved and recorded and traits.shapes):
         return []
-    axes = ", ".join(p.component.split(" ")[1] for p in traits.places)
-    return [where(Spot(CAMERA, axes))]
+    axes = ", ".join(component.split(" ")[1] for _, component in traits.places)
+    return [f"{MEASURED}, {axes}"]
 
 
-def domain(candidate: Hypothesis) -> list[str]:
+def domain(terms: Sequence[Found]) -> list[str]:
     """``q2 0..0.52 rad`` of every quantity: outside, it counts as at the end."""
-    held = {
-        s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for f in candidate.functions for s in f.factors
-    }
+    held = {s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for s in Traits(terms).shapes}
     return list(held.values())
 
 

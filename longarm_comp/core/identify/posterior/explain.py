@@ -17,22 +17,21 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
-from longarm_comp.core.identify.evidence import FitColumns, columns_at, refined
+from longarm_comp.core.identify.evidence import FitColumns, columns_at
 from longarm_comp.core.identify.fit import fit, unfitted
+from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
+from longarm_comp.core.identify.posterior.forms import refined, retuned
 from longarm_comp.core.identify.posterior.found import CREDIBLE, Explained, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import TOLERANCES, offered
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.identify.step_scan import UnknownStep, scan
-from longarm_comp.core.identify.thresholds import retuned
 from longarm_comp.core.model.model import Model
 
 Functions = Callable[[ModelFit, Sequence[FoundEffect]], tuple[Proposition, ...]]
-LOOSE = 3.0
-"""Times the amount of a function that its prior must reach, so that it hardly pulls at it."""
 ROUNDS = 8
 """Of posterior and fit, at most, of the library and then of functions; three are usual."""
 REFORMED = 3
@@ -333,9 +332,7 @@ class _Search:
         better = retuned(state.fit, state.columns, fitted)
         if better is not fitted:
             return better
-        marginal = state.columns.without({term.key})
-        best = refined(state.fit, marginal, state.columns, term, self.candidates)
-        return best.candidate.terms[0]
+        return refined(state.fit, state.columns, term, self.candidates)
 
 
 def _loose(found: FoundEffect) -> FoundEffect:

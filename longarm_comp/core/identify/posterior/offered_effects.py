@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
 
@@ -13,7 +14,6 @@ from scipy.special import expit
 
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.discover.inputs import levels_of
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.ascent import Explanation, explain
 from longarm_comp.core.identify.posterior.found import (
@@ -35,34 +35,26 @@ LOOKED_AT = 1e-4
 of an offer's coefficients it may be as much too low."""
 
 
+@dataclass(frozen=True, eq=False)
 class OfferedEffects:
     """The bank of a fit.
 
-    Args:
+    Attributes:
         things: candidates, in the order of the bank's offers.
         bank: the offers.
-        bank: the offers.
         widths: (K,) units of the bank's columns.
-        columns: of candidates at the fit's rows.
         known: offers that were found before.
         base: log evidence of nothing.
         tolerance: share of its own shift by which the form of what is in the model may err.
     """
 
-    def __init__(
-        self,
-        fitted: ModelFit,
-        things: Sequence[Candidate],
-        bank: OfferBank,
-        widths: np.ndarray,
-        columns: FitColumns,
-        known: Sequence[int] = (),
-        base: float = 0.0,
-        tolerance: float = 0.0,
-    ) -> None:
-        self.known, self.base, self.tolerance = tuple(known), base, tolerance
-        self.fitted, self.things, self.bank, self.widths = fitted, tuple(things), bank, widths
-        self.columns = columns
+    fitted: ModelFit
+    things: Sequence[Candidate]
+    bank: OfferBank
+    widths: np.ndarray
+    known: tuple[int, ...] = ()
+    base: float = 0.0
+    tolerance: float = 0.0
 
     def explained(self) -> Explained:
         """The posterior over the offers."""
@@ -240,8 +232,6 @@ class OfferedEffects:
 
         But for those that readings of joints tell apart.
         """
-        arm, rows = self.fitted.model.arm, self.fitted.session.read_joints
-        read = [arm.commanded[k] for k in rows]
         made: dict[str, set[str]] = {}
         arm = self.fitted.model.arm
         read = [arm.commanded[k] for k in self.fitted.session.read_joints]

@@ -14,30 +14,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.evidence import FitColumns, shift_of
+from longarm_comp.core.identify.evidence import FitColumns, FitMarginal, shift_of
 from longarm_comp.core.identify.linear import Products
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import INCREDIBLE
-from longarm_comp.core.identify.posterior.found import (
-    FoundEffect,
-    Proposition,
-)
+from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
-from longarm_comp.core.identify.posterior.single_effects import (
-    Offer,
-    OfferBank,
-)
+from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
 from longarm_comp.core.identify.structure import smooth_in
 from longarm_comp.core.model.model import slots_of
 
 TOLERANCES = (0.01, 0.03, 0.1)
 """Shares of its own shift by which an effect's form may err, equally likely beforehand: play,
 friction and stiffness of real joints differ by a tenth from place to place along their way."""
-UNNAMED = 0.05
-"""Probability, beforehand, of a cause that the library does not hold."""
 SIZES = (1.0, 4.0, 16.0)
 """Prior standard deviations of an effect, in its own prior's: few arms are so ill, but some are."""
 CHANCES = tuple(math.log(p) for p in (0.8, 0.15, 0.05))
+
+
 AMPLITUDES = (3.0, 30.0, 300.0)
 """Of a function without a name: prior standard deviations of its shift, in units of the noise."""
 
@@ -67,7 +61,7 @@ def offered(
     names = {c.name for c in library}
     forms = Counter(c.name for c in library)
     share = math.log((1.0 - UNNAMED) / max(len(names), 1))
-    listed: list[tuple[Candidate, float, tuple[float, ...], tuple[float, ...]]] = []
+    listed: list[_Listed] = []
     for candidate in library:
         price = sum(t.price(arm) for t in candidate.terms)
         prior = share - math.log(forms[candidate.name]) - price
@@ -86,14 +80,38 @@ def offered(
     if not others:
         kept = {tuple(t.variant for t in f.terms) for f in found}
         listed = [entry for entry in listed if tuple(t.variant for t in entry[0].terms) in kept]
-    terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     held = {t.key for f in found for t in f.terms}
     beside = tolerances(fitted, columns, found, tolerance)
     marginal = columns.without(held, beside)
+    moving, bank, widths = _banked(fitted, marginal, columns, listed)
+    things = [listed[n][0] for n in moving]
+    at = {tuple(t.variant for t in c.terms): n for n, c in enumerate(things)}
+    known = (at.get(tuple(t.variant for t in f.terms)) for f in found)
+    return OfferedEffects(
+        fitted,
+        things,
+        bank,
+        widths,
+        tuple(n for n in known if n is not None),
+        marginal.evidence,
+        tolerance,
+    )
+
+
+_Listed = tuple[Candidate, float, tuple[float, ...], tuple[float, ...]]
+"""A candidate with the log prior, sizes and chances of its offer."""
+
+
+def _banked(
+    fitted: ModelFit, marginal: FitMarginal, columns: FitColumns, listed: Sequence[_Listed]
+) -> tuple[list[int], OfferBank, np.ndarray]:
+    """Which candidates move a row; these as a bank; units of its columns."""
+    arm = fitted.model.arm
+    terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     products, where, lower, upper, widths = _columns(fitted, columns, terms)
     (gram, along), *_ = marginal.of([products])
-    offers, things = [], []
-    for candidate, prior, sizes, chances in listed:
+    offers, kept = [], []
+    for n, (candidate, prior, sizes, chances) in enumerate(listed):
         own = tuple(where[t.variant] for t in candidate.terms)
         flat = [k for part in own for k in part]
         if (
@@ -107,19 +125,29 @@ def offered(
         if fixed:
             sizes, chances = (1.0,), (0.0,)
         offers.append(Offer(candidate.name, keys, own, prior, sizes, chances, fixed))
-        things.append(candidate)
-    at = {tuple(t.variant for t in c.terms): n for n, c in enumerate(things)}
-    known = (at.get(tuple(t.variant for t in f.terms)) for f in found)
-    return OfferedEffects(
-        fitted,
-        things,
-        OfferBank(offers, gram, along, lower, upper),
-        widths,
-        columns,
-        [n for n in known if n is not None],
-        marginal.evidence,
-        tolerance,
-    )
+        kept.append(n)
+    return kept, OfferBank(offers, gram, along, lower, upper), widths
+
+
+def evidence_of_each(
+    fitted: ModelFit, marginal: FitMarginal, columns: FitColumns, each: Sequence[Candidate]
+) -> np.ndarray:
+    """(C,) log Bayes factor of each candidate alone on top of a marginal, its own price paid.
+
+    0 of one that moves no row.
+
+    Args:
+        fitted: whose rows, noise and weights count.
+        marginal: what is there already.
+        columns: of candidates at the fit's rows.
+        each: the candidates.
+    """
+    listed = [(c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,))
+              for c in each]  # fmt: skip
+    kept, bank, _ = _banked(fitted, marginal, columns, listed)
+    made = np.zeros(len(listed))
+    made[kept] = bank.scores
+    return made
 
 
 def tolerances(

@@ -160,6 +160,14 @@ class OfferBank:
                     np.add.at(mean, stack.columns[row], q[number] * stack.mean(row, found))
         return SingleEffect(q, mean, beside.changed)
 
+    @property
+    def scores(self) -> np.ndarray:
+        """(C,) log odds of every offer alone against none."""
+        made = np.full(len(self.offers), -np.inf)
+        for stack in self._stacks:
+            stack.score(self.along, made)
+        return made
+
     def evidence(self, chosen: Sequence[Offer]) -> float:
         """Log evidence of some offers together, each with its prior odds against none."""
         return self.joint(chosen)[0]

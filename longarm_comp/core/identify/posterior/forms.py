@@ -1,4 +1,4 @@
-"""Thresholds of switches: where most rows want them.
+"""Forms on a scale: where the evidence is highest, and where most rows want a threshold.
 
 A row on the wrong side of a threshold errs by the whole jump.  So it is set aside as an outlier,
 and with it goes what would have moved the threshold.  Where a jump the other way would explain rows
@@ -8,13 +8,15 @@ that were set aside, the threshold is looked for again, each row counting no mor
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
-from longarm_comp.core.identify.candidates import Term
+from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.evidence import FitColumns, shift_of
 from longarm_comp.core.identify.linear import OUTLIER
 from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 VALUES = 33
 """Values looked at over the whole range, then as many again around the best."""
@@ -68,3 +70,58 @@ def _cost(fit: ModelFit, columns: FitColumns, now: Term, then: Term) -> np.ndarr
     noise = fit.uneven(fit.session)[:, None] * fit.sigma
     white = np.nan_to_num((fit.residual - moved) / noise)
     return np.asarray(np.minimum((white**2).sum(axis=1), OUTLIER**2))
+
+
+LOOKS = 9
+"""Values looked at side by side; then as many again around the best of them."""
+WORTH = 0.5
+"""Log evidence that a form must bring to be taken instead of the one that is there."""
+TURNS = 2
+"""Times that every scale is gone along, where a term has several."""
+
+
+def refined(
+    fit: ModelFit, columns: FitColumns, term: Term, candidates: Sequence[Candidate]
+) -> Term:
+    """The term in the form of highest evidence between the neighbouring tried values.
+
+    As it is, where that is hardly better: a refit costs more than it brings.
+
+    Args:
+        fit: that holds the term.
+        columns: of candidates at the fit's rows.
+        term: where it starts from.
+        candidates: their values of the scales are the tried ones.
+    """
+    marginal = columns.without({term.key})
+
+    def best_of(terms: Sequence[Term]) -> tuple[float, Term]:
+        each = [Candidate(term.name, (t,)) for t in terms]
+        worth = evidence_of_each(fit, marginal, columns, each)
+        best = int(np.argmax(worth))
+        return float(worth[best]), terms[best]
+
+    start, _ = best, here = best_of([term])
+    for _ in range(min(len(term.scales()), TURNS)):
+        for field in term.scales():
+            low, high = neighbours(here, field, candidates)
+            for _ in range(2):
+                values = np.linspace(low, high, LOOKS)
+                moved = [dataclasses.replace(here, **{field: float(v)}) for v in values]
+                found = best_of(moved)
+                if found[0] > best:
+                    best, here = found
+                step = (high - low) / (LOOKS - 1)
+                centre = float(getattr(here, field))
+                low, high = max(low, centre - step), min(high, centre + step)
+    return here if best > start + WORTH else term
+
+
+def neighbours(term: Term, field: str, candidates: Sequence[Candidate]) -> tuple[float, float]:
+    """The values of a scale that were tried to either side of a term's, or the scale's ends."""
+    least, largest = term.scales()[field]
+    value = float(getattr(term, field))
+    tried = {float(getattr(t, field)) for c in candidates if c.name == term.name for t in c.terms}
+    low = max((v for v in tried if v < value), default=least)
+    high = min((v for v in tried if v > value), default=largest)
+    return low, high
