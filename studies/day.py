@@ -260,19 +260,36 @@ class _Arm:
             context_after=lambda arrived: replace(context, **arrived.fields()),
             position_only=True, options=CompensationOptions(method=self.way.method),
         )  # fmt: skip
-        path = np.vstack([self.q, made.move.points])
+        return self._arrive(truth, made.move.points, t_h, context, real)
+
+    def _arrive(
+        self, truth: _Truth, points: np.ndarray, t_h: float, context: Context, real: TrueContext
+    ) -> np.ndarray:
+        """Drive through points (k, n) and look; returns the true tip, (3,) m."""
+        self.history = self.history.after(points, self.q)
+        path = np.vstack([self.q, points])
         sides = arrival(path, np.full(len(path), np.nan))[-1]
         self.side = np.where(sides != 0, sides, self.side)
-        self.q, self.history = made.move.q, made.history
+        self.q = points[-1]
+        arrived = replace(context, **self.history.fields())
         tip = truth.tip(self.q[None], self.side[None], t_h, real)
         if self.way.watched:
-            expected = self.model.measured(self.q[None], made.context)
+            expected = self.model.measured(self.q[None], arrived)
             self.monitor = self.monitor.seen((truth.seen(tip) - expected)[0], self.sigma)
         if self.learner is not None:
             seen, variance = truth.seen(tip)[0], np.full(3, truth.setting.noise_m**2)
-            self.learner = self.learner.seen(self.q, made.context, seen, variance, 3600.0 * t_h)
+            self.learner = self.learner.seen(self.q, arrived, seen, variance, 3600.0 * t_h)
             self.model = self.learner.model
         return np.asarray(tip[0])
+
+    def tell_apart(self, truth: _Truth, t_h: float, context: Context, real: TrueContext) -> None:
+        """Measure the poses that the learner asks for."""
+        assert self.learner is not None
+        while (asked := self.learner.asked(context)) is not None:
+            run_up = asked.q - asked.side * run_up_lengths(self.model.arm)
+            self._arrive(truth, np.stack([run_up, asked.q]), t_h, context, real)
+            self.stops.append(Stop(self.way.name, t_h, asked.text, 1))
+            self.busy_until_h = max(self.busy_until_h, t_h) + ROW_H
 
     def answer(self, truth: _Truth, t_h: float, payload_kg: float) -> None:
         """Do what the monitor asks for."""
@@ -321,6 +338,8 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
             tip = each.move(truth, targets[k], t_h, context, real)
             error[i, k] = np.linalg.norm(tip - targets[k])
             each.answer(truth, t_h, now["payload_kg"])
+            if each.learner is not None:
+                each.tell_apart(truth, t_h, context, real)
     return DayOutcome(
         tuple(way.name for way in ways),
         t,

@@ -7,18 +7,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from at_work_arm import JOINT, NOISE, fitted, true_tip
+from at_work_arm import JOINT, LAG, NOISE, fitted, true_tip
 from small_arm import ARM
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import LEGS
+from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.learner import Learner
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import TrueContext
+from longarm_comp.sim.hidden.drives import FrictionHysteresis as TruePlay
+from longarm_comp.sim.hidden.drives import JointGain
 
+JOINT_AXIS = np.eye(ARM.n)[JOINT - 1]
 VARIANCE = np.full(3, NOISE**2)
 
 
@@ -182,3 +189,35 @@ def test_a_restart_goes_on_from_the_file(tmp_path: Path) -> None:
 def test_a_model_that_does_not_say_how_good_it_is_cannot_learn() -> None:
     with pytest.raises(InputError, match="uncertainty"):
         Learner.of(Model(ARM))
+
+
+def test_it_asks_for_the_pose_that_tells_rivals_apart() -> None:
+    """Work in one corner cannot tell a gain from a gear that runs out of round: one pose can."""
+    worn = TrueArm(ARM, [TruePlay(LAG * JOINT_AXIS), JointGain(0.01 * JOINT_AXIS)], steps=2)
+    rng = np.random.default_rng(0)
+    corner = ARM.mid + 0.15 * (ARM.upper - ARM.lower)
+
+    def after(learner: Learner, q: np.ndarray, side: np.ndarray, way: np.ndarray) -> Learner:
+        legs = np.zeros((ARM.n, LEGS))
+        legs[:, 0] = side * way
+        came = Context(approach=tuple(side), legs=tuple(legs.ravel()))
+        tip = worn.tip(q[None], TrueContext(approach=side[None]))[0]
+        tip = tip + NOISE * rng.standard_normal(3)
+        return learner.seen(q, came, tip, VARIANCE, 60.0)
+
+    learner = Work().learned(Learner.of(fitted()), 5)
+    asked, moves = None, 0
+    while asked is None:
+        q = corner + 0.05 * (rng.random(ARM.n) - 0.5) * (ARM.upper - ARM.lower)
+        learner = after(learner, q, rng.choice([-1.0, 1.0], ARM.n), np.ones(ARM.n))
+        asked, moves = learner.asked(Work().pose()[1]), moves + 1
+        assert moves <= 10
+    assert "joint_gain" in asked.between and learner.now[0].probability < CREDIBLE
+    assert np.abs(asked.q - corner).max() > 0.5  # far from where it works
+    assert (ARM.lower <= asked.q).all() and (asked.q <= ARM.upper).all()
+    learner = after(learner, asked.q, asked.side, run_up_lengths(ARM))
+    (named,) = learner.now
+    assert (named.effect, named.where) == ("joint_gain", f"joint {JOINT}")
+    assert named.probability > CREDIBLE
+    assert learner.asked(Work().pose()[1]) is None
+    assert learner.freeze().asked(Work().pose()[1]) is None

@@ -16,6 +16,7 @@ from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.params import Param
 
 if TYPE_CHECKING:
+    from longarm_comp.core.at_work.asking import Asked
     from longarm_comp.core.at_work.learner import Learner
 
 PARAMS = (
@@ -35,6 +36,7 @@ class Learning:
         self._state, self._files = state, state.files
         self.learner: Learner | None = None
         self._update_ms, self._fault = 0.0, ""
+        self._asked: Asked | None = None
         self.begin()
 
     def begin(self) -> None:
@@ -61,6 +63,7 @@ class Learning:
         after = self.learner.seen(rest.q, context, tip, rest.variance, self._state.now_s)
         self._update_ms = 1e3 * (time.perf_counter() - begun)
         self._take(after)
+        self._asked = after.asked(context)
 
     def freeze(self, frozen: bool) -> tuple[bool, str]:
         """Learn no more, or again."""
@@ -79,7 +82,7 @@ class Learning:
     def _take(self, after: Learner) -> None:
         from longarm_comp.core.at_work import file
 
-        before, self.learner = self.learner, after
+        before, self.learner, self._asked = self.learner, after, None
         if before is None or after.model is not before.model:
             self._files.put(after.model)
         try:
@@ -105,6 +108,8 @@ class Learning:
             return Report(WARN, said, facts)
         found = "; ".join(f"{n.text}, since {_clock(n.since_s)}" for n in learner.now)
         state = "frozen" if learner.frozen else "learning"
+        if self._asked is not None:
+            found += f"; {self._asked.text}"
         return Report(OK, f"{state}: {found or 'nothing changed'}", facts)
 
 

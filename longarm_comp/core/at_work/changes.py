@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,8 +30,8 @@ class Parameters:
         slots: of the model, then of these.
         keys: (C,) effect and place of every possible change.
         places: (C, k) positions of its numbers; -1 where it has fewer than k.
-        log_prior: (C,) of it, given that something changes: every name as likely as any other,
-            and every place of it.
+        log_prior: (C,) of it, given that something changes: what the model holds wears as often as
+            something new appears; of each, every name is as likely as any other, and every place.
     """
 
     model: Model
@@ -56,9 +55,7 @@ class Parameters:
         places = np.full((len(keys), max(map(len, at.values()), default=0)), -1)
         for row, mine in enumerate(at.values()):
             places[row, : len(mine)] = mine
-        names = Counter(name for name, _ in keys)
-        prior = np.array([-math.log(len(names) * names[name]) for name, _ in keys])
-        return cls(model, absent, slots, keys, places, prior)
+        return cls(model, absent, slots, keys, places, _log_prior(keys, held))
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -131,6 +128,14 @@ def _possible(arm: Arm, context: Context) -> dict[Key, Effect | Bias]:
                 continue
             made[term.key] = dataclasses.replace(term, **dict.fromkeys(names, 0.0))
     return made
+
+
+def _log_prior(keys: Sequence[Key], held: Collection[Key]) -> np.ndarray:
+    """(C,) log probability of each possible change, given one."""
+    names = Counter((key in held, key[0]) for key in keys)
+    kinds = Counter(present for present, _ in names)
+    each = [len(kinds) * kinds[key in held] * names[key in held, key[0]] for key in keys]
+    return -np.log(each)
 
 
 def _told(term: Effect | Bias, context: Context) -> bool:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.at_work.asking import Asked, asked
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.explanations import Branch, Explanations
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
@@ -204,6 +205,12 @@ class Learner:
         return made
 
     # ------------------------------------------------------------------ what people ask for
+
+    def asked(self, context: Context) -> Asked | None:
+        """The pose that would tell rivals apart, in the circumstances now."""
+        if self.known is None or self.frozen:
+            return None
+        return asked(self.known, context, self.record.noise + self.record.structure)
 
     @property
     def named(self) -> tuple[Named, ...]:
