@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +22,10 @@ from quick_arm import quick_arm
 from small_arm import ARM
 from std_srvs.srv import SetBool, Trigger
 
+from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.health import LEARNED_SAID
+from longarm_comp.sessions.day import read_day
 from longarm_interfaces.srv import Compensate
 
 GROWTH = 2e-3
@@ -113,11 +118,24 @@ def started(stage: Bench, folder: Path) -> None:
     )  # fmt: skip
 
 
+@contextmanager
+def recorded(bag: Path) -> Iterator[None]:
+    """`longarm record` beside what is done."""
+    words = [sys.executable, "-m", "longarm_comp", "record", "-o", str(bag)]
+    with subprocess.Popen(words) as process:
+        try:
+            yield
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(60.0) == 0
+
+
 def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
     stage: Bench, tmp_path: Path
 ) -> None:
     arm = WornArm()
-    with quick_arm(ARM, lambda q: True, arm.seen):
+    bag = tmp_path / "bag"
+    with quick_arm(ARM, lambda q: True, arm.seen), recorded(bag):
         started(stage, tmp_path)
         work = Work(stage, arm)
         for _ in range(4):
@@ -146,3 +164,8 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
         thaw = graph.FREEZE.client(stage.node, of="kinematics")
         assert stage.call(thaw, SetBool.Request(data=False)).success
         stage.spin(lambda: work.said()[0].startswith("learning"))
+
+    day = read_day(bag, ARM, None, (LEARNED_SAID,))
+    errors = np.array([served.error_mm for served in day.served])
+    assert np.nanmax(errors) > 0.5 and np.nanmin(errors) < 0.2
+    assert any(f"joint {JOINT}" in notice.message for notice in day.said)

@@ -42,9 +42,10 @@ def record(
 
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.jobs import recorder
+    from longarm_comp.nodes.interfaces import DIAGNOSTICS
     from longarm_comp.sessions.bag_segments import SegmentedBag
 
-    topics = recorder.SESSION_TOPICS + (recorder.IMAGE_TOPICS if images else ())
+    topics = (*recorder.SESSION_TOPICS, DIAGNOSTICS, *(recorder.IMAGE_TOPICS if images else ()))
     begun = time.monotonic()
     with stop_on_signals() as stop, SegmentedBag(output, resume=resume) as bag:
         note("recording; Ctrl-C ends it")

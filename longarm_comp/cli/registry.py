@@ -67,6 +67,7 @@ COMMANDS = (
     Entry("sweep", "sweep", "Drive every joint to both limits: play and friction are known then."),
     Entry("loop", "loop", "Plan, collect, diagnose, apply, verify: the cycle as one command."),
     Entry("record", "bag:record", "Record an arm's topics as a rosbag2."),
+    Entry("day-report", "day_report", "A page of a bag of work: errors by the hour, what changed."),
     Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("compare", "compare", "Two diagnoses, models or sessions side by side."),

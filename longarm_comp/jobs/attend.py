@@ -12,11 +12,12 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import SetBool, Trigger
 
+from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.graph_client import GraphClient, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
-from longarm_comp.nodes.health import INSTANCE, LEARNED_SAID, TIP_SAID
+from longarm_comp.nodes.health import INSTANCE, TIP_SAID
 from longarm_comp.nodes.interfaces import Service
 from longarm_interfaces.msg import DriverState
 

@@ -58,8 +58,6 @@ class Twins:
 
 TIP_SAID = "tip by readings"
 """Part of `kinematics` on /diagnostics that says where the tip stands."""
-LEARNED_SAID = "at work"
-"""Part of it that says what was learned at work."""
 PERIOD = Param("diagnostics_period_s", 1.0, "between two reports on /diagnostics", 0.05, 60.0)
 """A parameter of every node."""
 

@@ -11,6 +11,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.data.rest import RestPose
 from longarm_comp.nodes import (
     arm_state,
@@ -24,7 +25,7 @@ from longarm_comp.nodes import (
 )
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
-from longarm_comp.nodes.health import ERROR, LEARNED_SAID, OK, PERIOD, TIP_SAID, WARN, Report, Twins
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, TIP_SAID, WARN, Report, Twins
 from longarm_comp.nodes.interfaces import BEST_EFFORT
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param

@@ -6,10 +6,9 @@ Topics are found by the last part of their name; others and unknown types are ig
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +149,7 @@ def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
 
 def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
     rows = Rows(buffer)
-    for name, stamp, message in _decoded(messages, buffer.arm, buffer.where):
+    for name, stamp, message in decoded(messages, buffer.arm, buffer.where):
         buffer.take(name, stamp, message)
         if name == "joint_trajectory":
             rows.close()
@@ -158,16 +157,14 @@ def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
     return rows
 
 
-def _decoded(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
+def decoded(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
     """Last part of the topic's name, time of recording (ns), message; in the order of time."""
     types = message_types()
-    decoders: dict[str, Callable[[bytes], Any]] = {
-        name: partial(types.deserialize_cdr, typename=kind) for name, kind in TYPES.items()
-    }
-    decoders["joint_states"] = JointStates(arm.joint_names, types)
+    joint_states = JointStates(arm.joint_names, types)
     try:
-        for topic, _, stamp, raw in messages:
+        for topic, kind, stamp, raw in messages:
             name = _last(topic)
-            yield name, stamp, decoders[name](raw)
+            states = name == "joint_states"
+            yield name, stamp, joint_states(raw) if states else types.deserialize_cdr(raw, kind)
     except Exception as error:  # as in open_bag; what the caller raises does not come here
         raise _broken(where, error) from error

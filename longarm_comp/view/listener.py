@@ -15,10 +15,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
+from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
-from longarm_comp.nodes.health import LEARNED_SAID
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
 from longarm_comp.view.state import (
