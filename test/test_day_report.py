@@ -89,7 +89,7 @@ def test_a_day_is_read_from_its_bag(bag: Path) -> None:
     assert (first["hours"], first["targets"], first["mean_mm"]) == ("0-1 h", 1, pytest.approx(0.5))
     assert (second["targets"], second["seen"]) == (2, 1)
     assert whole["mean_mm"] == pytest.approx(1.0) and whole["max_mm"] == pytest.approx(1.5)
-    assert day.refused == {"correction of # mm is too large": 1}
+    assert day.refused == {"correction of 61 mm is too large": 1}
     learned, hot = day.said
     assert learned.message == "learning: friction (93 %)"
     assert (learned.first_s, learned.last_s) == pytest.approx((6.0, 4996.0), abs=11.0)

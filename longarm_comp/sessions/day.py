@@ -60,7 +60,7 @@ class Day:
         start_s: since the epoch of its clock.
         hours: that it lasts.
         served: targets, in order.
-        refused: how often, by reason.
+        refused: how often, by reason; of reasons that differ in numbers alone the last.
         said: warnings, faults and what was learned, in the order of their beginning.
     """
 
@@ -130,7 +130,8 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
         seen = (xyz for s, row, xyz in rows if t <= s < until and np.abs(row - q).max() < SAME_POSE)
         tip = next(seen, np.full(3, np.nan))
         served.append(Served(t, q, np.array([at.x, at.y, at.z]), tip))
-    refused = Counter(_without_numbers(m.message) for _, m in asked if not m.accepted)
+    reasons = {_without_numbers(m.message): m.message for _, m in asked if not m.accepted}
+    refused = Counter(reasons[_without_numbers(m.message)] for _, m in asked if not m.accepted)
     said = tuple(sorted(told.values(), key=lambda s: s.first_s))
     return Day(start * 1e-9, hours, tuple(served), refused, said)
 
