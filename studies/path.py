@@ -167,7 +167,7 @@ def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
         context_at=lambda arrived: Context(**arrived.fields()),
     )  # fmt: skip
     spent = time.process_time() - started
-    off = [deviation(studied, path, found.curve) for path in (before, made.timed)]
+    off = [deviation(studied, path, found.curve, came.approach) for path in (before, made.timed)]
     jerk = [_jerk(path, arm) for path in (before, made.timed)]
     return {
         "way_points": len(plan.times),
@@ -177,13 +177,13 @@ def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
     }  # fmt: skip
 
 
-def deviation(studied: StudiedArm, path: Timed, curve: np.ndarray) -> np.ndarray:
-    """(M,) m: distance of the true tip from the curve, all along the path."""
+def deviation(studied: StudiedArm, path: Timed, curve: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """(M,) m: distance of the true tip from the curve; joints came to its start from sides (n,)."""
     count = _LOOKED_AT * (len(path.times) - 1) + 1
     joints = path.at(np.interp(np.arange(count) / _LOOKED_AT, np.arange(len(path.times)),
                                path.times))  # fmt: skip
-    came = np.sign(joints[0] - studied.arm.mid) * studied.half
-    tips = studied.true.tip(joints, TrueContext(behind=lagging(joints, studied.half, came)))
+    behind = lagging(joints, studied.half, sides * studied.half)
+    tips = studied.true.tip(joints, TrueContext(behind=behind))
     a, along = curve[:-1], np.diff(curve, axis=0)
     nearest = np.empty(len(tips))
     for k, tip in enumerate(tips):

@@ -41,9 +41,9 @@ def test_a_deviation_is_the_distance_from_the_curve_and_not_from_its_timing() ->
     assert found.plan.times is not None and found.plan.joints is not None
     zero = np.zeros_like(found.plan.joints)
     on_the_way = Timed(found.plan.times**1.5, found.plan.joints, zero)
-    assert path.deviation(studied, on_the_way, found.curve).max() < 1e-7
+    assert path.deviation(studied, on_the_way, found.curve, np.ones(7)).max() < 1e-7
     beside = np.array([0.0, 0.0, 3e-3])
-    off = path.deviation(studied, on_the_way, found.curve + beside)
+    off = path.deviation(studied, on_the_way, found.curve + beside, np.ones(7))
     assert off.max() <= 3e-3 + 1e-7 and off[0] == pytest.approx(3e-3, rel=0.3)
 
 
