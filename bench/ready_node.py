@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-from longarm_comp.nodes import node
+from longarm_comp.nodes import node as process
 
 WORD = "ready"
 
@@ -13,7 +13,7 @@ WORD = "ready"
 def main() -> None:
     """Run the node up to its first callback."""
     module = sys.argv.pop(1)
-    node.spin = lambda executor, made, stop: print(WORD, flush=True)
+    process.spin = lambda executor, node, stop: print(WORD, flush=True)
     importlib.import_module(module).main()
 
 

@@ -107,8 +107,8 @@ def _signature(file: str) -> tuple[int, int, int] | None:
     return stat.st_ino, stat.st_size, stat.st_mtime_ns
 
 
-def run(make: Callable[[SingleThreadedExecutor], ArmNode | Sequence[ArmNode]]) -> int:
-    """Spin a node, or several, until a signal.
+def run(make: Callable[[SingleThreadedExecutor], Any]) -> int:
+    """Spin what is made, an `ArmNode` or several, until a signal.
 
     Signals only set an event, so a second one does not interrupt the clean-up.
 
