@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -54,6 +53,8 @@ def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) 
         along: modes evenly along the motion. way, seconds: the motion, from time 0 on.
         damping: share of critical damping.
     """
+    from scipy.optimize import nnls  # a node that sends moves as they are starts without
+
     if not all(len(modes.omega) for modes in along):
         return None
     late = np.linspace(0.0, 2.0 * np.pi / min(m.omega[0] for m in along), _DELAYS)
