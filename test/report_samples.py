@@ -186,6 +186,7 @@ def base(rng: np.random.Generator) -> Diagnosis:
         "none_of_these": 0.59,
         "written": {"model": "calibrated", "expected_commanded_mm": {"calibrated": 0.71}},
         "doubtful": [],
+        "called": {},
         "provenance": {
             "seed": 7,
             "data_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
@@ -233,7 +234,6 @@ def named(rng: np.random.Generator) -> Diagnosis:
                 "set_probability": {"backlash": 0.9999},
                 "unnamed": "",
                 "where": ["joint 2"],
-                "called": {},
                 "log_bayes_factor": 214.6,
                 "parameters": [
                     {

@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 from cli_shell import Shell
 from some_arms import COLUMN, HOBBY, NINE
 from test_urdf import example
@@ -116,9 +117,20 @@ def test_an_arm_that_others_drive_and_measure_is_one_file(shell: Shell) -> None:
     assert [file.name for file in folder.iterdir()] == ["arm.yaml"]
     np.testing.assert_allclose(np.degrees(Arm.load(folder / "arm.yaml").upper[0]), 360)
     assert "longarm import-data FILE --arm" in shell.err
+    assert "links (docs/arm.md) can lie along row" in shell.err
+    assert Arm.load(folder / "arm.yaml").camera is None
     assert shell("check", folder) == 0 and "others drive and measure it" in shell.out
     (folder / "servo_driver.yaml").write_text("")
     assert shell("check", folder) == 3
+
+
+def test_a_camera_that_the_arm_declares_stays_where_it_is(shell: Shell) -> None:
+    data = yaml.safe_load((made(shell, "first", *UR5) / "arm.yaml").read_text())
+    data["camera"] = {"position_m": [0.2, -3.0, 0.5], "optical_axis": [0.0, 2.0, 0.0]}
+    (shell.folder / "mine.yaml").write_text(yaml.safe_dump(data))
+    folder = made(shell, "second", "--arm", "mine.yaml")
+    shell("check", folder)
+    assert "arm.yaml: camera" not in shell.out
 
 
 def _urdf() -> tuple[str, ...]:

@@ -25,13 +25,16 @@ from damage import damaged
 from openpyxl import Workbook
 from small_arm import ARM
 
+from longarm_comp.arm_folder.camera_files import SIDES
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.stereo.camera_file import write_camera
 from longarm_comp.report import record
 from longarm_comp.report.record import read_report
+from longarm_comp.sim.cameras import CameraPair
 from longarm_comp.sim.servo_emulator.joints import read_arm
 
 RUNS = int(os.environ.get("LONGARM_FUZZ_RUNS", "200"))
@@ -79,6 +82,7 @@ FOLDER, MAPPING = "my_arm", "log.mapping.yaml"
 FILES = tuple(
     f"{FOLDER}/{name}.yaml" for name in ("arm", "servo_driver", "stereo_bridge", "simulated_arm")
 )
+CAMERAS = tuple(f"{FOLDER}/cameras/{side}.yaml" for side in SIDES)
 WITH_MODEL = ("--model", MODEL, "--predictor", PREDICTOR)
 READINGS = (
     Reading(("evaluate", ARM_FILE, "--test", "few.csv"), (ARM_FILE, "few.csv")),
@@ -126,7 +130,14 @@ READINGS = (
     ),
     Reading(("init", "new", "--arm", ARM_FILE), (ARM_FILE,)),
     Reading(("init", "newer", "--urdf", "lift.urdf"), ("lift.urdf",)),
-    Reading(("check", FOLDER), FILES),
+    Reading(("check", FOLDER), (*FILES, *CAMERAS)),
+    Reading(("modes", ARM_FILE, "--at", "next_poses.csv", "--model", MODEL),
+            ("next_poses.csv", MODEL, ARM_FILE)),
+    Reading(("compensate", ARM_FILE, "--path", "path.csv", "--model", MODEL, "-o", "way.csv"),
+            ("path.csv", MODEL)),
+    Reading(("import-data", "log.csv", "beside.csv", "--join", "Time", "-o", "s.csv"),
+            ("log.csv", "beside.csv")),
+    Reading(("fleet", "arms", "--no-network", "-o", "fleet"), ("arms/a/arm.yaml", "arms/a/s.csv")),
     Reading(("stereo", "marker", FOLDER, "-o", "page.pdf"), (f"{FOLDER}/stereo_bridge.yaml",)),
     Reading(("stereo", "hand-eye", FOLDER, "few.csv", "--dry-run"), (*FILES, "few.csv")),
     Reading(("compare", MODEL, "kept.yaml"), (MODEL,)),
@@ -156,6 +167,11 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     lines = ["x,y,z,payload_kg,temperature_c,t_s,approach"]
     lines += [f"{x:.4f},{y:.4f},{z:.4f},0.0,20.5,12," for x, y, z in aims]
     (folder / "targets.csv").write_text("\n".join(lines) + "\n")
+    way = Model(ARM).tip(ARM.lower + np.linspace(0.4, 0.45, 4)[:, None] * (ARM.upper - ARM.lower))
+    (folder / "path.csv").write_text(
+        "t_s,x,y,z\n" + "".join(f"{k},{x:.5f},{y:.5f},{z:.5f}\n" for k, (x, y, z) in enumerate(way))
+    )
+    (folder / "beside.csv").write_text("Time [s];Temp [C]\n1,5;20\n2,5;21\n")
     sheet = "Time [s];A1 [deg];A2 [deg];A3 [mm];A4 [deg];X [mm];Y [mm];Z [mm]\n"
     sheet += "1,5;2,5;3;50;1;4;5;6\n2,5;2,5;3;60;1;;;\n"
     (folder / "log.csv").write_text(sheet)
@@ -164,7 +180,13 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     seen = folder / "without_camera.yaml"
     seen.write_text(yaml.safe_dump({k: v for k, v in BENDING.items() if k != "camera"}))
     assert made("init", folder / FOLDER, "--arm", seen) == 0
+    pair = CameraPair((0.2, -2.0, 0.3), (0.0, 1.0, 0.0))
+    for side, info in zip(SIDES, pair.camera_infos(), strict=True):
+        write_camera(folder / FOLDER / "cameras" / f"{side}.yaml", side, info, "")
     shutil.copy(folder / "few.csv", folder / "other.csv")
+    (folder / "arms" / "a").mkdir(parents=True)
+    shutil.copy(arm, folder / "arms" / "a")
+    shutil.copy(folder / "few.csv", folder / "arms" / "a" / "s.csv")
     for k in (1, 2):
         report, _ = report_samples.named(np.random.default_rng(k))
         (folder / f"found_{k}").mkdir()

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
+from cli_shell import Shell
 
 AT_IMPORT = """
 import sys
@@ -59,3 +64,32 @@ def test_while_it_works(tmp_path: Path) -> None:
 def _attended() -> None:
     """As from a terminal: a shell's background jobs, and their children, ignore Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@pytest.mark.parametrize(
+    ("words", "place", "kept"),
+    [
+        (("loop", "ARM", "-o", "loop_1"), "jobs.loop.run.Loop.run", "--resume goes on"),
+        (("record", "-o", "bag"), "jobs.recorder.record", "--resume adds to it"),
+        (("verify", "ARM"), "jobs.targets.TargetRunner.ready", "the same command begins anew"),
+        (("sweep", "ARM", "--yes"), "jobs.sweep.sweep_joints", "the same command begins anew"),
+    ],
+    ids=lambda given: given if isinstance(given, str) else "",
+)
+def test_what_is_kept_and_what_comes_next_are_said(
+    words: tuple[str, ...], place: str, kept: str, demo_arm_path: Path, shell: Shell,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """A full disk in the midst of each: cause, what is left, next command."""
+
+    def full(*given: object, agree: Callable[..., None] | None = None, **_: object) -> None:
+        if agree is not None:
+            agree(np.zeros((1, 7)), 1.0)
+        Path("loop_1").mkdir()
+        raise OSError(errno.ENOSPC, "No space left on device", "file")
+
+    monkeypatch.setattr("longarm_comp.jobs.client.ArmClient", MagicMock())
+    monkeypatch.setattr(f"longarm_comp.{place}", full)
+    assert shell(*(str(demo_arm_path) if word == "ARM" else word for word in words)) == 3
+    *before, last = shell.err.splitlines()
+    assert "No space left on device" in last and kept in " ".join(before)

@@ -30,6 +30,7 @@ from longarm_comp.core.model.model_file import (
     store,
     undo,
 )
+from longarm_comp.workflows.inputs import physics
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +131,13 @@ def test_a_model_belongs_to_one_arm(simple: Model, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"arm\.hash.*calibrate again") as caught:
         load_model(tmp_path / "model.yaml", SMALL)
     assert "long_arm_demo" in str(caught.value) and "small" in str(caught.value)
+    data = simple.arm.model_dump(mode="json", exclude_defaults=True)
+    edited = Arm.parse({**data, "reference_temperature_c": 25.0}, "edited")
+    assert edited.name == simple.arm.name
+    with pytest.raises(InputError, match=r"arm\.hash.*calibrate again"):
+        load_model(tmp_path / "model.yaml", edited)
+    with pytest.raises(InputError, match="a model of long_arm_demo"):
+        physics(edited, simple)
 
 
 def change(*path: str | int, to: Any) -> Callable[[dict[str, Any]], None]:

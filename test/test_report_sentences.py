@@ -1,7 +1,8 @@
-"""The sentences of a report against its numbers, over a hundred generated diagnoses.
+"""The sentences of a report against its numbers, over five hundred generated diagnoses.
 
-They are made from one real diagnosis, whose errors, findings, structure, noise and network are
-replaced by drawn ones: sentences are about numbers, whatever these are.
+They are made from two real diagnoses, whose errors, findings, structure, noise and network are
+replaced by drawn ones: sentences are about numbers, whatever these are. One has effects with names
+and a camera that drifts, the other a set of names that its rows cannot tell apart.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hidden_arm import at, session
+from hidden_arm import at, session, white
 from report_pages import Page
 from small_arm import ARM
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -31,9 +34,24 @@ from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.open_questions import open_questions
 from longarm_comp.report.page import page as rendered
 from longarm_comp.report.words import DASH
-from longarm_comp.sim.hidden import drives
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.hidden import drives, loads
 
-SEEDS = range(100)
+SEEDS = (range(100), range(100, 500))
+CALLED = ("slew", "luff", "extend", "knuckle")
+
+
+@cache
+def in_doubt() -> Diagnosis:
+    """A joint that gives way, or its servo: a set; the joints have names."""
+    data = ARM.model_dump(mode="json", exclude_defaults=True)
+    rows = [row | {"name": name} for row, name in zip(data["joints"], CALLED, strict=True)]
+    load = {"frame": 4, "position_m": [0.0, 0.0, 0.05], "mass_kg": 0.5}
+    arm = Arm.parse({**data, "joints": rows, "payload": load}, "boom")
+    rng = np.random.default_rng(3)
+    q = arm.lower + rng.random((150, arm.n)) * (arm.upper - arm.lower)
+    real = TrueArm(arm, (loads.JointCompliance(at(2, 4e-3)),))
+    return diagnose(arm, Session.record(q, real.tip(q) + white(rng, len(q))))
 
 
 @cache
@@ -48,6 +66,8 @@ def real() -> Diagnosis:
 def test_the_real_one_has_findings_of_both_sides() -> None:
     names = [f.name for f in real().findings]
     assert len(names) >= 3 and "camera_drift" in names
+    (soft,) = in_doubt().findings
+    assert {"joint_compliance", "servo_droop"} <= set(soft.names)
 
 
 def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> None:
@@ -74,7 +94,7 @@ class Network:
 
 def drawn(seed: int) -> Diagnosis:
     """Another diagnosis: of the same arm, all that a sentence may speak of drawn anew."""
-    rng, base = np.random.default_rng(seed), real()
+    rng, base = np.random.default_rng(seed), (real, in_doubt)[seed % 2]()
     found = base.findings[: int(rng.integers(len(base.findings) + 1))]
     written = "calibrated" if not found or rng.random() < 0.1 else "with_effects"
     network = Network() if rng.random() < 0.3 else None
@@ -124,8 +144,9 @@ def varied(finding: Any, rng: np.random.Generator) -> Any:
     """A finding with other odds, and sometimes a name that cannot be told from it."""
     odds, chance = float(rng.uniform(0, 60)), float(rng.uniform(0, 0.5))
     best = Rival(Candidate("bearing_tilt", finding.terms), odds - float(rng.uniform(0, 20)), chance)
-    other = (best,) if chance > 0.05 else ()
-    chances = ((finding.name, 1 - chance), ("bearing_tilt", chance))
+    other = (*finding.alternatives, *((best,) if chance > 0.05 else ()))
+    had = tuple((name, (1 - chance) * p) for name, p in finding.chances)
+    chances = (*had, ("bearing_tilt", chance))
     sure = float(rng.choice([0.96, 0.9995]))
     return dataclasses.replace(
         finding,
@@ -140,19 +161,21 @@ def varied(finding: Any, rng: np.random.Generator) -> Any:
 Told = tuple[record.DiagnosisReport, Page]
 
 
-@pytest.fixture(scope="module")
-def told() -> list[Told]:
+@pytest.fixture(scope="module", params=[SEEDS[0], pytest.param(SEEDS[1], marks=pytest.mark.long)])
+def told(request: pytest.FixtureRequest) -> list[Told]:
     """The generated reports, and their pages without figures."""
-    every = practical(real().fit, [f.terms for f in real().findings], real().held_out)
-    index = {f.name: k for k, f in enumerate(real().findings)}
-    made = []
+    every, made = {}, []
+    for base in (real(), in_doubt()):
+        terms = [f.terms for f in base.findings]
+        of_each = practical(base.fit, terms, base.held_out)
+        every |= {one[0].key: size for one, size in zip(terms, of_each, strict=True)}
     with pytest.MonkeyPatch.context() as patched:  # the same fit, so the same each time
         patched.setattr(
             assemble,
             "practical",
-            lambda fit, found, _: [every[index[terms[0].name]] for terms in found],
+            lambda fit, found, _: [every[terms[0].key] for terms in found],
         )
-        for seed in SEEDS:
+        for seed in request.param:
             found = drawn(seed)
             report = record.checked(assemble.record_of(found, (), "0" * 64))
             before, after = found.compared
@@ -162,6 +185,11 @@ def told() -> list[Told]:
 
 def numbers(text: str) -> list[float]:
     return [float(v) for v in re.findall(r"\d+(?:\.\d+)?", text.replace("−", "-"))]
+
+
+def near(values: list[float]) -> list[Any]:
+    """As they are printed: hundredths of a millimetre, from 100 mm on three digits."""
+    return [pytest.approx(v, abs=6e-3 if v < 100 else 0.51) for v in values]
 
 
 def line(page: Page, tag: str) -> list[str]:
@@ -227,12 +255,13 @@ def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]
         gain = verdict.improvement(report)
         assert gain is not None
         before, after = line(page, "before"), line(page, "after")
-        assert before and after
-        assert numbers(gain.commanded) == pytest.approx(
-            numbers(before[2] + " " + after[2]), abs=6e-3
-        )
+        first = page.tables["errors"][1]
+        assert before and after and first[0].startswith("nominal")
+        assert numbers(gain.commanded) == near(numbers(first[2] + " " + after[2]))
         seen = gain.seen or gain.commanded
-        assert numbers(seen) == pytest.approx(numbers(before[1] + " " + after[1]), abs=6e-3)
+        assert numbers(seen) == near(numbers(first[1] + " " + after[1]))
+        assert bool(gain.between_mm) == (before != first)
+        assert not gain.between_mm or numbers(gain.between_mm)[:1] == near(numbers(before[2]))
         words = page.words()
         assert gain.commanded in words and (gain.seen in words)
         assert ("as seen and as a command would have it" in words) == (not gain.seen)
@@ -248,7 +277,7 @@ def test_the_sentence_has_the_figures_of_the_table(told: list[Told]) -> None:
         before, after = line(page, "before"), line(page, "after")
         for pair, column in zip(pairs, (2, 1), strict=False):
             wanted = [float(before[column]), float(after[column])]
-            assert [float(v) for v in pair] == pytest.approx(wanted, abs=6e-3)
+            assert [float(v) for v in pair] == near(wanted)
         assert len(pairs) == (2 if "as commanded" in tail else 1)
         differs = max(abs(float(row[1]) - float(row[2])) for row in (before, after))
         assert differs < 0.02 if len(pairs) == 1 else differs > 0.002
@@ -290,7 +319,7 @@ def test_what_the_written_model_leaves_out_is_not_compensated(told: list[Told]) 
     for report in left_out:
         assert "with the model calibrated, which was written" in report.summary
         assert report.held_out.after in ("calibrated", "with_network")
-        for finding, card in zip(report.findings, cards.cards(report), strict=True):
+        for finding, card in zip(report.findings, cards.cards(report.for_people()), strict=True):
             assert not finding.compensated and "Commands leave it out" in card.software
             assert all(p.ci95 is None for p in finding.parameters)
 
@@ -311,7 +340,7 @@ def test_structure_that_is_left_is_in_the_excess(told: list[Told]) -> None:
 
 def test_cards_say_what_their_numbers_say(told: list[Told]) -> None:
     for report, page in told:
-        for finding, card in zip(report.findings, cards.cards(report), strict=True):
+        for finding, card in zip(report.findings, cards.cards(report.for_people()), strict=True):
             assert card.action and card.title and card.improves in page.words()
             assert finding.commanded_mm is not None and finding.tip_mm is not None
             assert numbers(card.improves)[:2] == pytest.approx(finding.commanded_mm, abs=6e-3)
@@ -322,6 +351,35 @@ def test_cards_say_what_their_numbers_say(told: list[Told]) -> None:
             assert ("the name is open" in card.sure) == (len(finding.set) > 1)
             assert card.sure.startswith("certain") == (finding.probability >= 0.999)
             assert ("compensates it" in card.software) == finding.compensated
+
+
+def test_what_is_to_do_follows_from_the_numbers(told: list[Told]) -> None:
+    """Done is what is certain, above the noise and worth it; nothing in doubt is dismantled."""
+    met = set()
+    for report, page in told:
+        noise = np.linalg.norm(report.noise.sigma_mm or 0.0)
+        listed = cards.to_do(report.for_people())
+        assert sum(map(len, listed.values())) == len(report.findings)
+        for finding, card in zip(report.findings, cards.cards(report.for_people()), strict=True):
+            assert finding.seen_mm is not None
+            gain = finding.seen_mm[0] - finding.seen_mm[1]
+            doubt = finding.open or finding.doubts or finding.probability < 0.999
+            worth = gain >= max(0.5, noise)
+            wanted = ("Do only if" if doubt else "Do") if worth else "Leave alone"
+            assert card.duty == wanted and card in listed[wanted]
+            assert (finding.action in cards.said(card)) == worth
+            assert cards.said(card) in page.words()
+            if wanted != "Do only if":
+                assert numbers(card.because_of)[0] == pytest.approx(max(gain, 0.0), abs=6e-3)
+            met.add(wanted)
+    assert met == set(cards.DUTIES)
+
+
+def test_joints_are_called_by_their_names(told: list[Told]) -> None:
+    for report, page in told:
+        if report.called:
+            assert not re.search(r"\b(joint|row|frame) \d", page.words())
+            assert any(name in page.words() for name in CALLED)
 
 
 def test_nothing_is_left_blank(told: list[Told]) -> None:

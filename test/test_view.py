@@ -249,7 +249,7 @@ def shows_the_arm_and_its_errors(stand: Stand) -> None:
 def says_how_well_the_nodes_are(stand: Stand) -> None:
     driver = stand.driver
     stand.shows("▲ kinematics: warning\n▲ targets: no error_predictor")
-    stand.shows("▲ model: no calibrated model: the arm as declared")
+    stand.shows("▲ model: not calibrated yet: plan, collect, diagnose")
     stand.shows("Drift: evidence 0.")
     driver.own.publish()
     driver.foreign.publish()

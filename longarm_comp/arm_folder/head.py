@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +19,13 @@ from longarm_comp.sim.cameras import CameraPair
 
 FOCAL_PX, SIZE = 640.0, (640, 480)
 """Of a webcam: 53 degrees across."""
-_POSES, _DIRECTIONS = 256, 16
-"""Poses of the tip that are looked at, and level directions of looking that are tried."""
+_POSES = 256
+"""Poses of the tip that are looked at."""
+_LEVEL = [
+    np.array([math.cos(angle), math.sin(angle), 0.0]).round(12)
+    for angle in 0.5 * math.pi + 2 * math.pi * np.arange(16) / 16
+]
+"""Level directions of looking that are tried, base frame."""
 _BASELINE = 0.18
 """Distance of the two cameras as a share of their distance to the marker."""
 
@@ -71,12 +77,14 @@ def head_for(arm: Arm) -> Head:
     """The head that has the whole range of the tip in view, from the side where the marker shows.
 
     Of 16 level directions it takes the one from which the marker, mounted for it, is turned away
-    the least over 256 poses.
+    the least over 256 poses. A camera that the arm declares stays where it is.
     """
     model = declared_model(arm, deflection=False)
     tips = model.pose(sobol(arm, _POSES, 0).q)
     points, turns = tips[:, :3, 3], tips[:, :3, :3]
-    axis, mounting = _facing(turns)
+    given = arm.camera
+    axes = [given.optical_axis / np.linalg.norm(given.optical_axis)] if given else _LEVEL
+    axis, mounting = _facing(turns, axes)
     x = np.cross(axis, [0.0, 0.0, 1.0])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     off = points - middle
@@ -91,17 +99,19 @@ def head_for(arm: Arm) -> Head:
             (0.9 * 0.5 * SIZE[1] / FOCAL_PX, down + rim),
         ]
         distance = max(float((wide / slope - deep).max()) for slope, wide in ends)
+        if given:
+            distance = float((middle - given.position_m) @ axis)
     baseline = round(_BASELINE * distance, 3)
     position = middle - distance * axis - 0.5 * baseline * x
+    if given:
+        position = np.array(given.position_m)
     return Head(_three(position, 3), _three(axis, 9), baseline, tag, _three(mounting, 9))
 
 
-def _facing(turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Direction of looking (3,) and the plate's rotation vector (3,) on the tip."""
+def _facing(turns: np.ndarray, axes: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Of directions of looking the best (3,), and the plate's rotation vector (3,) on the tip."""
     best: tuple[float, np.ndarray, np.ndarray] | None = None
-    for k in range(_DIRECTIONS):
-        angle = 0.5 * math.pi + 2 * math.pi * k / _DIRECTIONS
-        axis = np.array([math.cos(angle), math.sin(angle), 0.0]).round(12)
+    for axis in axes:
         normal = (-turns.transpose(0, 2, 1) @ axis).mean(axis=0)
         if np.linalg.norm(normal) < 1e-6:
             continue

@@ -14,6 +14,7 @@ from longarm_comp.arm_folder.head import head_for
 from longarm_comp.arm_folder.parameter_file import one_line, own_text, ros_parameters, with_values
 from longarm_comp.arm_folder.servos import DEFAULT_MODEL, servo_section
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.places import link_places
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import parse_yaml
 from longarm_comp.devices.servo_bus import models
@@ -30,15 +31,18 @@ _COMMENTS = {
     "point_masses": "Servos, grippers, links without a beam: kg, and the place in a row's frame.",
     "camera": "Left camera of the stereo head, in the base frame: as in stereo_bridge.yaml.",
 }  # fmt: skip
-_NO_LINKS = """No beam is declared: the arm is taken as rigid. For each piece that bends:
+_NO_LINKS = """No beam is declared: the arm is taken as rigid. For what bends (docs/arm.md):
 links:
-  - {name: boom, row: 2, role: a, length_m: 0.4, section: {type: tube, od_m: 0.03, id_m: 0.026},
-     E_pa: 6.9e+10, poisson: 0.33, mass_kg: 0.19, body_length_m: 0.4}"""
+  - {{name: boom, row: {row}, role: {role}, length_m: {length:.4g},
+     section: {{type: tube, od_m: 0.03, id_m: 0.026}}, E_pa: 6.9e+10, poisson: 0.33, mass_kg: 0.19,
+     body_length_m: {length:.4g}}}"""
 _NO_PAYLOAD = """Nothing is carried. Otherwise:
 payload: {mass_kg: 0.25, frame: 6, position_m: [0, 0, 0.05]}"""
+_NO_CAMERA = """What measures: tracker, total_station or touch; without it all causes are tried.
+measuring: tracker"""
 
 
-def _arm_text(data: Mapping[str, Any], head: str, of_rows: Mapping[int, str]) -> str:
+def _arm_text(data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], arm: Arm) -> str:
     """The file.
 
     Args:
@@ -56,7 +60,9 @@ def _arm_text(data: Mapping[str, Any], head: str, of_rows: Mapping[int, str]) ->
                 lines.append(f"  - {one_line(dict(row))}" + (f"  # {beside}" if beside else ""))
         else:
             lines.append(f"{key}: {one_line(value)}")
-    for key, text in (("links", _NO_LINKS), ("payload", _NO_PAYLOAD)):
+    row, role, size = (link_places(arm.joints) or [(1, "a", 0.4)])[0]
+    no_links = _NO_LINKS.format(row=row, role=role, length=abs(size))
+    for key, text in (("links", no_links), ("payload", _NO_PAYLOAD), ("camera", _NO_CAMERA)):
         if not data.get(key):
             lines += _commented(text)
     return "\n".join(lines) + "\n"
@@ -88,13 +94,16 @@ class Source:
     arm: Arm
 
     @classmethod
-    def of_data(cls, data: Mapping[str, Any], head: str, of_rows: Mapping[int, str]) -> Source:
-        """From what arm.yaml shall hold; the camera is added."""
-        arm = Arm.parse(dict(data), ARM)
-        seen = head_for(arm)
-        camera = {"position_m": list(seen.position_m), "optical_axis": list(seen.axis)}
-        whole = {**data, "camera": camera}
-        return cls(_arm_text(whole, head, of_rows), Arm.parse(whole, ARM))
+    def of_data(
+        cls, data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], *, seen: bool
+    ) -> Source:
+        """From what arm.yaml shall hold; ``seen``: a camera is added."""
+        arm, whole = Arm.parse(dict(data), ARM), dict(data)
+        if seen:
+            stereo = head_for(arm)
+            whole["camera"] = {"position_m": list(stereo.position_m),
+                               "optical_axis": list(stereo.axis)}  # fmt: skip
+        return cls(_arm_text(whole, head, of_rows, arm), Arm.parse(whole, ARM))
 
     @classmethod
     def of_file(cls, path: Path) -> Source:

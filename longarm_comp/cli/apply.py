@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, print_json, progress
+from longarm_comp.cli.output import kept_if_broken_off, note, print_json, progress
 from longarm_comp.cli.signals import on_graph
 
 
@@ -38,8 +38,23 @@ def apply(diagnosis: Path, namespace: str, as_json: bool, **how: Any) -> None:
 
     from longarm_comp.jobs.apply import apply_on_graph
 
-    with on_graph("apply", namespace) as client, progress("apply") as show:
-        done = apply_on_graph(client, diagnosis, note=note, progress=show, **how)
+    began: list[str] = []
+
+    def kept() -> str:
+        said = "model and predictor at work fit each other; the same command finishes the rest"
+        return said if began else ""
+
+    with (
+        kept_if_broken_off(kept),
+        on_graph("apply", namespace) as client,
+        progress("apply") as show,
+    ):
+
+        def step(text: str, share: float) -> None:
+            began.append(text)
+            show(text, share)
+
+        done = apply_on_graph(client, diagnosis, note=note, progress=step, **how)
     if as_json:
         print_json({**asdict(done), "undo": done.undo})
         return

@@ -9,7 +9,7 @@ from typing import Literal
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import note, print_json, print_table
+from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_table
 
 
 @click.command()
@@ -47,7 +47,16 @@ def record(
 
     topics = (*recorder.SESSION_TOPICS, DIAGNOSTICS, *(recorder.IMAGE_TOPICS if images else ()))
     begun = time.monotonic()
-    with stop_on_signals() as stop, SegmentedBag(output, resume=resume) as bag:
+
+    def kept() -> str:
+        there = (output / "metadata.yaml").is_file()
+        return f"{output} keeps what was recorded; --resume adds to it" if there else ""
+
+    with (
+        stop_on_signals() as stop,
+        SegmentedBag(output, resume=resume) as bag,
+        kept_if_broken_off(kept),
+    ):
         note("recording; Ctrl-C ends it")
         counts = recorder.record(bag, topics, stop, namespace, segment, duration)
     seconds = time.monotonic() - begun

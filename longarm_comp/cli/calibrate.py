@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
+from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress, value_cells
 
 if TYPE_CHECKING:
     import numpy as np
 
     from longarm_comp.core.data.session import Session
-    from longarm_comp.workflows.calibrate import Calibration, FittedParameter
+    from longarm_comp.workflows.calibrate import Calibration
 
 
 @click.command()
@@ -71,8 +71,9 @@ def command(
     print_rows(
         f"Held-out errors ({calibration.held_out_rows} of {len(calibration.session)} rows)", rows
     )
+    called = declared.called
     cells = [
-        (p.effect, p.where, p.name, f"{p.value:.4g}", _interval(p), p.unit)
+        (p.effect, called.get(p.where, p.where), p.name, *value_cells(p.value, p.ci95, p.unit))
         for p in calibration.parameters
         if not p.geometry
     ]
@@ -89,11 +90,6 @@ def command(
 def _called(session: Session) -> np.ndarray:
     """The user's own number of each row, else its index."""
     return session.labels.get("point", session.index)
-
-
-def _interval(p: FittedParameter) -> str:
-    low, high = p.ci95
-    return f"{low:.4g} .. {high:.4g}"
 
 
 def _facts(calibration: Calibration) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
+from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress, value_cells
 
 STEPS = 6.0
 """Steps after which the progress bar is half way, since the number of effects is not known."""
@@ -69,7 +69,7 @@ def command(
 
 
 def _print(report: dict[str, Any]) -> None:
-    from longarm_comp.report.cards import cards
+    from longarm_comp.report.cards import said, to_do
     from longarm_comp.report.record import checked
 
     rows = report["held_out"]["rows"]
@@ -77,19 +77,20 @@ def _print(report: dict[str, Any]) -> None:
     shown = [{k: v for k, v in row.items() if k not in absent} for row in rows]
     print_rows(f"Held-out errors ({report['held_out']['n']} rows)", shown)
     cells = [
-        (f["effect"], p["where"], p["name"], *_value(p))
+        (
+            f["effect"],
+            report["called"].get(p["where"], p["where"]),
+            p["name"],
+            *value_cells(p["value"], p["ci95"], p["unit"]),
+        )
         for f in report["findings"]
         for p in f["parameters"]
     ]
     if cells:
         header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
         print_table("Effects added", header, cells)
-    for card in cards(checked(report)):
-        said = (card.tip, card.sure, card.action, card.software, card.improves)
-        click.echo(f"{card.title}: {'; '.join(filter(None, said))}")
+    for duty, held in to_do(checked(report).for_people()).items():
+        for card in held:
+            told = (card.tip, card.sure, said(card), card.software, card.improves)
+            click.echo(f"{duty.lower()}: {card.title}: {'; '.join(filter(None, told))}")
     click.echo(f"{report['verdict']}: {report['summary']}")
-
-
-def _value(p: dict[str, Any]) -> tuple[str, str, str]:
-    span = "at its bound" if p["ci95"] is None else "{:.4g} .. {:.4g}".format(*p["ci95"])
-    return f"{p['value']:.4g}", span, p["unit"]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, print_json
+from longarm_comp.cli.output import note, note_link_places, print_json
 from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -93,37 +93,40 @@ def command(
     """
     from longarm_comp.arm_folder.make import (
         ARM,
+        Source,
         check_free,
         demonstration,
         files_of,
         write_folder,
     )
+    from longarm_comp.urdf import chain_ends, import_urdf
 
     check_free(out)
     _one_source(urdf, like, arm, rows)
+    source = None
     if like is not None:
         files = demonstration()
     else:
-        homes = dict(map(_home, home))
-        if urdf is not None:
-            # Range of a turning joint that is driven through all of it in a first session
-            whole = 0.0 if only_arm else 45.0
-            first = None if hobby else whole
-            source = _from_urdf(urdf, base, tip, first if range_deg is None else range_deg, homes)
-        elif arm is not None:
-            source = _from_file(arm)
+        if arm is not None:
+            source = Source.of_file(arm)
         else:
-            table = _table(out, name, rows, tip_at, payload)
-            first = None if hobby else 0.0
-            source = _narrowed(
-                table, "a DH table", first if range_deg is None else range_deg, homes
-            )
+            if urdf is not None:
+                base, tip = chain_ends(urdf, base, tip)
+                data, where = import_urdf(urdf, base, tip), f"{urdf.name}, {base} to {tip}"
+            else:
+                data, where = _table(out, name, rows, tip_at, payload), "a DH table"
+            if range_deg is None and not hobby:
+                # Range of a turning joint that is driven through all of it in a first session
+                range_deg = 45.0 if urdf is not None and not only_arm else 0.0
+            source = _narrowed(data, where, range_deg, dict(map(_home, home)), seen=not only_arm)
         files = {ARM: source.text} if only_arm else files_of(source, servos, hobby)
     write_folder(out, files)
     if as_json:
         print_json({"folder": str(out), "files": list(files)})
         return
     note(f"{', '.join(files)} in {out}")
+    if source is not None and not source.arm.links:
+        note_link_places(source.arm)
     then = f"longarm import-data FILE --arm {out}/arm.yaml -o {out}/samples.csv"
     note(f"next: longarm check {out}; {then if only_arm else f'longarm up {out}/arm.yaml --sim'}")
 
@@ -143,24 +146,12 @@ def _home(text: str) -> tuple[str, float]:
         raise InputError("init", "--home", text, "JOINT=DEG, for instance joint2=30") from None
 
 
-def _from_urdf(
-    urdf: Path, base: str, tip: str, range_deg: float | None, homes: dict[str, float]
-) -> Source:
-    from longarm_comp.urdf import chain_ends, import_urdf
-
-    base, tip = chain_ends(urdf, base, tip)
-    data = import_urdf(urdf, base, tip)
-    return _narrowed(data, f"{urdf.name}, {base} to {tip}", range_deg, homes)
-
-
-def _from_file(arm: Path) -> Source:
-    from longarm_comp.arm_folder.make import Source
-
-    return Source.of_file(arm)
-
-
 def _narrowed(
-    data: dict[str, object], where: str, range_deg: float | None, homes: dict[str, float]
+    data: dict[str, object],
+    where: str,
+    range_deg: float | None,
+    homes: dict[str, float],
+    seen: bool,
 ) -> Source:
     """Without a range: what webcams see from the arm's own table."""
     from longarm_comp.arm_folder.make import Source
@@ -175,7 +166,7 @@ def _narrowed(
             f"\nTurning joints have {range_deg:g} deg at most: a first session drives through all"
             "\nof the limits. Widen them where nothing is in the way and the marker is seen."
         )
-    return Source.of_data(data, head, notes)
+    return Source.of_data(data, head, notes, seen=seen)
 
 
 def _table(

@@ -10,7 +10,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.dialogue import agreed
-from longarm_comp.cli.output import note, print_json, print_rows, progress
+from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, progress
 from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import JobError
 
@@ -79,7 +79,14 @@ def command(
         note(f"{report.verdict}: {report.summary}")
         return agreed("Apply this to the model at work?", yes)
 
-    with on_graph("loop", namespace, declared) as client, progress("loop") as show:
+    def kept() -> str:
+        return f"{output} keeps what was done; --resume goes on" if output.is_dir() else ""
+
+    with (
+        kept_if_broken_off(kept),
+        on_graph("loop", namespace, declared) as client,
+        progress("loop") as show,
+    ):
         result = Loop(client, settings, agree, resume=resume, say=show).run()
     printed = write_loop(declared.name, settings, result)
     if as_json:

@@ -17,6 +17,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from longarm_comp.core.arm.arm import Arm
+
 
 _QUIET_S = 10.0
 """A reader of lines wants to know that the job goes on, not each of its steps."""
@@ -25,6 +27,27 @@ _QUIET_S = 10.0
 def note(text: str) -> None:
     """Print a note on stderr."""
     click.echo(f"longarm: {text}", err=True)
+
+
+@contextmanager
+def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
+    """Say what a long job leaves and the next command where it ends early; its cause follows."""
+    try:
+        yield
+    except BaseException:
+        if said := kept():
+            note(said)
+        raise
+
+
+def note_link_places(arm: Arm) -> None:
+    """Say where links can be declared, of an arm that has none."""
+    from longarm_comp.core.arm.places import link_places
+
+    if places := link_places(arm.joints):
+        named = (f"row {row} ({arm.joints[row - 1].name or f'joint{row}'}) {role} {size:.4g} m"
+                 for row, role, size in places)  # fmt: skip
+        note(f"nothing declared bends; links (docs/arm.md) can lie along {', '.join(named)}")
 
 
 def as_text(data: object) -> str:
@@ -53,8 +76,18 @@ def print_table(
         table.add_column(name, justify="left" if k == 0 else "right")
     for row in rows:
         table.add_row(*(escape(_cell(value)) for value in row))
-    width = None if (sys.stderr if on_stderr else sys.stdout).isatty() else 120
+    # A file or a pipe has no width: nothing is cut
+    width = None if (sys.stderr if on_stderr else sys.stdout).isatty() else 1000
     Console(width=width, stderr=on_stderr).print(table)
+
+
+def value_cells(value: float, ci95: Sequence[float] | None, unit: str) -> tuple[str, str, str]:
+    """A value, its interval and its unit, in the unit that people read."""
+    from longarm_comp.core.effects.units import for_people
+
+    times, name = for_people(unit)
+    span = "at its bound" if ci95 is None else " .. ".join(f"{times * v:.4g}" for v in ci95)
+    return f"{times * value:.4g}", span, name
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -9,7 +9,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.dialogue import agreed
-from longarm_comp.cli.output import note, progress
+from longarm_comp.cli.output import kept_if_broken_off, note, progress
 from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import JobError
 
@@ -42,12 +42,22 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.sweep import sweep_joints
 
+    began: list[bool] = []
+
+    def kept() -> str:
+        return "the joints stand where it ended; the same command begins anew" if began else ""
+
     def agree(path: np.ndarray, takes: float) -> None:
         ask = f"Drive all {path.shape[1]} joints to both ends of their ranges ({takes:.0f} s)?"
         if not agreed(ask, yes):
             raise JobError("not swept: no yes was given")
+        began.append(True)
 
-    with on_graph("sweep", namespace, Arm.load(arm)) as client, progress("sweep") as show:
+    with (
+        kept_if_broken_off(kept),
+        on_graph("sweep", namespace, Arm.load(arm)) as client,
+        progress("sweep") as show,
+    ):
         moves = sweep_joints(
             client, range_s=seconds, margin=margin, together=not one_by_one, agree=agree,
             progress=show,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import note, print_json
+from longarm_comp.cli.output import kept_if_broken_off, note, print_json
 from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import InputError, JobError
 
@@ -83,7 +83,13 @@ def command(
         raise InputError(str(output), "session", "exists", "a new file, or --resume")
     if output.exists():
         touches.begin_with(read_session(output, declared))
+
+    def kept() -> str:
+        count = len(touches.rows)
+        return f"{output} keeps {count} touches; --resume adds to them" if count else ""
+
     with (
+        kept_if_broken_off(kept),
         on_graph("touch", namespace, declared) as client,
         limp(client) if by_hand else nullcontext(""),
     ):

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import note, print_json, print_rows
+from longarm_comp.cli.output import note, note_link_places, print_json, print_rows
 
 
 @click.command()
@@ -37,10 +37,7 @@ def import_urdf(urdf: Path, base: str, tip: str, output: Path) -> None:
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
     write_text(output, f"# From {urdf.name}, {base} to {tip}; add `links` where it bends.\n{text}")
     note(f"{arm.n} joints ({', '.join(arm.joint_names)}) in {output}")
-    lengths = [f"row {joint.id} ({joint.name}) {role} {size:.4g} m" for joint in arm.joints
-               for role, size in (("a", joint.a_m), ("d", joint.d_m)) if size]  # fmt: skip
-    if lengths:
-        note(f"a URDF says nothing of what bends; links can lie along {', '.join(lengths)}")
+    note_link_places(arm)
 
 
 @click.command()

@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import as_text, note, print_json, print_rows, progress
+from longarm_comp.cli.output import (
+    as_text,
+    kept_if_broken_off,
+    note,
+    print_json,
+    print_rows,
+    progress,
+)
 from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
     from longarm_comp.jobs.client import Pace
+
+_BROKEN_OFF = (
+    "of a verification that is broken off nothing is kept; model and predictor are as before; "
+    "`longarm status` says how the arm stands, the same command begins anew"
+)
 
 
 @click.command()
@@ -89,8 +102,10 @@ def command(
     with (
         on_graph("verify", namespace, declared, tips=tips) as client,
         progress("verify") as show,
+        ExitStack() as ending,
     ):
         client.ready()
+        ending.enter_context(kept_if_broken_off(lambda: _BROKEN_OFF))
         runner = TargetRunner(client, paced)
         runner.ready(drawn_from.tip(declared.mid), 30.0)
         judged = Method(method) if method else method_at_work(client)

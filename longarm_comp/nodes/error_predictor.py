@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from geometry_msgs.msg import Vector3Stamped
 from rclpy.executors import SingleThreadedExecutor
@@ -151,8 +152,10 @@ class ErrorPredictor(ArmNode):
             "last refusal": self._last,
         }
         if self._loaded is None:
-            level = ERROR if self._fault else WARN
-            return Report(level, self._fault or "no predictor file is configured", facts)
+            if self._fault and Path(self._path).exists():
+                return Report(ERROR, self._fault, facts)
+            which = f"{self._path} is not there" if self._path else "no file is configured"
+            return Report(WARN, f"no predictor: {which}; physics alone is used", facts)
         if self._fault:
             return Report(WARN, f"the last good predictor is kept: {self._fault}", facts)
         return Report(OK, "predicting", facts)

@@ -65,10 +65,12 @@ class ModelFiles:
     def report(self) -> Report:
         """State of the model, for diagnostics."""
         facts = {"file": self._path, "sha256": self.loaded.file_hash, "loads": self.loads}
-        if self._fault:
+        if self.loaded.file_hash and self._fault:
             return Report(WARN, f"the last good model is kept: {self._fault}", facts)
         if not self.loaded.file_hash:
-            return Report(WARN, "no calibrated model: the arm as declared", facts)
+            wrong = f": {self._fault}" if self._fault and Path(self._path).exists() else ""
+            said = "not calibrated yet: plan, collect, diagnose; the arm as declared is used"
+            return Report(WARN, said + wrong, facts)
         return Report(OK, "calibrated model loaded", facts)
 
 

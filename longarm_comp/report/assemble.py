@@ -150,6 +150,7 @@ def record_of(
             }
             for f in diagnosis.doubtful
         ],
+        "called": diagnosis.arm.called,
         "provenance": _provenance(diagnosis.seed, data_sha256, diagnosis.holdout_uses),
     }
 
@@ -173,6 +174,7 @@ def refused(
         "none_of_these": None,
         "written": None,
         "doubtful": [],
+        "called": {},
         "provenance": _provenance(seed, data_sha256, ()),
     }
     return report, Detail(title=title)
@@ -206,7 +208,6 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
             }
         )
     runner, first = found.runner_up, found.terms[0]
-    called = diagnosis.arm.called
     tip_mm = 1e3 * real.tip_m
     return {
         "effect": found.name,
@@ -217,7 +218,6 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
         "set_probability": {name: p for name, p in found.chances if name in found.names},
         "unnamed": found.unnamed,
         "where": list(found.where),
-        "called": {p: w for p, w in called.items() if p in found.where},
         "log_bayes_factor": found.log_bayes_factor,
         "parameters": parameters,
         "runner_up": None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import math
 from dataclasses import dataclass
 
 from longarm_comp.core.effects.units import for_people
@@ -19,6 +19,10 @@ CERTAIN, LIKELY = 0.999, 0.95
 FEW = 0.05
 """Share of a mean error below which a change of it is no improvement worth a word."""
 MOST_SIZES = 8
+WORTH_MM = 0.5
+"""Gain of the mean error from which on a repair is advised, mm: shims, clamps and preloads are set
+by hand to a few tenths at the tip, and software compensates what is smaller."""
+DUTIES = ("Do", "Do only if", "Leave alone")
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,7 @@ class _Card:
         sure: in a word or two.
         because: the figures behind `sure`.
         doubts: what speaks against it.
+        duty: one of `DUTIES`, and `because_of` what decides it.
         action: at the arm.
         software: what a command does about it.
         improves: held-out error without and with it.
@@ -61,6 +66,8 @@ class _Card:
     sure: str
     because: str
     doubts: tuple[str, ...]
+    duty: str
+    because_of: str
     action: str
     software: str
     improves: str
@@ -69,11 +76,54 @@ class _Card:
 
 def cards(report: DiagnosisReport) -> list[_Card]:
     """A card per finding, then one per cause without a name that is in the model."""
-    unnamed = [_unnamed(found) for found in report.discovered if found.kept]
+    unnamed = [_unnamed(found, report) for found in report.discovered if found.kept]
     return [_card(finding, report) for finding in report.findings] + unnamed
 
 
-def _unnamed(found: ReportDiscovered) -> _Card:
+def to_do(report: DiagnosisReport) -> dict[str, list[_Card]]:
+    """The cards by what is to be done about them, in the order of `DUTIES`; empty ones left out."""
+    made = cards(report)
+    return {duty: held for duty in DUTIES if (held := [c for c in made if c.duty == duty])}
+
+
+def said(card: _Card) -> str:
+    """What to do about it, in a sentence or two."""
+    if card.duty == DUTIES[1]:
+        return f"{card.because_of} Then: {card.action}"
+    return f"{card.because_of} {card.action}" if card.duty == DUTIES[0] else card.because_of
+
+
+def _duty(gain_mm: float, first: str, report: DiagnosisReport) -> tuple[str, str]:
+    """What to do about a cause, and why.
+
+    Args:
+        gain_mm: what the mean error of the held-out rows falls by with it.
+        first: what has to be known before anything is dismantled; empty where nothing is in doubt.
+    """
+    noise = math.hypot(*(report.noise.sigma_mm or ()))
+    if gain_mm < max(WORTH_MM, noise):
+        least = "the noise" if noise > WORTH_MM else f"{WORTH_MM:g} mm"
+        return DUTIES[2], f"It is worth {millimetres(max(gain_mm, 0.0))}, less than {least}."
+    return (DUTIES[1], first) if first else (DUTIES[0], f"It is worth {millimetres(gain_mm)}.")
+
+
+def _first(finding: ReportFinding, report: DiagnosisReport) -> str:
+    """What would decide a doubt; empty where there is none."""
+    if len(finding.set) > 1:
+        poses = "the poses of next_poses.csv tell" if report.next_poses else "a look at it tells"
+        return f"{poses} that it is {finding.effect}, not {listed(_others(finding))}."
+    if finding.unnamed:
+        return f"a look at it shows the cause: {finding.unnamed}."
+    if finding.doubts:
+        return f"this is cleared up: {'; '.join(finding.doubts)}."
+    return "" if finding.probability >= CERTAIN else "a second session finds it again."
+
+
+def _others(finding: ReportFinding) -> list[str]:
+    return [name for name in finding.set if name != finding.effect]
+
+
+def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
     """A cause without a name: its formula and what it behaves like."""
     word, others = _word(found.log_evidence), found.set[1:]
     said = f"Odds of {odds(found.log_evidence)} for it, the choice among all functions paid for."
@@ -81,6 +131,8 @@ def _unnamed(found: ReportDiscovered) -> _Card:
         said += f" Places that explain it as well: {listed(others)}."
     tip = f"{millimetres(found.tip_mm.rms)} at the tip, up to {millimetres(found.tip_mm.max)}"
     held = "Inside the range of the data the new model.yaml compensates it."
+    gain = found.held_out_rms_mm[0] - found.held_out_rms_mm[1]
+    duty, why = _duty(gain, "something there acts like this.", report)
     return _Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
         names="",
@@ -92,6 +144,8 @@ def _unnamed(found: ReportDiscovered) -> _Card:
         sure=word + ("; the place is open" if others else _with_doubts(found.doubts)),
         because=said,
         doubts=tuple(found.doubts),
+        duty=duty,
+        because_of=why,
         action=found.action,
         software=held if found.compensated else "Commands leave it out.",
         improves=change(found.held_out_rms_mm),
@@ -101,19 +155,22 @@ def _unnamed(found: ReportDiscovered) -> _Card:
 
 def _card(finding: ReportFinding, report: DiagnosisReport) -> _Card:
     sure, because = _sure(finding)
-    title, where = finding.title or finding.effect.replace("_", " "), _where(finding)
-    in_order = sorted(finding.parameters, key=lambda p: _natural(p.where))
+    title, where = finding.title or finding.effect.replace("_", " "), places(finding.where)
+    before, after = finding.seen_mm or (0.0, 0.0)
+    duty, why = _duty(before - after, _first(finding, report), report)
     return _Card(
         title=title.capitalize() + (f", {where}" if where not in title else ""),
         names=" or ".join(finding.set or [finding.effect]),
         where=where,
-        sizes=tuple(_size(p) for p in in_order[:MOST_SIZES]),
+        sizes=tuple(_size(p) for p in finding.parameters[:MOST_SIZES]),
         more=max(0, len(finding.parameters) - MOST_SIZES),
         reading=finding.reading,
         tip=_tip(finding),
         sure=sure,
         because=because,
         doubts=tuple(finding.doubts),
+        duty=duty,
+        because_of=why,
         action=finding.action,
         software=_software(finding, report),
         improves=_improves(finding),
@@ -122,28 +179,12 @@ def _card(finding: ReportFinding, report: DiagnosisReport) -> _Card:
 
 def places(where: list[str]) -> str:
     """``joints 1, 3 and 4`` for ``joint 1``, ``joint 3``, ``joint 4``; others one by one."""
-    where = sorted(where, key=_natural)
     split = [place.rsplit(" ", 1) for place in where]
     kinds = {parts[0] for parts in split}
     if len(where) < 2 or len(kinds) > 1 or any("," in p or len(p.split()) != 2 for p in where):
         return "; ".join(where)
     values = [parts[1] for parts in split]
     return f"{kinds.pop()}s {', '.join(values[:-1])} and {values[-1]}"
-
-
-def _where(finding: ReportFinding) -> str:
-    """Its places, with what people call these joints where that is not the row's number."""
-    if not finding.called:
-        return places(finding.where)
-    called = finding.called
-    said = (f"{p} ({called[p]})" if p in called else p for p in sorted(finding.where, key=_natural))
-    return "; ".join(said)
-
-
-def _natural(place: str) -> list[tuple[int, str]]:
-    """Key that sorts ``joint 2`` before ``joint 10``."""
-    parts = re.findall(r"\d+|\D+", place)
-    return [(int(part), "") if part.isdigit() else (0, part) for part in parts]
 
 
 def _size(parameter: FindingParameter) -> Size:
@@ -166,7 +207,7 @@ def _sure(finding: ReportFinding) -> tuple[str, str]:
     """How sure, and the figures behind it."""
     there = finding.probability
     said = [f"Odds of {odds(finding.log_bayes_factor)} for it against leaving it out"]
-    others = [name for name in finding.set if name != finding.effect]
+    others = _others(finding)
     if others:
         said.append(f"These data do not tell it from {listed(others)}")
     elif finding.runner_up is not None:

@@ -10,6 +10,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.next_poses import NextPoses
@@ -54,7 +55,8 @@ def _places(
     points: dict[str, list[np.ndarray]] = {}
     for term in terms:
         points.setdefault(term.where, []).extend(_points(term, model, posture, context))
-    return {where: np.mean(held, axis=0) for where, held in points.items()}
+    called = model.arm.called
+    return {called.get(at, at): np.mean(held, axis=0) for at, held in points.items()}
 
 
 def _points(
@@ -155,7 +157,9 @@ def _correlation(diagnosis: Diagnosis) -> Correlation | None:
         return None
     sd = fit.standard_errors
     matrix = fit.covariance[np.ix_(own, rest)] / np.outer(sd[own], sd[rest])
-    labels = [f"{s.owner.name} {s.owner.where} {s.parameter.name}" for s in fit.slots]
+    called = diagnosis.arm.called
+    labels = [in_names(f"{s.owner.name} {s.owner.where} {s.parameter.name}", called)
+              for s in fit.slots]  # fmt: skip
     return Correlation(
         tuple(labels[k] for k in own),
         tuple(labels[k] for k in rest),
@@ -175,7 +179,7 @@ def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> tuple[Detect
         smallest.append(
             Detectable(
                 name,
-                place,
+                in_names(place, diagnosis.arm.called),
                 p.name,
                 one.size * p.prior if seen else None,
                 p.unit,

@@ -185,7 +185,7 @@ def place(found: Marked) -> Figure:
             x, z, marker="o", markersize=16, markerfacecolor="none", color=VERMILLION,
             markeredgewidth=2.2,
         )  # fmt: skip
-        label = ", ".join(where.split(",")[0].rsplit(" ", 1)[-1] for where in near)
+        label = ", ".join(where.split(",")[0].rsplit(" ", 1)[-1].strip("()") for where in near)
         left_half = x < (low[0] + high[0]) / 2
         axes.annotate(
             label, (x, z), (8 if left_half else -8, 9), textcoords="offset points", fontsize=10,

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.errors import InputError
 
 SCHEMA = "longarm/diagnosis/1"
@@ -55,7 +56,6 @@ class TipSize(_Record):
 class ReportFinding(_Record):
     """An effect that was added, or the set of effects that it cannot be distinguished from.
 
-    `called` says which joint a row of arm.yaml is, where its number or name is another.
     `probability` is that it is there; `set_probability` that each name of the set is its cause.
     `unnamed` is why a cause without a name may be there instead.
     `seen_mm` and `commanded_mm` are mean held-out errors without it, the rest fitted again, and
@@ -70,7 +70,6 @@ class ReportFinding(_Record):
     set_probability: dict[str, float]
     unnamed: str = ""
     where: list[str]
-    called: dict[str, str] = {}
     log_bayes_factor: float
     parameters: list[FindingParameter]
     runner_up: RunnerUp | None
@@ -243,7 +242,20 @@ class DiagnosisReport(_Record):
     none_of_these: float | None = Field(default=None, ge=0, le=1)
     written: Written | None = None
     doubtful: list[Doubtful] = []
+    called: dict[str, str] = {}
     provenance: ReportProvenance
+
+    def for_people(self) -> DiagnosisReport:
+        """The same with joints by their names instead of by rows of arm.yaml."""
+
+        def named(value: Any) -> Any:
+            if isinstance(value, list | tuple):
+                return [named(entry) for entry in value]
+            if isinstance(value, dict):
+                return {key: named(entry) for key, entry in value.items()}
+            return in_names(value, self.called) if isinstance(value, str) else value
+
+        return type(self).model_validate(named(self.model_dump(by_alias=True)))
 
 
 def checked(report: dict[str, Any]) -> DiagnosisReport:

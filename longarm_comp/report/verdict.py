@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from longarm_comp.core.data.commanded import MEASURING_SIDE
-from longarm_comp.report.record import DiagnosisReport
-from longarm_comp.report.words import change, interval
+from longarm_comp.report.record import DiagnosisReport, ErrorRow
+from longarm_comp.report.words import change, interval, millimetres
 
 STAGES = {
-    "nominal": "the model before",
+    "nominal": "the arm as declared",
     "frames_only": "base and marker placed",
     "calibrated": "the calibrated geometry",
     "with_effects": "the geometry with the effects found",
@@ -66,9 +66,11 @@ class _Improvement:
     """What changed on the held-out rows, from one stage to another.
 
     Attributes:
-        stages: their names, before and after.
+        stages: their names, first and last.
         commanded: mean error as a command would have it.
         seen: mean error as seen; empty where it reads the same.
+        between_mm: the error of the stage between, from which what was found is counted, and the
+            stage's name; empty where there is none.
         proof: what the interval says; empty where nothing was added.
         between: what a command leaves out, where the two differ.
         camera: whether a finding is on the measuring side.
@@ -77,27 +79,33 @@ class _Improvement:
     stages: tuple[str, str]
     commanded: str
     seen: str
+    between_mm: str
     proof: str
     between: tuple[str, ...]
     camera: bool
 
 
 def improvement(report: DiagnosisReport) -> _Improvement | None:
-    """Of the stages that the verdict compares; None where there is nothing to compare."""
+    """From the arm as declared to the stage that the verdict ends with; None where nothing is."""
     held = report.held_out
     rows = {row.model: row for row in held.rows}
     if held.before not in rows or held.after not in rows:
         return None
-    before, after = rows[held.before], rows[held.after]
-    seen = change((before.mean_mm, after.mean_mm))
-    commanded = seen
-    if before.commanded_mean_mm is not None and after.commanded_mean_mm is not None:
-        commanded = change((before.commanded_mean_mm, after.commanded_mean_mm))
+    first, before, after = (rows.get(k) for k in ("nominal", held.before, held.after))
+    first = first or before
+    seen = change((first.mean_mm, after.mean_mm))
+
+    def as_commanded(row: ErrorRow) -> float:
+        return row.mean_mm if row.commanded_mean_mm is None else row.commanded_mean_mm
+
+    commanded = change((as_commanded(first), as_commanded(after)))
+    between = f"{millimetres(as_commanded(before))} with {STAGES[before.model]}"
     differs = commanded != seen
     return _Improvement(
-        (STAGES[held.before], STAGES[held.after]),
+        (STAGES[first.model], STAGES[after.model]),
         commanded,
         seen if differs else "",
+        "" if before is first else between,
         _proof(held.commanded_ci95_mm or held.before_after_ci95_mm),
         tuple(held.not_commanded) if differs else (),
         any(said.endswith(MEASURING_SIDE) for said in held.not_commanded) and bool(report.findings),

@@ -32,7 +32,7 @@ def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLi
         InputError: the report violates the schema, or the folder cannot be written to.
     """
     checked = record.checked(report)
-    drawn = _drawn(checked, detail)
+    drawn = _drawn(checked.for_people(), detail)
     html = page(checked, detail, drawn)
     target = Path(folder)
     for name, content in drawn.items():

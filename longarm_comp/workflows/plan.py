@@ -22,7 +22,6 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.sessions.poses import read_next_poses
-from longarm_comp.workflows.diagnosis_files import MODEL, SESSION
 from longarm_comp.workflows.inputs import (
     FilePath,
     ModelLike,
@@ -104,7 +103,8 @@ def plan(
 
     if kind == "i-optimal" or kind == "d-optimal":
         if report is not None:
-            model, measured = Path(report) / MODEL, measured or _session_of(report)
+            model, session = _of_diagnosis(report)
+            measured = measured or session
         known = physics(arm, model)
         rows = None if measured is None else admitted(measured, arm, known, note=note)
         pool = None
@@ -141,11 +141,14 @@ def bounded(arm: Arm, keep_out: Sequence[Sequence[float]], floor: float | None) 
     return arm if floor is None else above(arm, floor)
 
 
-def _session_of(report: FilePath) -> Path | None:
-    """The session that a diagnosis was made of, where it is still there."""
-    said = read_stored(Path(report) / MODEL).provenance.get(SESSION)
+def _of_diagnosis(report: FilePath) -> tuple[Path, Path | None]:
+    """Its model, and the session that it was made of where that is still there."""
+    from longarm_comp.workflows.diagnosis_files import MODEL, SESSION  # draws pictures
+
+    model = Path(report) / MODEL
+    said = read_stored(model).provenance.get(SESSION)
     path = Path(report) / str(said)
-    return path if said and path.exists() else None
+    return model, path if said and path.exists() else None
 
 
 def _box(given: Sequence[float]) -> Box:

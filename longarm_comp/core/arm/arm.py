@@ -31,6 +31,7 @@ from longarm_comp.core.arm.measuring import (
     Sensors,
     TouchDistances,
 )
+from longarm_comp.core.arm.places import called
 from longarm_comp.core.arm.pose import NonNegative, Pose, Positive, Vec3
 from longarm_comp.core.arm.spatial import IDENTITY, Frame, rpy_frame
 from longarm_comp.core.errors import InputError
@@ -300,16 +301,9 @@ class Arm(Declared):
 
     @cached_property
     def called(self) -> dict[str, str]:
-        """By place (``joint 4``, a row of arm.yaml): what people call the joint, where that is
-        another number or a name, as ``q2, luff`` after rows that are fixed."""
-        made = {}
-        for number, row in enumerate(self.commanded, 1):
-            words = [f"q{number}"] if number != row else []
-            if self.joints[row - 1].name not in (None, f"joint{row}", f"joint_{row}", f"q{number}"):
-                words.append(str(self.joints[row - 1].name))
-            if words:
-                made[f"joint {row}"] = ", ".join(words)
-        return made
+        """What people read for a place that is a row of arm.yaml, where they have another name:
+        ``luff (q2)`` for ``joint 4``, ``frame luff`` for ``frame 4``."""
+        return called(self.joints, self.commanded)
 
     @cached_property
     def lower(self) -> np.ndarray:

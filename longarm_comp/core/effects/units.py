@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Mapping
+
+_PLACE = re.compile(r"\b(?:joint|row|frame) \d+\b")
 
 
 def for_people(unit: str) -> tuple[float, str]:
@@ -15,3 +19,8 @@ def for_people(unit: str) -> tuple[float, str]:
 
 _PER = {"rad": (math.degrees(1.0), "°"), "m": (1e3, "mm")}
 _READ = {**_PER, "1": (100.0, "%")}
+
+
+def in_names(text: str, called: Mapping[str, str]) -> str:
+    """A text with what people call the places in it (`Arm.called`)."""
+    return _PLACE.sub(lambda found: called.get(found[0], found[0]), text)

@@ -11,6 +11,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import EffectFinding
@@ -166,7 +167,8 @@ class Diagnosis:
             f" ({100 * f.there:.0f} % probable)"
             for f in self.doubtful
         )
-        return _summary(self) + (f" In doubt, and not added: {gone}." if gone else "")
+        text = _summary(self) + (f" In doubt, and not added: {gone}." if gone else "")
+        return in_names(text, self.arm.called)
 
 
 def _summary(found: Diagnosis) -> str:

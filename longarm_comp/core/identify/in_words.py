@@ -35,9 +35,7 @@ def sentence(
         if interval is None or interval.at_bound:
             continue
         shown = value_in_words(interval, slot.parameter.unit)
-        called = fit.model.arm.called.get(slot.owner.where)
-        where = f"{slot.owner.where} ({called})" if called else slot.owner.where
-        values.append(f"{where} {slot.parameter.name} {shown}")
+        values.append(f"{slot.owner.where} {slot.parameter.name} {shown}")
     readings = dict.fromkeys(t.reading for t in finding.terms if t.reading)
     if not values:
         values = [", ".join(finding.where)]

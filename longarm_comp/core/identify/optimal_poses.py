@@ -251,36 +251,66 @@ class _Choice:
         rows = self.x[list(chosen)].reshape(-1, self.x.shape[2])
         return np.asarray(np.linalg.inv(self.information + rows.T @ rows))
 
-    def gains(self, covariance: np.ndarray, taken: Sequence[int]) -> np.ndarray:
-        """(M,) what each further pose would take off; none for those that are taken."""
-        through = self.x @ covariance
-        own = through @ np.swapaxes(self.x, 1, 2) + np.eye(self.x.shape[1])
-        if self.tips is None:
-            gain = np.linalg.slogdet(own)[1]
-        else:
-            left = through @ self.tips @ np.swapaxes(through, 1, 2)
-            gain = np.trace(np.linalg.solve(own, left), axis1=1, axis2=2)
-        gain[list(taken)] = -np.inf
-        return np.asarray(gain)
+    def after(self, chosen: Sequence[int]) -> _Known:
+        """What is known once these are measured."""
+        through = self.x @ self.covariance(chosen)
+        return _Known(self, through, through if self.tips is None else through @ self.tips)
 
     def grown(self, chosen: Sequence[int], n: int) -> list[int]:
         """n more, each the best after those before it."""
-        made = list(chosen)
+        made, known = list(chosen), self.after(chosen)
         for _ in range(n):
-            made.append(int(np.argmax(self.gains(self.covariance(made), made))))
+            made.append(known.best(made))
+            known = known.with_pose(made[-1])
         return made
 
     def exchanged(self, chosen: list[int]) -> list[int]:
         """Each pose replaced where another takes off more in its place."""
         made = chosen.copy()
         for _ in range(PASSES):
-            before = made.copy()
-            for k in range(len(made)):
-                others = made[:k] + made[k + 1 :]
-                made[k] = int(np.argmax(self.gains(self.covariance(others), others)))
+            before, known = made.copy(), self.after(made)
+            for k, old in enumerate(before):
+                without = known.with_pose(old, -1.0)
+                made[k] = without.best(made[:k] + made[k + 1 :])
+                known = known if made[k] == old else without.with_pose(made[k])
             if made == before:
                 break
         return made
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What some poses told: `through` = x C and `weighed` = x C tips, (M, d, p), where C is the
+    covariance. One pose changes both by d columns, which spares the product with C."""
+
+    choice: _Choice
+    through: np.ndarray
+    weighed: np.ndarray
+
+    def with_pose(self, k: int, sign: float = 1.0) -> _Known:
+        """The same with one pose more, or without it (-1)."""
+        x, own = self.choice.x[k], self.through[k]
+        core = np.linalg.inv(own @ x.T + sign * np.eye(len(x)))
+        share = (self.through @ x.T) @ core
+        through = self.through - share @ own
+        if self.choice.tips is None:
+            return _Known(self.choice, through, through)
+        return _Known(self.choice, through, self.weighed - share @ self.weighed[k])
+
+    def best(self, taken: Sequence[int]) -> int:
+        """The pose that would take off most."""
+        return int(np.argmax(self.gains(taken)))
+
+    def gains(self, taken: Sequence[int]) -> np.ndarray:
+        """(M,) what each further pose would take off; none for those that are taken."""
+        own = self.through @ np.swapaxes(self.choice.x, 1, 2) + np.eye(self.through.shape[1])
+        if self.choice.tips is None:
+            gain = np.linalg.slogdet(own)[1]
+        else:
+            left = self.weighed @ np.swapaxes(self.through, 1, 2)
+            gain = np.trace(np.linalg.solve(own, left), axis1=1, axis2=2)
+        gain[list(taken)] = -np.inf
+        return np.asarray(gain)
 
 
 def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> list[Session]:

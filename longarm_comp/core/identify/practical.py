@@ -84,9 +84,13 @@ def practical(
     made = []
     for terms in findings:
         places = {t.key for t in terms}
-        less = refitted_without(fitted, places)
         without = model.without(places)
         still = without.measured_at(without.posture_near(fitted.posture))
+        # A first-order fit may overshoot; what is left without any fit is then nearer
+        less = min(
+            (refitted_without(fitted, places), without),
+            key=lambda left: float(np.linalg.norm(errors(left, placed, at[0]))),
+        )
         made.append(
             Practical(
                 np.linalg.norm(tips - still, axis=1),
