@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any, TypeAlias
 
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Joint
+_Rows: TypeAlias = Sequence[Any]
+"""`Arm.joints`; arm.py reads this file."""
 
 
-def called(joints: Sequence[Joint], commanded: Sequence[int]) -> dict[str, str]:
+def called(joints: _Rows, commanded: Sequence[int]) -> dict[str, str]:
     """As `Arm.called`, of rows and the ids of those that are commanded."""
     made, numbers = {}, {row: f"q{k}" for k, row in enumerate(commanded, 1)}
     for joint in joints:
@@ -23,7 +23,7 @@ def called(joints: Sequence[Joint], commanded: Sequence[int]) -> dict[str, str]:
     return made
 
 
-def link_places(joints: Sequence[Joint]) -> list[tuple[int, str, float]]:
+def link_places(joints: _Rows) -> list[tuple[int, str, float]]:
     """Where links can lie: row, role, length (m, at joint value 0), longest first."""
     held = [(j.id, role, size) for j in joints if j.type != "fixed"
             for role, size in (("a", j.a_m), ("d", j.d_m)) if size]  # fmt: skip
