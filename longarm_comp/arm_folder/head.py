@@ -83,7 +83,9 @@ def head_for(arm: Arm) -> Head:
     tips = model.pose(sobol(arm, _POSES, 0).q)
     points, turns = tips[:, :3, 3], tips[:, :3, :3]
     given = arm.camera
-    axes = [given.optical_axis / np.linalg.norm(given.optical_axis)] if given else _LEVEL
+    axes = _LEVEL
+    if given:
+        axes = [np.array(given.optical_axis) / np.linalg.norm(given.optical_axis)]
     axis, mounting = _facing(turns, axes)
     x = np.cross(axis, [0.0, 0.0, 1.0])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2

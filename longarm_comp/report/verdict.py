@@ -91,8 +91,8 @@ def improvement(report: DiagnosisReport) -> _Improvement | None:
     rows = {row.model: row for row in held.rows}
     if held.before not in rows or held.after not in rows:
         return None
-    first, before, after = (rows.get(k) for k in ("nominal", held.before, held.after))
-    first = first or before
+    before, after = rows[held.before], rows[held.after]
+    first = rows.get("nominal", before)
     seen = change((first.mean_mm, after.mean_mm))
 
     def as_commanded(row: ErrorRow) -> float:

@@ -11,7 +11,8 @@ _Rows: TypeAlias = Sequence[Any]
 
 def called(joints: _Rows, commanded: Sequence[int]) -> dict[str, str]:
     """As `Arm.called`, of rows and the ids of those that are commanded."""
-    made, numbers = {}, {row: f"q{k}" for k, row in enumerate(commanded, 1)}
+    made: dict[str, str] = {}
+    numbers = {row: f"q{k}" for k, row in enumerate(commanded, 1)}
     for joint in joints:
         row, number = joint.id, numbers.get(joint.id)
         own = joint.name not in (None, f"joint{row}", f"joint_{row}", number)
