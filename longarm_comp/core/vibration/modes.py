@@ -17,7 +17,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
@@ -87,6 +86,8 @@ def modes_along(
 
     Between these masses and flexibility go along cubics.
     """
+    from scipy.interpolate import CubicSpline
+
     # Of all beams together, at least; twice as many change the first frequencies by less than 1 %
     each = -(-12 // max(1, len(model.arm.links)))
     fine = replace(model, elements_per_beam=max(each, model.elements_per_beam))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from longarm_comp.core.compensation.retime import Timed
 from longarm_comp.core.errors import InputError
@@ -43,6 +42,8 @@ class Ring:
 
     def settle_s(self, limit_m: float = SMALL_M) -> float:
         """Time until it stays below a size, s."""
+        from scipy.optimize import brentq
+
         if self.size_m() <= limit_m:
             return 0.0
         slowest = float(-self.rate.real.max())
