@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.compensation.retime import Timed
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.vibration.modes import Modes
 from longarm_comp.math.shaper import Way
@@ -126,5 +125,7 @@ def along(modes: Modes, way: Way, seconds: float, damping: float) -> Ring:
 
 def straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:
     """One move from rest to rest, as the driver makes it: a cubic in time."""
+    from longarm_comp.core.compensation.retime import Timed
+
     timed = Timed(np.array([0.0, seconds]), np.stack([start, end]), np.zeros((2, len(start))))
     return lambda times: timed.at(np.clip(times, 0.0, seconds))
