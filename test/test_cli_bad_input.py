@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from cli_shell import Shell, click_command
+from cli_shell import ENTRIES, Shell, click_command
 from small_arm import ARM
 
 from longarm_comp.core.data.session import Session
@@ -183,3 +183,16 @@ def test_a_namespace_may_have_slashes_at_its_ends() -> None:
         option = next(o for o in command.params if o.name == "namespace")
         assert option.callback is not None
         assert option.callback(click.Context(command), option, "/boom/left/") == "boom/left"
+
+
+def test_what_a_command_must_have_is_asked_for(shell: Shell) -> None:
+    needs = {name: [p for p in click_command(name).params if p.required] for name in ENTRIES}
+    assert needs["record"] and needs["study loop"]
+    for name, required in needs.items():
+        for missing in required:
+            words: list[str] = []
+            for given in (p for p in required if p is not missing):
+                value = given.type.choices[0] if isinstance(given.type, click.Choice) else "1"
+                words += [given.opts[0], value] if isinstance(given, click.Option) else [value]
+            assert shell(*name.split(), *words) == 2, f"{name} without {missing.name}"
+            assert "Missing" in shell.err, f"{name} without {missing.name}: {shell.err}"

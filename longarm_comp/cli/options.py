@@ -137,17 +137,12 @@ def output(
     default: str | None, what: str, kind: Kind, beside: Callable[[Path], list[Path]] = lambda p: []
 ) -> _Decorator:
     """``-o PATH``; what of it may be overwritten says `outputs`."""
+    # To click a default of None is a value, with which nothing is missing
+    given: dict[str, Any] = (
+        {"required": True} if default is None else {"default": default, "show_default": True}
+    )
     return click.option(
-        "-o",
-        "--output",
-        type=_PATH,
-        default=default,
-        required=default is None,
-        show_default=default is not None,
-        help=what,
-        cls=Output,
-        kind=kind,
-        beside=beside,
+        "-o", "--output", type=_PATH, help=what, cls=Output, kind=kind, beside=beside, **given
     )
 
 
