@@ -174,7 +174,7 @@ def test_console_scripts_lead_somewhere() -> None:
         f"{module.removesuffix('.__init__')}:main"
         for module, file in test_rooms.sources().items()
         if test_rooms.below(module, (f"{PACKAGE}.nodes", f"{PACKAGE}.cli"))
-        and re.search(r"^def main\(", file.read_text("utf-8"), re.MULTILINE)
+        and re.search(r"^(def main\(|main = )", file.read_text("utf-8"), re.MULTILINE)
     }
     assert scripts == mains | {f"{PACKAGE}.cli:main"}
     assert f"{PACKAGE}.cli" in test_rooms.known()
