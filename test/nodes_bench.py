@@ -78,7 +78,7 @@ class Bench:
         self.node.create_subscription(topic.type, name, got.append, qos)
         return got
 
-    def spin(self, until: Callable[[], Any], within: float = 30.0) -> Any:
+    def spin(self, until: Callable[[], Any], within: float = 60.0) -> Any:
         """Spin until something is truthy; what it is. Fails after so many seconds."""
         end = time.monotonic() + within
         while not (found := until()):
@@ -91,7 +91,7 @@ class Bench:
         """Wait until somebody listens."""
         self.spin(lambda: publisher.get_subscription_count() > 0)
 
-    def call(self, client: Any, request: Any, within: float = 30.0) -> Any:
+    def call(self, client: Any, request: Any, within: float = 60.0) -> Any:
         """The answer of a service.
 
         Asked again after a while: the middleware drops an answer to a client that it has not

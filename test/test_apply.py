@@ -245,7 +245,7 @@ def versions(trained_versions: Versions) -> Versions:
     return trained_versions
 
 
-@pytest.mark.parametrize("network", [True, False])
+@pytest.mark.parametrize("network", [True, pytest.param(False, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     ("how", "ending"), [(full, (OSError, LongarmError)), (broken, Broken)], ids=["full", "killed"]
 )
