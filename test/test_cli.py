@@ -60,7 +60,9 @@ def test_no_file_of_a_command_is_forgotten() -> None:
         ".".join(path.relative_to(root).with_suffix("").parts)
         for folder in (Path(run.__file__).parent, root / "studies" / "commands")
         for path in folder.glob("*.py")
-        if re.search(r"^(@click.command|@shape.study|from bench.command)", path.read_text("utf-8"), re.M)
+        if re.search(
+            r"^(@click.command|@shape.study|from bench.command)", path.read_text("utf-8"), re.M
+        )
     }
     assert files == {f"{folder}.{e.module.partition(':')[0]}" for e, folder in ENTRIES.values()}
 
