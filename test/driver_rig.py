@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 from builtin_interfaces.msg import Duration, Time
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -86,6 +87,18 @@ class Rig:
     def joints(self) -> dict[str, float]:
         """Where the emulated joints really stand."""
         return self.arm.values(self.emulator.positions())
+
+    def rests(self) -> dict[str, float]:
+        """The same, once they no longer creep towards where they were sent."""
+        stood: dict[str, float] = {}
+
+        def still() -> bool:
+            before = dict(stood)
+            stood.update(self.joints())
+            return before == pytest.approx(stood, abs=1e-7)
+
+        self.stage.spin(still)
+        return stood
 
     def send(self, name: str = "", stamp: Time | None = None, **goal: float) -> str:
         """Send a trajectory that this test calls so; the id by which the driver tells of it."""

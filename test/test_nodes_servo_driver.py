@@ -66,7 +66,7 @@ def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
 
 
 def test_bad_trajectories_move_nothing_and_are_counted(rig: Rig) -> None:
-    before, already = rig.joints(), rig.refused()
+    before, already = rig.rests(), rig.refused()
     bad = (
         {"elbow": 0.1},
         {"shoulder": 2.0},
