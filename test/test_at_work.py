@@ -99,6 +99,18 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
         np.testing.assert_allclose(got, expected, atol=1e-8)
 
 
+def test_what_the_model_holds_wears_as_often_as_something_new_appears() -> None:
+    space = Parameters.of(fitted(), Work().pose()[1])
+    chance = np.exp(space.log_prior)
+    held = np.array([key in {t.key for t in fitted().terms} for key in space.keys])
+    assert chance.sum() == pytest.approx(1.0)
+    assert chance[held].sum() == pytest.approx(0.5)
+    new: dict[str, float] = {}
+    for key, p in zip(np.array([k[0] for k in space.keys])[~held], chance[~held], strict=True):
+        new[key] = new.get(key, 0.0) + p
+    assert np.ptp(list(new.values())) < 1e-12  # every name is as likely
+
+
 def test_in_quiet_hours_nothing_is_named_and_nothing_is_lost() -> None:
     work, begun = Work(), Learner.of(fitted())
     learner = work.learned(begun, 60)
