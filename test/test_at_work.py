@@ -14,6 +14,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import LEGS
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work import file
+from longarm_comp.core.at_work.asking import asked
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.learner import Learner
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
@@ -218,18 +219,32 @@ def test_it_asks_for_the_pose_that_tells_rivals_apart() -> None:
         return learner.seen(q, came, tip, VARIANCE, 60.0)
 
     learner = Work().learned(Learner.of(fitted()), 5)
-    asked, moves = None, 0
-    while asked is None:
+    wanted, moves = None, 0
+    while wanted is None:
         q = corner + 0.05 * (rng.random(ARM.n) - 0.5) * (ARM.upper - ARM.lower)
         learner = after(learner, q, rng.choice([-1.0, 1.0], ARM.n), np.ones(ARM.n))
-        asked, moves = learner.asked(Work().pose()[1]), moves + 1
+        wanted, moves = learner.asked(Work().pose()[1]), moves + 1
         assert moves <= 10
-    assert "joint_gain" in asked.between and learner.now[0].probability < CREDIBLE
-    assert np.abs(asked.q - corner).max() > 0.5  # far from where it works
-    assert (ARM.lower <= asked.q).all() and (asked.q <= ARM.upper).all()
-    learner = after(learner, asked.q, asked.side, run_up_lengths(ARM))
+    assert "joint_gain" in wanted.between and learner.now[0].probability < CREDIBLE
+    assert np.abs(wanted.q - corner).max() > 0.5  # far from where it works
+    assert (ARM.lower <= wanted.q).all() and (wanted.q <= ARM.upper).all()
+    learner = after(learner, wanted.q, wanted.side, run_up_lengths(ARM))
     (named,) = learner.now
     assert (named.effect, named.where) == ("joint_gain", f"joint {JOINT}")
     assert named.probability > CREDIBLE
     assert learner.asked(Work().pose()[1]) is None
     assert learner.freeze().asked(Work().pose()[1]) is None
+
+
+def test_it_does_not_ask_where_no_pose_tells() -> None:
+    """Play, friction and droop of a joint that carries no load move the tip alike everywhere."""
+    work = Work()
+    known = work.learned(work.learned(Learner.of(fitted()), 5), 3, LAG).known
+    assert known is not None
+    names = [b.changes[0].key[0] for b in known.branches]
+    alike = {"friction_hysteresis", "servo_droop", "backlash"}
+    few = [b for b, name in zip(known.branches, names, strict=True) if name in alike]
+    assert len(few) >= 2
+    even = tuple(dataclasses.replace(b, weight=1.0 / len(few)) for b in few)
+    noise = np.diag(VARIANCE)
+    assert asked(dataclasses.replace(known, branches=even), work.pose()[1], noise) is None
