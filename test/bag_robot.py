@@ -71,6 +71,33 @@ def command(
     put("joint_trajectory", kind, t, header=header(stamp), joint_names=list(names), points=made)
 
 
+def asked(put: Any, t: float, q: np.ndarray, target: np.ndarray, refused: str = "") -> None:
+    """The story of a target, as `kinematics` tells it."""
+    types = message_types().types
+    kind = "longarm_interfaces/msg/Compensation"
+
+    def blank(name: str) -> Any:
+        """A message of a type, everything in it zero or empty."""
+        if name == "std_msgs/msg/Header":
+            return header(t)
+        if name == "geometry_msgs/msg/Point":
+            return types[name](*map(float, target))
+        made = {}
+        for field, (node, inner) in message_types().get_msgdef(name).fields:
+            if node == 2:
+                made[field] = blank(inner)
+            elif node > 2:
+                made[field] = [] if inner[0][0] == 2 or inner[0][1][0] == "string" else np.array([])
+            else:
+                made[field] = "" if inner[0] == "string" else 0
+        return types[name](**made)
+
+    story = {f: getattr(blank(kind), f) for f, _ in message_types().get_msgdef(kind).fields}
+    story |= {"accepted": not refused, "message": refused}
+    story["executed"].position = np.array([]) if refused else q
+    put("compensation", kind, t, **story)
+
+
 def row_said(put: Any, t: float, **row: Any) -> None:
     """What `collect` says of a visit."""
     put("session_row", "std_msgs/msg/String", t, data=json.dumps(row))

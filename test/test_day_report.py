@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from bag_robot import command, header, robot, sighting, state
+from bag_robot import asked, command, header, robot, sighting, state
 from cli_shell import Shell
 from small_arm import ARM
 
@@ -19,33 +19,6 @@ from longarm_comp.sessions.day import Day, read_day
 from longarm_comp.sessions.message_types import message_types
 
 MISS = 0.5e-3
-
-
-def asked(put: Any, t: float, q: np.ndarray, target: np.ndarray, refused: str = "") -> None:
-    """The story of a target, as `kinematics` tells it."""
-    types = message_types().types
-    kind = "longarm_interfaces/msg/Compensation"
-
-    def blank(name: str) -> Any:
-        """A message of a type, everything in it zero or empty."""
-        if name == "std_msgs/msg/Header":
-            return header(t)
-        if name == "geometry_msgs/msg/Point":
-            return types[name](*map(float, target))
-        made = {}
-        for field, (node, inner) in message_types().get_msgdef(name).fields:
-            if node == 2:
-                made[field] = blank(inner)
-            elif node > 2:
-                made[field] = [] if inner[0][0] == 2 or inner[0][1][0] == "string" else np.array([])
-            else:
-                made[field] = "" if inner[0] == "string" else 0
-        return types[name](**made)
-
-    story = {f: getattr(blank(kind), f) for f, _ in message_types().get_msgdef(kind).fields}
-    story |= {"accepted": not refused, "message": refused}
-    story["executed"].position = np.array([]) if refused else q
-    put("compensation", kind, t, **story)
 
 
 def said(put: Any, t: float, part: str, level: int, message: str) -> None:

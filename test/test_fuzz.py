@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import report_samples
 import yaml
+from bag_robot import asked, command, robot, sighting, state
 from cli_shell import Shell
 from damage import damaged
 from openpyxl import Workbook
@@ -84,6 +85,7 @@ FILES = tuple(
 )
 CAMERAS = tuple(f"{FOLDER}/cameras/{side}.yaml" for side in SIDES)
 WITH_MODEL = ("--model", MODEL, "--predictor", PREDICTOR)
+KIND = (MODEL, "kept.yaml", "third.yaml")
 READINGS = (
     Reading(("evaluate", ARM_FILE, "--test", "few.csv"), (ARM_FILE, "few.csv")),
     Reading(("evaluate", ARM_FILE, "--test", "few.csv", *WITH_MODEL), (MODEL, PREDICTOR)),
@@ -144,6 +146,11 @@ READINGS = (
     Reading(("compare", "few.csv", "other.csv", "--arm", ARM_FILE), ("few.csv", ARM_FILE)),
     Reading(("compare", "found_1", "found_2"), ("found_1/report.json",)),
     Reading(("collect", ARM_FILE, "next_poses.csv", "--dry-run"), ("next_poses.csv", ARM_FILE)),
+    Reading(("day-report", ARM_FILE, "day"), ("day/metadata.yaml", "day/day.mcap", ARM_FILE)),
+    Reading(("compensate", ARM_FILE, "--targets", "targets.csv", "--like", MAPPING, "-o", "l.csv"),
+            (MAPPING, "targets.csv")),
+    Reading(("calibrate", ARM_FILE, "few.csv", "-o", "kind.yaml", "--kind-of", *KIND),
+            (MODEL,)),
     Reading(("calibrate", "ball.yaml", "touched.csv", "-o", "held.yaml"),
             ("touched.csv", "touches.yaml")),
 )  # fmt: skip
@@ -159,7 +166,8 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert made("calibrate", arm, samples, "-o", model, "--effect", "joint_compliance") == 0
     quick = ("--ensemble", 1, "--hidden", 3)
     assert made("train", arm, samples, "--model", model, "-o", folder / PREDICTOR, *quick) == 0
-    shutil.copy(model, folder / "kept.yaml")
+    for copy in KIND[1:]:
+        shutil.copy(model, folder / copy)
     shutil.copy(model, folder / "kept.previous.yaml")
     rows = (work / "test.csv").read_text().splitlines()
     (folder / "few.csv").write_text("\n".join(rows[:26]) + "\n")
@@ -202,6 +210,13 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     book.save(folder / "log.xlsx")
     (folder / "lift.urdf").write_text(LIFT)
     assert made("bag", "from-csv", arm, folder / "few.csv", "-o", folder / "bag") == 0
+    with robot(folder / "day") as put:
+        for t, target in zip((10.0, 20.0), aims, strict=True):
+            asked(put, t, ARM.mid, target)
+            command(put, t + 0.1, ARM.mid.tolist())
+            for k in (3.0, 4.0):
+                state(put, t + k, ARM.mid.tolist())
+                sighting(put, t + k, target.tolist())
     return folder
 
 

@@ -19,7 +19,8 @@ from longarm_comp.core.data.allowed_poses import in_view, outside_boxes
 from longarm_comp.core.data.plan import Plan, random_joints, sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.identify.calibrate import stages
+from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.optimal_poses import Uncertainty, _Choice, optimal_poses
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
@@ -66,6 +67,17 @@ def test_a_gain_is_what_the_criterion_loses(unknown: Uncertainty) -> None:
         assert len(set(choice.exchanged(grown))) == 8
 
 
+def test_no_digits_are_lost_while_everything_is_unknown() -> None:
+    """The poses are those that a new inverse each time would choose."""
+    wide = Uncertainty.of(Model(ARM), None, "position", known=False, sigma=NOISE)
+    tips = wide.tips(random_joints(ARM, 50, 2))
+    choice = _Choice(wide.measures(sobol(ARM, 64, 1), "position"), wide.information, tips)
+    anew: list[int] = []
+    for _ in range(20):
+        anew.append(choice.after(anew).best(anew))
+    assert choice.grown([], 20) == anew
+
+
 @pytest.mark.parametrize("measure", ["position", "pose", "distance"])
 def test_chosen_poses_leave_less_than_others(measure: str) -> None:
     arm = declared(anchors={name: {"xyz_m": place} for name, place in ANCHORS.items()})
@@ -82,14 +94,14 @@ def test_chosen_poses_leave_less_than_others(measure: str) -> None:
 
 def test_chosen_poses_calibrate_the_true_arm_better(unknown: Uncertainty) -> None:
     true, left = TrueArm(ARM, ZEROS), {"sobol": [], "i-optimal": []}
-    for seed in range(6):
+    for seed in range(12):
         plans = {"sobol": sobol(ARM, 10, seed), "i-optimal": optimal_poses(unknown, 10, rng=seed)}
         for way, plan in plans.items():
             noise = 1e-3 * np.random.default_rng(seed).standard_normal((10, 3))
             rows = Session.record(plan.q, true.tip(plan.q) + noise, approach=plan.approach)
-            *_, (_, fitted) = stages(Model(ARM), rows)
+            fitted = fit(Model(ARM).with_missing(geometry(ARM, rows)), rows)
             left[way].append(miss(fitted.model))
-    assert np.mean(left["i-optimal"]) < 0.9 * np.mean(left["sobol"])
+    assert np.mean(left["i-optimal"]) < 0.95 * np.mean(left["sobol"])
 
 
 def test_rows_measured_so_far_count(unknown: Uncertainty) -> None:

@@ -105,6 +105,12 @@ def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
     return _with_sides(arm, _in_box(arm, shares), rng)
 
 
+def uniform(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
+    """n uniformly random poses in the joint box."""
+    rng = np.random.default_rng(rng)
+    return _with_sides(arm, random_joints(arm, n, rng), rng)
+
+
 def at_levels(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
     """n random poses with every joint at its lower limit, its middle or its upper limit."""
     rng = np.random.default_rng(rng)

@@ -17,7 +17,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import equations, posture
-from longarm_comp.core.data.plan import Plan, at_levels, random_joints, sobol
+from longarm_comp.core.data.plan import Plan, at_levels, random_joints, uniform
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
@@ -36,6 +36,9 @@ AHEAD = 20
 """Further poses that are tried, to say what they would bring."""
 WIDEST = 1.0
 """Standard deviation (m, rad) of what nothing is known of: any pose tells it better."""
+ANEW = 1e-3
+"""What is unknown is computed anew where it fell to this share: differences have lost that many
+digits, and twice as many of its square."""
 PASSES = 2
 """Times at most that every pose is exchanged: each costs as much as the first choice."""
 
@@ -206,7 +209,7 @@ def optimal_poses(
     arm = uncertain.model.arm
     rng = np.random.default_rng(rng)
     if pool is None:
-        halves = [draw(arm, max(POOL, 4 * n) // 2, rng) for draw in (sobol, at_levels)]
+        halves = [draw(arm, max(POOL, 4 * n) // 2, rng) for draw in (uniform, at_levels)]
         pool = Plan(*(np.concatenate([getattr(h, k) for h in halves]) for k in ("q", "approach")))
     kept = np.arange(len(pool)) if allowed is None else np.flatnonzero(allowed(pool))
     if not 1 <= n <= len(kept) - AHEAD:
@@ -253,15 +256,24 @@ class _Choice:
 
     def after(self, chosen: Sequence[int]) -> _Known:
         """What is known once these are measured."""
-        through = self.x @ self.covariance(chosen)
-        return _Known(self, through, through if self.tips is None else through @ self.tips)
+        covariance = self.covariance(chosen)
+        turned = _turned(self.x)
+        own = _times(self.x, covariance) @ turned + np.eye(self.x.shape[1])
+        if self.tips is None:
+            return _Known(self, covariance, own)
+        error = covariance @ self.tips @ covariance
+        return _Known(self, covariance, own, error, _times(self.x, error) @ turned)
 
     def grown(self, chosen: Sequence[int], n: int) -> list[int]:
         """n more, each the best after those before it."""
         made, known = list(chosen), self.after(chosen)
+        most = known.own.max()
         for _ in range(n):
             made.append(known.best(made))
             known = known.with_pose(made[-1])
+            if known.own.max() < ANEW * most:
+                known = self.after(made)
+                most = known.own.max()
         return made
 
     def exchanged(self, chosen: list[int]) -> list[int]:
@@ -280,22 +292,43 @@ class _Choice:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What some poses told: `through` = x C and `weighed` = x C tips, (M, d, p), where C is the
-    covariance. One pose changes both by d columns, which spares the product with C."""
+    """What some poses told. One more, or one less, changes each (p, p) by a product of d columns.
+
+    Attributes:
+        choice: the poses.
+        covariance: (p, p) C.
+        own: (M, d, d) I + x C x' of every pose.
+        error: (p, p) C tips C, where `tips` shall become small.
+        left: (M, d, d) x C tips C x' of every pose.
+    """
 
     choice: _Choice
-    through: np.ndarray
-    weighed: np.ndarray
+    covariance: np.ndarray
+    own: np.ndarray
+    error: np.ndarray | None = None
+    left: np.ndarray | None = None
 
     def with_pose(self, k: int, sign: float = 1.0) -> _Known:
         """The same with one pose more, or without it (-1)."""
-        x, own = self.choice.x[k], self.through[k]
-        core = np.linalg.inv(own @ x.T + sign * np.eye(len(x)))
-        share = (self.through @ x.T) @ core
-        through = self.through - share @ own
-        if self.choice.tips is None:
-            return _Known(self.choice, through, through)
-        return _Known(self.choice, through, self.weighed - share @ self.weighed[k])
+        x, poses = self.choice.x[k], self.choice.x
+        a = self.covariance @ x.T
+        core = np.linalg.inv(x @ a + sign * np.eye(len(x)))
+        if self.error is None or self.left is None:
+            seen = _times(poses, a)
+            covariance = self.covariance - a @ core @ a.T
+            return _Known(self.choice, covariance, self.own - seen @ core @ _turned(seen))
+        b = self.error @ x.T
+        b = b - a @ (core @ (x @ b)) / 2  # half: each cross term takes its share of the last one
+        seen, weighed = np.split(_times(poses, np.concatenate([a, b], axis=1)), 2, axis=2)
+        seen_core, a_core = seen @ core, a @ core
+        cross, error = seen_core @ _turned(weighed), a_core @ b.T
+        return _Known(
+            self.choice,
+            self.covariance - a_core @ a.T,
+            self.own - seen_core @ _turned(seen),
+            self.error - error - error.T,
+            self.left - cross - _turned(cross),
+        )
 
     def best(self, taken: Sequence[int]) -> int:
         """The pose that would take off most."""
@@ -303,14 +336,21 @@ class _Known:
 
     def gains(self, taken: Sequence[int]) -> np.ndarray:
         """(M,) what each further pose would take off; none for those that are taken."""
-        own = self.through @ np.swapaxes(self.choice.x, 1, 2) + np.eye(self.through.shape[1])
-        if self.choice.tips is None:
-            gain = np.linalg.slogdet(own)[1]
+        if self.left is None:
+            gain = np.linalg.slogdet(self.own)[1]
         else:
-            left = self.weighed @ np.swapaxes(self.through, 1, 2)
-            gain = np.trace(np.linalg.solve(own, left), axis1=1, axis2=2)
+            gain = np.einsum("mij,mji->m", np.linalg.inv(self.own), self.left)
         gain[list(taken)] = -np.inf
         return np.asarray(gain)
+
+
+def _turned(blocks: np.ndarray) -> np.ndarray:
+    return np.swapaxes(blocks, 1, 2)
+
+
+def _times(blocks: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(M, d, p) by (p, k), as one product."""
+    return (blocks.reshape(-1, len(right)) @ right).reshape(*blocks.shape[:2], -1)
 
 
 def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> list[Session]:
