@@ -4,7 +4,7 @@
              AA  2 address length n  id data ... id data      sum    (write)
     reply    55  id alarms length    data                     sum
 
-`docs/add_a_protocol.md` explains it; the tests run it against an emulated servo.
+`docs/add_a_protocol.md` explains it; the tests run both sides against each other.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from typing import ClassVar
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
+from longarm_comp.sim.servo_emulator.motor import Motor
+from longarm_comp.sim.servo_emulator.wire import Device, Wire
 
 READ, WRITE = 1, 2
 
@@ -77,3 +79,59 @@ class MakerServo(Dialect):
 def _request(kind: int, block: Block, count: int, data: bytes) -> bytes:
     body = bytes((0xAA, kind, block.address, block.length, count)) + data
     return body + bytes((sum(body) & 0xFF,))
+
+
+class MakerWire(Wire):
+    """The servo's side, from the table at the head alone: `longarm up --sim` emulates it."""
+
+    name, kept_below = "maker", 4
+
+    def device(self, servo_id: int, motor: Motor) -> Device:
+        """Model 7, firmware 3."""
+        return Device(servo_id, bytearray((7, 0, 3)) + bytearray(15), motor)
+
+    def take(self, buffer: bytearray) -> list[bytes]:
+        """Whole requests with a right sum; what is none is skipped."""
+        frames = []
+        while len(buffer) >= 6:
+            one = 1 if buffer[1] == READ else 1 + buffer[3]
+            end = 6 + buffer[4] * one
+            if buffer[0] != 0xAA or buffer[1] not in (READ, WRITE):
+                del buffer[0]
+            elif len(buffer) < end:
+                break
+            else:
+                if sum(buffer[: end - 1]) & 0xFF == buffer[end - 1]:
+                    frames.append(bytes(buffer[:end]))
+                del buffer[:end]
+        return frames
+
+    def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
+        """Each servo that is asked answers; what is written moves it."""
+        _, kind, address, length, count = frame[:5]
+        if kind == READ:
+            asked = [devices[i] for i in frame[5 : 5 + count] if i in devices]
+            return [(d.servo_id, self._reply(d, address, length)) for d in asked]
+        for start in range(5, 5 + count * (1 + length), 1 + length):
+            if device := devices.get(frame[start]):
+                data = frame[start + 1 : start + 1 + length]
+                device.memory[address : address + length] = data
+                if address == 4:
+                    device.motor.switch(bool(data[0]))
+                if address == 5:
+                    device.motor.goal, device.motor.speed_limit = map(
+                        float, struct.unpack("<hH", data)
+                    )
+        return []
+
+    def _reply(self, device: Device, address: int, length: int) -> bytes:
+        motor = device.motor
+        device.memory[4] = motor.torque_on
+        device.memory[9:18] = struct.pack(
+            "<hhhBBB", round(motor.position), round(motor.velocity), round(1000 * motor.effort),
+            round(10 * motor.voltage_v), round(motor.temperature_c), motor.moving,
+        )  # fmt: skip
+        alarms = ("overheat" in motor.alarms) | ("overload" in motor.alarms) << 1
+        data = device.memory[address : address + length]
+        body = bytes((0x55, device.servo_id, alarms, length)) + data
+        return body + bytes((sum(body) & 0xFF,))

@@ -22,9 +22,10 @@ from longarm_comp.devices.servo_bus.registry import protocols
 from longarm_comp.devices.servo_bus.state import ServoAlarm
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
-from longarm_comp.sim.servo_emulator.emulator import WIRES
 from longarm_comp.sim.servo_emulator.joints import DATA_SHEETS
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
+from longarm_comp.sim.servo_emulator.wire import RegisterWire
+from longarm_comp.sim.servo_emulator.wires import wires
 from studies.random_arms import random_arm
 
 PAYLOADS_KG = (0.25, 0.8)
@@ -82,7 +83,8 @@ def told(servo: str, load: float, side: float, part: float) -> float:
     motor.switch(True)
     motor.approach, motor.external_load = int(side), load
     motor.advance(0.01)
-    wire, dialect = WIRES[kind.protocol], protocols()[kind.protocol]()
+    wire, dialect = wires()[kind.protocol], protocols()[kind.protocol]()
+    assert isinstance(wire, RegisterWire)
     _, data = wire.read(wire.device(1, motor), dialect.state.address, dialect.state.length)
     return dialect.state_of(data, ServoAlarm.NONE, kind).load
 

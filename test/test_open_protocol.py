@@ -4,96 +4,34 @@ from __future__ import annotations
 
 import json
 import os
-import struct
+import runpy
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
 
 from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator
-from longarm_comp.sim.servo_emulator.motor import Motor
-from longarm_comp.sim.servo_emulator.wire import Device, Wire
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "custom_protocol.py"
 
 
-class MakerWire(Wire):
-    """The servo's side, written from the table at the head of the example."""
-
-    name, kept_below = "maker", 4
-
-    def device(self, servo_id: int, motor: Motor) -> Device:
-        device = Device(servo_id, bytearray(18), motor)
-        device.put(0, 2, 7)
-        device.put(2, 1, 3)
-        return device
-
-    def take(self, buffer: bytearray) -> list[bytes]:
-        frames = []
-        while len(buffer) >= 6:
-            one = 1 if buffer[1] == 1 else 1 + buffer[3]
-            end = 6 + buffer[4] * one
-            if buffer[0] != 0xAA or buffer[1] not in (1, 2):
-                del buffer[0]
-            elif len(buffer) < end:
-                break
-            else:
-                frames += (
-                    [bytes(buffer[:end])]
-                    if sum(buffer[: end - 1]) & 0xFF == buffer[end - 1]
-                    else []
-                )
-                del buffer[:end]
-        return frames
-
-    def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
-        _, kind, address, length, count = frame[:5]
-        if kind == 1:
-            asked = [devices[i] for i in frame[5 : 5 + count] if i in devices]
-            return [(d.servo_id, self._reply(d, address, length)) for d in asked]
-        for start in range(5, 5 + count * (1 + length), 1 + length):
-            if device := devices.get(frame[start]):
-                data = frame[start + 1 : start + 1 + length]
-                device.memory[address : address + length] = data
-                if address == 4:
-                    device.motor.switch(bool(data[0]))
-                if address == 5:
-                    device.motor.goal, device.motor.speed_limit = map(
-                        float, struct.unpack("<hH", data)
-                    )
-        return []
-
-    def _reply(self, device: Device, address: int, length: int) -> bytes:
-        motor = device.motor
-        device.memory[4] = motor.torque_on
-        device.memory[9:18] = struct.pack(
-            "<hhhBBB", round(motor.position), round(motor.velocity), round(1000 * motor.effort),
-            round(10 * motor.voltage_v), round(motor.temperature_c), motor.moving,
-        )  # fmt: skip
-        alarms = ("overheat" in motor.alarms) | ("overload" in motor.alarms) << 1
-        body = (
-            bytes((0x55, device.servo_id, alarms, length))
-            + device.memory[address : address + length]
-        )
-        return body + bytes((sum(body) & 0xFF,))
-
-
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
-    """A package with the example's protocol, as pip leaves it."""
-    return installed(tmp_path / "site", "maker", "maker_servo:MakerServo")
+    """A package with both sides of the example's protocol, as pip leaves it."""
+    wire = "[longarm_comp.servo_wires]\nmaker = maker_servo:MakerWire\n"
+    return installed(tmp_path / "site", "maker", "maker_servo:MakerServo", wire=wire)
 
 
-def installed(folder: Path, entry: str, target: str, text: str = "") -> Path:
+def installed(folder: Path, entry: str, target: str, text: str = "", wire: str = "") -> Path:
     record = folder / "maker_servo-1.0.dist-info"
     record.mkdir(parents=True)
     (record / "METADATA").write_text("Metadata-Version: 2.1\nName: maker-servo\nVersion: 1.0\n")
     (record / "entry_points.txt").write_text(
-        f"[longarm_comp.servo_protocols]\n{entry} = {target}\n"
+        f"[longarm_comp.servo_protocols]\n{entry} = {target}\n{wire}"
     )
     (folder / "maker_servo.py").write_text(EXAMPLE.read_text() + text)
     return folder
@@ -109,7 +47,8 @@ def run(site: Path, *words: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def emulator() -> Iterator[ServoEmulator]:
-    with ServoEmulator(MakerWire(), {1: 2048.0, 2: 1000.0}, MotorSpec(overload_s=0.3)) as made:
+    wire = runpy.run_path(str(EXAMPLE))["MakerWire"]
+    with ServoEmulator(wire(), {1: 2048.0, 2: 1000.0}, MotorSpec(overload_s=0.3)) as made:
         yield made
 
 
@@ -152,6 +91,43 @@ def test_a_configuration_names_it_and_its_servos_move(
     done = run(site, "-c", DRIVE, tmp_path / "servos.yaml")
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["7.4", "0"]
+
+
+SIMULATED = """
+import sys
+from pathlib import Path
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.sim.servo_emulator import ServoEmulator, read_arm
+graph = BringUp(arm=Path("mine/arm.yaml").absolute(), sim=True).fitted(Path("scratch"))
+file = graph.file("servo_driver")
+arm = read_arm(file)
+at = {"joint1": 0.1, "joint2": 0.2}
+with ServoEmulator(arm.protocol, arm.start_ticks(at), link=Path("bus")) as made:
+    config = ServoConfig.load(file)
+    bus = ServoConfig.parse(config.model_dump() | {"bus": {**config.bus.model_dump(),
+        "port": "bus", "reply_timeout_s": 0.2}}, "here").open_bus()
+    ticks = {i: s.position_ticks for i, s in bus.read([1, 2]).items()}
+print({k: round(v, 3) for k, v in arm.values(ticks).items()})
+"""
+ROWS = ("--joint", "alpha=0 d=0.1 limits=-60..60", "--joint", "alpha=90 limits=0..70",
+        "--tip-at", 0.3, 0, 0, "--servos", "maker-12bit")  # fmt: skip
+
+
+def test_a_simulated_arm_has_its_servos(site: Path, tmp_path: Path) -> None:
+    made = run(site, "-m", "longarm_comp", "init", "mine", *ROWS)
+    assert made.returncode == 0 and "longarm up mine/arm.yaml --sim" in made.stderr
+    done = run(site, "-c", SIMULATED)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "{'joint1': 0.1, 'joint2': 0.2}\n"
+
+
+def test_servos_that_are_not_emulated_are_not_simulated(tmp_path: Path) -> None:
+    site = installed(tmp_path / "site", "maker", "maker_servo:MakerServo")
+    made = run(site, "-m", "longarm_comp", "init", "mine", *ROWS)
+    assert made.returncode == 0 and "longarm up" in made.stderr and "--sim" not in made.stderr
+    done = run(site, "-c", SIMULATED)
+    assert "servo_driver.yaml: protocol: 'maker'; allowed: for a simulated arm" in done.stderr
 
 
 @pytest.mark.parametrize(

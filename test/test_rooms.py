@@ -55,7 +55,13 @@ ROOMS = {
             *("core.yaml_file", "math"),
         ),
     ),
-    "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "core.strict_yaml", "devices")),
+    "sim": Room(
+        ROS,
+        only=(
+            *("core.arm", "core.entry_points", "core.errors", "core.files", "core.strict_yaml"),
+            "devices",
+        ),
+    ),
     "arm_folder": Room((*ROS, "click", "rich"), only=("core", "devices", "sim", "share")),
     "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
     "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),

@@ -99,6 +99,8 @@ def command(
         files_of,
         write_folder,
     )
+    from longarm_comp.devices.servo_bus import models
+    from longarm_comp.sim.servo_emulator.wires import wires
     from longarm_comp.urdf import chain_ends, import_urdf
 
     check_free(out)
@@ -127,8 +129,12 @@ def command(
     note(f"{', '.join(files)} in {out}")
     if source is not None and not source.arm.links:
         note_link_places(source.arm)
-    then = f"longarm import-data FILE --arm {out}/arm.yaml -o {out}/samples.csv"
-    note(f"next: longarm check {out}; {then if only_arm else f'longarm up {out}/arm.yaml --sim'}")
+    then = f"longarm up {out}/arm.yaml --sim"
+    if only_arm:
+        then = f"longarm import-data FILE --arm {out}/arm.yaml -o {out}/samples.csv"
+    elif like is None and models()[servos].protocol not in wires():
+        then = f"longarm up {out}/arm.yaml"
+    note(f"next: longarm check {out}; {then}")
 
 
 def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Sequence[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from typing import Any
@@ -20,6 +21,16 @@ def of_other_packages(group: str) -> Iterator[tuple[str, Any, str]]:
             said = f"{type(error).__name__}: {error}"
             raise InputError(source, "class", said, f"{point.value} that can be loaded") from error
         yield point.name, found, source
+
+
+def protocols_of_other_packages(group: str, base: type) -> Iterator[tuple[Any, str]]:
+    """Class and origin of each entry point of a group; it must be a class of `base`."""
+    for name, kind, source in of_other_packages(group):
+        if not (isinstance(kind, type) and issubclass(kind, base)) or inspect.isabstract(kind):
+            allowed = f"a class of {base.__name__}, nothing abstract"
+            raise InputError(source, "class", repr(kind), allowed)
+        check_name(name, getattr(kind, "name", ""), "protocol", source)
+        yield kind, source
 
 
 def check_name(entry: str, own: str, what: str, source: str) -> None:

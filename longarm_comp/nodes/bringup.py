@@ -28,6 +28,7 @@ from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.nodes.supervisor import Supervisor
 from longarm_comp.share import PACKAGE, folder
+from longarm_comp.sim.servo_emulator import read_arm
 
 REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
@@ -111,6 +112,8 @@ class BringUp:
         fit it are written to ``scratch``, with those that the arm's folder has.
         """
         file, arm = self.file("servo_driver"), Arm.load(self.arm)
+        if self.sim:
+            read_arm(file)  # what cannot be emulated is said here, not by five processes
         joints = list(_ros_parameters(file).get("joints", {}))
         if sorted(joints) == sorted(arm.joint_names):
             return self

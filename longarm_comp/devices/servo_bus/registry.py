@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from functools import cache
 
-from longarm_comp.core.entry_points import check_name, of_other_packages
+from longarm_comp.core.entry_points import protocols_of_other_packages
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.dialect import Dialect
@@ -23,11 +22,7 @@ GROUP = "longarm_comp.servo_protocols"
 def protocols() -> dict[str, type[Dialect]]:
     """All protocols by name."""
     known: dict[str, type[Dialect]] = {kind.name: kind for kind in (FeetechSts, DynamixelX)}
-    for name, kind, source in of_other_packages(GROUP):
-        if not (isinstance(kind, type) and issubclass(kind, Dialect)) or inspect.isabstract(kind):
-            allowed = "a class of Dialect, nothing abstract"
-            raise InputError(source, "class", repr(kind), allowed)
-        check_name(name, kind.name, "protocol", source)
+    for kind, source in protocols_of_other_packages(GROUP, Dialect):
         names = [kind.name, *(model.name for model in kind.models)]
         taken = {*known, *(model.name for other in known.values() for model in other.models)}
         for new in names:

@@ -10,15 +10,16 @@ from pathlib import Path
 import click
 
 from longarm_comp.core.errors import LongarmError
-from longarm_comp.sim.servo_emulator.emulator import WIRES, ServoEmulator
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 from longarm_comp.sim.servo_emulator.joints import read_arm
 from longarm_comp.sim.servo_emulator.motor import MotorSpec
+from longarm_comp.sim.servo_emulator.wires import wires
 
 
 @click.command()
 @click.option("--config", required=True, type=click.Path(), help="The servo driver's YAML.")
 @click.option("--link", required=True, type=click.Path(), help="Symbolic link to make to the port.")
-@click.option("--protocol", type=click.Choice(sorted(WIRES)), help="Instead of the file's.")
+@click.option("--protocol", type=click.Choice(sorted(wires())), help="Instead of the file's.")
 @click.option("--speed", default=3000.0, help="No-load speed, ticks/s.", show_default=True)
 @click.option("--lag", default=0.03, help="Time constant near the goal, s.", show_default=True)
 @click.option("--dead-band", default=0.0, help="Rest this short of a goal, ticks.")

@@ -12,14 +12,11 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TypeVar
 
-from longarm_comp.core.errors import InputError
-from longarm_comp.sim.servo_emulator.dynamixel import DynamixelWire
 from longarm_comp.sim.servo_emulator.faults import WireFaults
-from longarm_comp.sim.servo_emulator.feetech import FeetechWire
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
-from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire, Wire
+from longarm_comp.sim.servo_emulator.wire import Device, Wire
+from longarm_comp.sim.servo_emulator.wires import wire_of
 
-WIRES: dict[str, RegisterWire] = {wire.name: wire for wire in (FeetechWire(), DynamixelWire())}
 _STEP_S = 0.01  # in which a load is constant: a fraction of the 30 ms in which servos follow
 Of = TypeVar("Of")
 
@@ -31,7 +28,7 @@ class ServoEmulator:
     """Servos on a pseudo-terminal, moved by a thread of their own.
 
     Args:
-        protocol: ``feetech`` or ``dynamixel``, or the wire of another one.
+        protocol: name of one of `wires`, or a wire.
         positions: initial position of each servo, ticks, by id.
         spec: mechanics of all servos, or of each by id; none: an unloaded STS3215.
         link: path of a symbolic link to the pseudo-terminal, updated by ``replug``.
@@ -52,9 +49,7 @@ class ServoEmulator:
         baudrate: int | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        if isinstance(protocol, str) and protocol not in WIRES:
-            raise InputError("servo emulator", "protocol", protocol, ", ".join(WIRES))
-        self._wire: Wire = WIRES[protocol] if isinstance(protocol, str) else protocol
+        self._wire = wire_of(protocol, "servo emulator") if isinstance(protocol, str) else protocol
         same = MotorSpec() if spec is None else spec
         specs = dict.fromkeys(positions, same) if isinstance(same, MotorSpec) else same
         self._devices: dict[int, Device] = {

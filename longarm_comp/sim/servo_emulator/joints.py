@@ -14,8 +14,8 @@ from typing import Any
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.sim.servo_emulator.wires import wire_of
 
-_TICKS_PER_TURN = 4096.0
 _STALL_NM = 2.94  # torque of an STS3215 at full effort (12 V)
 DATA_SHEETS: Mapping[str, Mapping[str, float]] = {
     # running free 0.18 A of 2.7 A stalled (12 V); present load in 0.1 %
@@ -81,21 +81,22 @@ def read_arm(path: str | Path) -> EmulatedArm:
         data = only.get("ros__parameters", data) if isinstance(only, dict) else data
     try:
         protocol = str(data["bus"]["protocol"])
-        joints = tuple(_joint(name, fields) for name, fields in data["joints"].items())
+        turn = wire_of(protocol, path).ticks_per_turn
+        joints = tuple(_joint(name, fields, turn) for name, fields in data["joints"].items())
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         allowed = "bus.protocol and joints.<name>.servo_id, type, zero_ticks, lower, upper"
         raise InputError(path, "servo configuration", repr(error), allowed) from error
     return EmulatedArm(protocol, joints)
 
 
-def _joint(name: str, fields: Mapping[str, Any]) -> EmulatedJoint:
+def _joint(name: str, fields: Mapping[str, Any], ticks_per_turn: float) -> EmulatedJoint:
     turn = 2.0 * math.pi  # rad, or the radius' m
     if fields["type"] == "prismatic" and "screw_lead_m" in fields:
         turn = float(fields["screw_lead_m"])
     elif fields["type"] == "prismatic":
         turn *= float(fields["pinion_radius_m"])
-    gearing = float(fields.get("gear_ratio", 1.0)) * _TICKS_PER_TURN
-    stall = _STALL_NM * 2.0 * math.pi * gearing / (turn * _TICKS_PER_TURN)
+    gearing = float(fields.get("gear_ratio", 1.0)) * ticks_per_turn
+    stall = _STALL_NM * 2.0 * math.pi * gearing / (turn * ticks_per_turn)
     return EmulatedJoint(
         name=str(name),
         servo_id=int(fields["servo_id"]),

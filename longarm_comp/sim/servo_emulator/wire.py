@@ -40,11 +40,14 @@ class Wire(ABC):
     """One emulated protocol; stateless.
 
     Attributes:
+        name: the protocol's.
         kept_below: registers below this address outlive a loss of power.
+        ticks_per_turn: of its servos.
     """
 
     name: ClassVar[str]
     kept_below: ClassVar[int]
+    ticks_per_turn: ClassVar[float] = 4096.0
 
     @abstractmethod
     def device(self, servo_id: int, motor: Motor) -> Device:
