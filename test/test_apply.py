@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
+import functools
 import itertools
 import os
 import shutil
@@ -38,6 +39,14 @@ from longarm_comp.workflows.inputs import admitted, file_hash, load_predictor
 from longarm_comp.workflows.train import TrainedPredictor, train
 
 FOUND = Model(ARM, (*JointZero.for_arm(ARM), FrictionHysteresis(1, width=0.004)))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_networks() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        quick = functools.partial(train, ensemble=2, hidden=10)
+        patch.setattr("longarm_comp.workflows.apply.train", quick)
+        yield
 
 
 @pytest.fixture
@@ -205,9 +214,10 @@ class Versions:
         self.second = diagnosed("second", before=self.model, model=wider)
         self.one = self.model.read_bytes(), self.predictor.read_bytes()
         self.two = (self.second / "model.yaml").read_bytes()
-        self.trained = train(
-            ARM, self.second.parent / "samples.csv", model=self.second / "model.yaml"
-        )
+        samples = self.second.parent / "samples.csv"
+        self.session = admitted(samples, ARM, load_model(self.model, ARM))
+        model = self.second / "model.yaml"
+        self.trained = train(ARM, self.session, model=model, ensemble=2, hidden=10)
         self.start = bytes_of(self.model.parent)
 
     def again(self) -> None:
@@ -218,8 +228,10 @@ class Versions:
             (self.model.parent / name).write_bytes(content)
 
     def apply(self, network: bool) -> None:
+        """With the session that was read and the network that was trained once."""
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("longarm_comp.workflows.apply.train", lambda *a, **k: self.trained)
+            patch.setattr("longarm_comp.workflows.apply.admitted", lambda *a, **k: self.session)
             apply(self.second, ARM, self.model, network=network)
 
     def check(self, network: bool) -> None:

@@ -26,12 +26,15 @@ __all__ = [
     "Conditions",
     "Plate",
     "charuco_plate",
+    "exposed",
+    "light",
     "render",
     "tag_plate",
 ]
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
+Light = NDArray[np.float32]
 _FINE = 6  # fine pixels along the side of an image pixel
 
 
@@ -140,20 +143,33 @@ def render(
 ) -> tuple[Grey, Grey]:
     """The two raw images (H, W) uint8 of a plate at a pose (4, 4) in the base frame."""
     conditions = conditions or Conditions()
+    left, right = light(base_T_marker, plate, head, conditions)
+    return exposed(left, conditions, rng), exposed(right, conditions, rng)
+
+
+def light(
+    base_T_marker: ArrayLike, plate: Plate, head: CameraPair, conditions: Conditions
+) -> tuple[Light, Light]:
+    """What falls on each pixel (H, W) of the left and the right camera, without noise."""
     left_T_marker = np.linalg.inv(head.left_in_base) @ np.asarray(base_T_marker, dtype=float)
-    left = _image(left_T_marker, plate, head, conditions, 0, rng)
-    right = _image(head.right_from_left @ left_T_marker, plate, head, conditions, 1, rng)
-    return left, right
+    right_T_marker = head.right_from_left @ left_T_marker
+    return (
+        _light(left_T_marker, plate, head, conditions, 0),
+        _light(right_T_marker, plate, head, conditions, 1),
+    )
 
 
-def _image(
-    camera_T_marker: Array,
-    plate: Plate,
-    head: CameraPair,
-    conditions: Conditions,
-    eye: int,
-    rng: np.random.Generator,
-) -> Grey:
+def exposed(light: Light, conditions: Conditions, rng: np.random.Generator) -> Grey:
+    """The image (H, W) that a camera makes of it: exposure, shot and read noise, 8 bits."""
+    level = conditions.exposure * light
+    sigma = np.sqrt(conditions.read_noise**2 + conditions.shot_noise**2 * level / 255.0)
+    noisy = level + sigma * rng.standard_normal(level.shape, dtype=np.float32)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def _light(
+    camera_T_marker: Array, plate: Plate, head: CameraPair, conditions: Conditions, eye: int
+) -> Light:
     light = _background(conditions.background + eye, head.size, conditions.blur_px).copy()
     window = _window(camera_T_marker, plate, head, conditions)
     if window is not None:
@@ -163,10 +179,7 @@ def _image(
         patch = light[y0:y1, x0:x1]
         patch *= 1.0 - share
         patch += colour
-    level = conditions.exposure * light
-    sigma = np.sqrt(conditions.read_noise**2 + conditions.shot_noise**2 * level / 255.0)
-    noisy = level + sigma * rng.standard_normal(level.shape, dtype=np.float32)
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    return light
 
 
 def _window(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.cameras import CameraPair, Conditions, Plate, render
+from longarm_comp.sim.cameras import CameraPair, Conditions, Light, Plate, exposed, light
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
@@ -125,6 +125,7 @@ class Plant:
         self._rng = rng
         self._true = TrueArm(config.arm, self._behind, steps=_STEPS)
         self._last: tuple[Array, Array] | None = None
+        self._lit: tuple[Array, tuple[Light, Light]] | None = None
         self._ringing = Ringing(self._true, config.damping) if config.damping else None
         self._swing, self._swings = np.zeros(3), threading.Lock()
 
@@ -233,10 +234,13 @@ class Plant:
         }
 
     def look(self, t_s: float) -> tuple[Grey, Grey]:
-        """Left and right image (H, W) at this time."""
+        """Left and right image (H, W) at this time; an arm at rest differs in the noise only."""
         config = self.config
         plate = self.tip_pose(t_s) @ config.plate_on_tip
-        return render(plate, config.plate, config.cameras, self._rng, config.conditions)
+        if self._lit is None or not np.array_equal(plate, self._lit[0]):
+            self._lit = plate, light(plate, config.plate, config.cameras, config.conditions)
+        left, right = (exposed(each, config.conditions, self._rng) for each in self._lit[1])
+        return left, right
 
 
 def _drooping(
