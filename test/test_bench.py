@@ -122,6 +122,7 @@ def test_a_full_disk_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert bags.read_large()["ratio"] is None
 
 
+@pytest.mark.long
 def test_training_to_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(
         ssa_training.LADDERS,
@@ -136,6 +137,7 @@ def test_training_to_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "does not reach" in str(never["note"])
 
 
+@pytest.mark.long
 def test_ssa_against_samples_and_population() -> None:
     assert ssa_scaling.search_rate(100, 20, 2) > 0
     row = finite(ssa_scaling.train_many(120, 60))
@@ -148,6 +150,7 @@ def test_commands_and_imports_start() -> None:
         finite(measured(1))
 
 
+@pytest.mark.long
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="no ROS")
 def test_every_node_comes_up(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
     found = node_start.ready_times(1, warm=False)

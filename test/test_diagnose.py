@@ -176,6 +176,7 @@ def test_compliance_is_a_set_with_servo_droop(data_dir: Path, tmp_path: Path) ->
     assert np.linalg.norm(left, axis=1).mean() < 3e-4
 
 
+@pytest.mark.long
 def test_backlash_is_named(data_dir: Path, tmp_path: Path) -> None:
     found, left = twin(data_dir, "one_backlash_300", tmp_path)
     assert found["verdict"] == "named"
@@ -183,6 +184,7 @@ def test_backlash_is_named(data_dir: Path, tmp_path: Path) -> None:
     assert np.linalg.norm(left, axis=1).mean() < 1e-3
 
 
+@pytest.mark.long
 def test_the_mixed_twin_is_traced(data_dir: Path, tmp_path: Path) -> None:
     """25 mm as declared, eight effects hidden at three levels a joint: the sets hold most of them.
 

@@ -273,7 +273,7 @@ def planted(arm: Arm, n: int, rng: np.random.Generator, told: bool) -> tuple[Ses
     return Session.record(q, seen, run_up=begun), tip
 
 
-@pytest.mark.parametrize("told", [False, True])
+@pytest.mark.parametrize("told", [pytest.param(False, marks=pytest.mark.long), True])
 def test_memory_of_several_radii_is_found_named_and_predicts(
     demo_arm_path: str, told: bool, rng: np.random.Generator
 ) -> None:

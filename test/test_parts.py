@@ -23,6 +23,7 @@ def play_and_droop(demo_arm_path: Path) -> dict[str, Any]:
     return result(demo_arm_path, "backlash", "servo_droop")
 
 
+@pytest.mark.long
 def test_a_deadband_takes_play_at_the_same_joints(play_and_droop: dict[str, Any]) -> None:
     """There the two are one number, which the deadband holds; the tip goes where it should."""
     assert [names[0] for names in play_and_droop["found"]] == ["servo_droop"]

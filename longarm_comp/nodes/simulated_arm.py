@@ -210,19 +210,22 @@ class _SimulatedArm(ArmNode):
             self._late += 1
 
     def _frame(self) -> None:
-        """Render, on the worker's thread. Both images carry the time of the exposure."""
+        """Render where somebody looks, on the worker's thread; both images carry one time."""
         ns = self.get_clock().now().nanoseconds
         t_s = time.monotonic() - self._started
-        images = self._plant.look(t_s)
+        looked_at = any(image.get_subscription_count() for image in self._images)
+        images = self._plant.look(t_s) if looked_at else ()
         prefix, truth = prefix_of(self), PointStamped()
         truth.header.stamp, truth.header.frame_id = stamp_of(ns), f"{prefix}base"
         truth.point.x, truth.point.y, truth.point.z = self._plant.tip_pose(t_s)[:3, 3].tolist()
         self._truth.publish(truth)
         infos = self._plant.config.cameras.camera_infos()
-        for k, frame in enumerate((f"{prefix}left_optical", f"{prefix}right_optical")):
+        frames = f"{prefix}left_optical", f"{prefix}right_optical"
+        for k, frame in enumerate(frames):
             self._infos[k].publish(info_message(infos[k], ns, frame))
-            seen = images[k] * (_SIDES[k] not in self._covered)
-            self._images[k].publish(image_message(seen, ns, frame))
+        for k, image in enumerate(images):
+            seen = image * (_SIDES[k] not in self._covered)
+            self._images[k].publish(image_message(seen, ns, frames[k]))
         self._frames += 1
 
     def _spoil(self) -> None:
