@@ -49,10 +49,10 @@ def replaced(file: Path, old: str, new: str) -> None:
 @pytest.mark.parametrize(
     ("words", "joints", "seen"),
     [
-        (UR5, 6, 0.95),
+        pytest.param(UR5, 6, 0.95, marks=pytest.mark.long),
         (HOBBY, 6, 0.85),
         (NINE, 9, 0.8),
-        (COLUMN, 4, 0.7),
+        pytest.param(COLUMN, 4, 0.7, marks=pytest.mark.long),
         (("--like", "demo"), 7, 1),
     ],
     ids=["ur5", "hobby", "nine", "column", "demo"],

@@ -25,7 +25,7 @@ from longarm_comp.jobs.demo import DemoSettings, demonstrate, prepare
 from longarm_comp.jobs.targets import Trial
 from longarm_comp.sessions.read import read_session
 
-SMALL = ("--poses", "100", "--targets", "6")
+SMALL = ("--poses", "60", "--targets", "6")
 
 
 def demo(*words: str) -> subprocess.Popen[str]:
@@ -82,7 +82,7 @@ def test_the_loop_brings_the_arm_nearer_to_its_targets(ros_domain: int, tmp_path
     assert (arm.steps > 0).all()
     session = read_session(out / "session", arm)
     assert len(session) == report["collected"]
-    assert len(session) >= 100
+    assert len(session) >= 60
     assert (session.approach != session.approach[:, :1]).any()
     load_model(out / "model.yaml", arm)
     assert not nodes_of(process)

@@ -78,7 +78,7 @@ def test_names_and_order_do_not_matter(gain: Diagnosis, rng: np.random.Generator
 
 
 # 3
-@pytest.mark.parametrize(("joint", "size"), [(1, 0.02), (1, -0.02), (2, -0.01), (2, 0.04)])
+@pytest.mark.parametrize(("joint", "size"), [(1, 0.02), (2, -0.01)])
 def test_place_sign_and_value_follow_the_truth(joint: int, size: float) -> None:
     found = diagnose(ARM, session([drives.JointGain(at(joint, size))]))
     assert "joint_gain" in names(found)
@@ -91,7 +91,7 @@ def test_place_sign_and_value_follow_the_truth(joint: int, size: float) -> None:
 
 
 # 4
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_geometry_errors_alone_are_no_effect(seed: int) -> None:
     rng = np.random.default_rng(seed)
     errors = [

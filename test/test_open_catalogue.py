@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -176,47 +177,34 @@ def test_an_effect_sits_at_all_of_its_joints(example: Path) -> None:
 # ------------------------------------------------------------------ a package
 
 
-PROJECT = """
-[build-system]
-requires = ["setuptools"]
-build-backend = "setuptools.build_meta"
-[project]
-name = "cable-effects"
-version = "1.2"
-[project.entry-points."longarm_comp.effects"]
-cable_coupling = "cable_effects:CableCoupling"
-[tool.setuptools]
-py-modules = ["cable_effects"]
-"""
+Longarm = Callable[..., subprocess.CompletedProcess[str]]
 
 
-def installed(folder: Path) -> Path:
-    """A package with the example's effect, built and installed into a folder."""
-    source = folder / "source"
-    source.mkdir()
-    (source / "pyproject.toml").write_text(PROJECT)
-    (source / "cable_effects.py").write_text(EXAMPLE.read_text())
-    site = folder / "site"
-    quiet = ("--quiet", "--disable-pip-version-check", "--no-index", "--no-deps")
-    words = ("-m", "pip", "install", *quiet, "--no-build-isolation", "--target", site, source)
-    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return site
+@pytest.fixture
+def longarm(capsys: pytest.CaptureFixture[str]) -> Longarm:
+    """The program, in an environment with the packages of a folder too, or without."""
+
+    def call(site: Path | None, *words: object) -> subprocess.CompletedProcess[str]:
+        with pytest.MonkeyPatch.context() as patch:
+            for name in ("_others", "_origins"):
+                patch.setattr(catalogue, name, {})
+            if site is not None:
+                patch.syspath_prepend(site)
+            catalogue._load_entry_points.cache_clear()
+            try:
+                code = run([str(word) for word in words])
+            finally:
+                catalogue._load_entry_points.cache_clear()
+                sys.modules.pop("cable_effects", None)
+        return subprocess.CompletedProcess(words, code, *capsys.readouterr())
+
+    return call
 
 
-def longarm(site: Path | None, *words: object) -> subprocess.CompletedProcess[str]:
-    path = os.pathsep.join(str(p) for p in (ROOT, site) if p is not None)
-    return subprocess.run(
-        [sys.executable, "-m", "longarm_comp", *map(str, words)],
-        env={**os.environ, "PYTHONPATH": path},
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
-
-
-def test_an_installed_package_brings_its_effect(example: Path, tmp_path: Path) -> None:
-    site = installed(tmp_path)
+def test_an_installed_package_brings_its_effect(
+    example: Path, tmp_path: Path, longarm: Longarm
+) -> None:
+    site = left_by_pip(tmp_path, "cable_coupling", "cable_effects:CableCoupling")
     listed = json.loads(longarm(site, "effects", "--json").stdout)
     assert listed[-1]["effect"] == "cable_coupling"
     assert listed[-1]["from"] == "package cable-effects 1.2, entry point cable_coupling"
@@ -240,7 +228,7 @@ def test_an_installed_package_brings_its_effect(example: Path, tmp_path: Path) -
     ],
 )
 def test_a_broken_entry_point_is_one_line(
-    tmp_path: Path, entry: str, target: str, said: str
+    tmp_path: Path, entry: str, target: str, said: str, longarm: Longarm
 ) -> None:
     failed = longarm(left_by_pip(tmp_path, entry, target), "effects")
     assert failed.returncode == 2
@@ -259,7 +247,9 @@ def left_by_pip(site: Path, entry: str, target: str) -> Path:
     return site
 
 
-def test_a_broken_entry_point_hurts_no_other_model(example: Path, tmp_path: Path) -> None:
+def test_a_broken_entry_point_hurts_no_other_model(
+    example: Path, tmp_path: Path, longarm: Longarm
+) -> None:
     arm = Arm.load(example / "arm.yaml")
     save_model(tmp_path / "model.yaml", store(Model(arm, (JointGain(2, gain=0.01),))))
     words = ("evaluate", example / "arm.yaml", "--test", example / "test.csv")

@@ -197,7 +197,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def prefix(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A prefix with the wheel installed below it."""
     folder = tmp_path_factory.mktemp("prefix")
-    options = ["--quiet", "--no-deps", "--ignore-installed", "--prefix", folder]
+    options = ["--quiet", "--no-compile", "--no-deps", "--ignore-installed", "--prefix", folder]
     subprocess.run([*PIP, "install", *options, wheel], check=True)
     return folder
 
@@ -333,15 +333,12 @@ def test_an_installation_below_any_prefix_finds_its_own_files(prefix: Path) -> N
         assert refused.stderr == f"longarm: {folder} is run from a checkout of the project\n"
 
 
-def test_an_installed_graph_comes_up_and_ends_as_it_is_told(wheel: Path, tmp_path: Path) -> None:
+def test_an_installed_graph_comes_up_and_ends_as_it_is_told(prefix: Path, tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
     from nodes_bench import bench, children, gone, own_graph
 
     from longarm_comp.nodes import interfaces as graph
 
-    prefix = tmp_path / "prefix"
-    options = ["--quiet", "--no-deps", "--ignore-installed", "--prefix", prefix]
-    subprocess.run([*PIP, "install", *options, wheel], check=True)
     (packages,) = prefix.glob("**/site-packages")
     arm = prefix / "share" / PACKAGE / "config" / "arm_demo.yaml"
     with own_graph(tmp_path), bench() as stage:

@@ -29,7 +29,11 @@ def small_():
 
 @pytest.mark.parametrize(
     ("samples", "seeds", "hidden", "goal_mm"),
-    [(300, (0,), None, 0.20), (300, (2, 3), 12, 0.20), (900, (0,), 15, 0.13)],
+    [
+        (300, (0,), None, 0.20),
+        pytest.param(300, (2, 3), 12, 0.20, marks=pytest.mark.long),
+        (900, (0,), 15, 0.13),
+    ],
 )
 def test_smooth_residual_is_learnt_to_the_floor_with_honest_intervals(
     samples, seeds, hidden, goal_mm

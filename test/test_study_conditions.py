@@ -28,6 +28,7 @@ def arm(demo_arm_path: Path) -> Arm:
     return Arm.load(demo_arm_path)
 
 
+@pytest.mark.long
 def test_one_arm_is_commanded_in_every_condition(arm: Arm) -> None:
     found = one_arm(arm, 3, 0, SHORT, poses=FEW)
     assert list(found) == [c.name for c in CONDITIONS]

@@ -68,6 +68,7 @@ def test_the_monitor_asks_after_the_play_has_grown_and_not_before(worn: day.DayO
     assert again < 0.25 * told
 
 
+@pytest.mark.long
 def test_without_wear_nothing_is_named_and_nothing_is_lost() -> None:
     told, _, _, learns = day.WAYS[2:]
     calm = day.one_day(day.replace(SETTING, growth_rad=0.0, hours=4), 1, (told, learns))

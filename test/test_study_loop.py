@@ -39,6 +39,7 @@ def case(group: str = "single", effects: tuple[str, ...] = ("backlash",), **othe
     return Case(group, effects, **{**plain, **other})
 
 
+@pytest.mark.long
 def test_soft_beams_are_told_from_a_load_that_bends_them(arm):
     """Columns tell a part only: each rival is fitted, and what fits better begins anew."""
     soft = case(effects=("link_stiffness",), one_place=False, rows=300)

@@ -90,12 +90,12 @@ def test_the_next_move_starts_with_what_the_last_one_found() -> None:
     assert abs(rig.off(0.55)) <= 1.0
 
 
-def test_an_hour_of_moves_without_hunting() -> None:
+def test_a_quarter_of_an_hour_of_moves_without_hunting() -> None:
     """Trimmed once: from rest to the next move no goal changes, though encoder and load flicker."""
     rng, rig = np.random.default_rng(7), Sagging(STICKS)
     begun, steps_at_rest, off = rig.now, 0, []
     rig.says = lambda ticks: ticks + rng.integers(0, 2)
-    while rig.now - begun < 3600.0:
+    while rig.now - begun < 900.0:
         q = float(rng.uniform(0.9 * TURN.lower, 0.9 * TURN.upper))
         rig.send((1.0, {"turn": q}))
         rig.motor.external_load = float(rng.uniform(-0.35, 0.35))
@@ -109,7 +109,7 @@ def test_an_hour_of_moves_without_hunting() -> None:
             rig.step(DRIVER_S)
             steps_at_rest += rig.motor.goal != goal
             goal = rig.motor.goal
-    assert len(off) > 500
+    assert len(off) > 125
     assert steps_at_rest == 0
     assert np.mean(np.abs(off)) < 1.0
 
@@ -202,7 +202,7 @@ def test_a_trimmed_joint_stands_where_its_encoder_says(tmp_path: Path) -> None:
     [
         (0.0, 0.0, EventKind.SHORT),  # frozen
         (0.4, 0.0, EventKind.ARRIVED),  # slips: nobody can know
-        (1.0, 30.0, EventKind.ARRIVED),  # jumped
+        pytest.param(1.0, 30.0, EventKind.ARRIVED, marks=pytest.mark.long),  # jumped
         (1.0, 120.0, EventKind.SHORT),
     ],
 )

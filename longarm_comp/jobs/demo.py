@@ -127,7 +127,7 @@ class DemoSettings:
         given: dict[str, dict[str, Any]] = {
             "servo_driver": {"follower.blend_s": 0.05, "order_max_age_s": _PATIENCE_S},
             "simulated_arm": {
-                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 20.0,
+                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 10.0,
             },
             "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": _PATIENCE_S},
         }  # fmt: skip
