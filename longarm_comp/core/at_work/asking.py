@@ -11,7 +11,6 @@ from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.explanations import Branch, Explanations
 from longarm_comp.core.identify.posterior.found import CREDIBLE
-from longarm_comp.core.ik.forward import tip_poses
 
 POOL = 256
 """Poses that are looked at: a power of 2, as Sobol's points are even then; 25 ms."""
@@ -65,7 +64,7 @@ def asked(known: Explanations, context: Context, noise: np.ndarray) -> Asked | N
         legs=tuple(legs.reshape(len(q), -1).T),
         columns={name: np.full(len(q), value) for name, value in context.columns.items()},
     )
-    tips = [tip_poses(space.at(b.known.expected), q, there)[:, :3, 3] for b in (first, *rivals)]
+    tips = [space.at(b.known.expected).tip(q, there) for b in (first, *rivals)]
     off = np.array(tips[1:]) - tips[0]
     odds = 0.5 * np.einsum("rij,jk,rik->ri", off, np.linalg.inv(noise), off)
     which, best = np.unravel_index(int(odds.argmax()), odds.shape)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any
 
@@ -60,6 +60,37 @@ def geometric(posture: Posture, tip: Vec, station: float = math.inf) -> list[tup
 
 Fixed = dict[tuple[int, int], float]
 _Slots = dict[tuple[int, int], int]
+_Work = Callable[[newton.State], newton.Outcome]
+_Program = tuple[Graph, emit.Outputs]
+
+
+class _Traced(Mapping[str, _Program]):
+    """Programs by name, each traced on its first use."""
+
+    def __init__(self, works: Mapping[str, _Work], place: Mapping[str, range]) -> None:
+        self._works, self._place = works, place
+        self._made: dict[str, _Program] = {}
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._works)
+
+    def __len__(self) -> int:
+        return len(self._works)
+
+    def __getitem__(self, name: str) -> _Program:
+        if name not in self._made:
+            graph = Graph()
+            state = {k: [graph.input(str(i)) for i in r] for k, r in self._place.items()}
+            self._made[name] = (
+                graph,
+                {
+                    self._place[part][k]: value
+                    for part, values in self._works[name](state).items()
+                    for k, value in enumerate(values)
+                    if value is not state[part][k]  # unchanged values need no writing
+                },
+            )
+        return self._made[name]
 
 
 class Kernel:
@@ -87,40 +118,26 @@ class Kernel:
         for m in (3, 6):
             search = newton.flow(self.passes, m)
             self.flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
-        self.programs: dict[str, tuple[Graph, emit.Outputs]] = {}
-        self._trace_model(model, fixed, slot)
-        self._trace_search(model)
+        works = self._model_works(model, fixed, slot) | self._search_works(model)
+        self.programs = _Traced(works, self.place)
 
     def slice(self, name: str) -> slice:
         """Slice of a quantity in the state."""
         return slice(self.place[name].start, self.place[name].stop)
 
-    def _trace(self, name: str, work: Callable[[newton.State], newton.Outcome]) -> None:
-        graph = Graph()
-        state = {k: [graph.input(str(i)) for i in r] for k, r in self.place.items()}
-        self.programs[name] = (
-            graph,
-            {
-                self.place[name][k]: value
-                for name, values in work(state).items()
-                for k, value in enumerate(values)
-                if value is not state[name][k]  # unchanged values need no writing
-            },
-        )
-
-    def _trace_search(self, model: Model) -> None:
+    def _search_works(self, model: Model) -> dict[str, _Work]:
         span = [float(v) for v in model.arm.upper - model.arm.lower]
         length = characteristic_length(model)
-        self._trace("begin", lambda s: newton.begin(self.n))
-        self._trace("open", newton.opening)
+        works: dict[str, _Work] = {"begin": lambda s: newton.begin(self.n), "open": newton.opening}
         for m in (3, 6):
-            self._trace(f"accept{m}", partial(newton.accept, m=m))
+            works[f"accept{m}"] = partial(newton.accept, m=m)
             for level in newton.LEVELS:
                 of_level = partial(newton.judge, span=span, length=length, m=m, level=level)
-                self._trace(f"judge{m}_{level.evaluate}", of_level)
-            self._trace(f"round{m}", partial(newton.step_in_box, span=span, m=m))
+                works[f"judge{m}_{level.evaluate}"] = of_level
+            works[f"round{m}"] = partial(newton.step_in_box, span=span, m=m)
+        return works
 
-    def _trace_model(self, model: Model, fixed: Fixed, slot: _Slots) -> None:
+    def _model_works(self, model: Model, fixed: Fixed, slot: _Slots) -> dict[str, _Work]:
         def seen(posture: Posture) -> newton.Outcome:
             return {"out": tip_and_jacobian(model, posture)}
 
@@ -142,10 +159,12 @@ class Kernel:
             twists = model.twists(posture)
             return {"x": [twists[station][i] for station, i in slot]}
 
-        self._trace("rigid", lambda s: seen(at(s, [0.0] * len(slot))))
-        self._trace("first", lambda s: carried(at(s, None)))
-        self._trace("again", lambda s: carried(at(s, s["x"])))
-        self._trace("tip", lambda s: seen(at(s, s["x"])))
+        return {
+            "rigid": lambda s: seen(at(s, [0.0] * len(slot))),
+            "first": lambda s: carried(at(s, None)),
+            "again": lambda s: carried(at(s, s["x"])),
+            "tip": lambda s: seen(at(s, s["x"])),
+        }
 
     @cached_property
     def floats(self) -> dict[str, Any]:
@@ -175,7 +194,7 @@ _BEYOND = {"inf": math.inf, "nan": math.nan}
 class _Python(dict[str, Any]):
     """Programs as Python functions, each generated on its first use."""
 
-    def __init__(self, programs: Mapping[str, tuple[Graph, emit.Outputs]], arrays: bool) -> None:
+    def __init__(self, programs: Mapping[str, _Program], arrays: bool) -> None:
         super().__init__()
         self.programs, self.arrays = programs, arrays
 
