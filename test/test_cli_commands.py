@@ -137,7 +137,7 @@ def test_compensate_takes_the_error_off(work: Path, shell: Shell) -> None:
 
 
 @pytest.mark.parametrize("method", ["none", "deflection"])
-@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("every", [21, pytest.param(1, marks=pytest.mark.long)])
 def test_compensate_reaches_the_whole_grid_from_a_file_of_nine_decimals(
     method: str, every: int, demo_arm_path: Path, shell: Shell
 ) -> None:

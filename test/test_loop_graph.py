@@ -60,7 +60,7 @@ def files(
         speed=20.0,
         set={
             "simulated_arm": {
-                "hidden": "joint_compliance=8.0 backlash=3.0", "frame_rate_hz": 15.0,
+                "hidden": "joint_compliance=8.0 backlash=3.0", "frame_rate_hz": 10.0,
             },
             "servo_driver": {"follower.blend_s": 0.05},
             "kinematics": {"move_time_s": 0.05, "compiled": False},
