@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from report_pages import Page
 from small_arm import ARM, measured
 
 import longarm_comp as la
@@ -19,6 +20,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
+from longarm_comp.report.fleet_page import fleet_page
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.workflows.fleet import Diagnosed, Finding, compared, fleet, members
 from studies.commands.fleet import command as study
@@ -73,7 +75,14 @@ def test_the_arm_that_was_knocked_is_told(folders: Path, tmp_path: Path) -> None
     assert arms["knocked"]["in_use_mm"] > 4.0 > 0.5 > arms["knocked"]["calibrated_mm"]
     assert arms["sound"]["kind"] == arms["knocked"]["kind"]
     assert (out / "sound" / "report.html").is_file()
-    assert (out / "fleet.png").stat().st_size > 5000
+    page = Page((out / "fleet.html").read_text("utf-8"))
+    words = page.words()
+    assert not page.faults and "3 arms: 1 drifted, 1 could not be diagnosed" in words
+    assert "2 of them have a model.yaml in use" in words
+    wrong = arms["knocked"]["in_use_mm"]
+    assert f"knocked : the model in use errs by {wrong:.2f} mm" in words and "sound :" not in words
+    links = [a["href"] for a in page.all("a") if "report" in str(a["href"])]
+    assert links == ["knocked/report.html", *(f"{n}/report.html" for n in ("knocked", "sound"))]
     assert json.loads((out / "fleet.json").read_text("utf-8"))["arms"] == list(arms.values())
 
 
@@ -88,7 +97,8 @@ def test_one_arm_yaml_stands_for_arms_of_a_kind(folders: Path, tmp_path: Path) -
 
 def test_what_most_arms_of_a_kind_have_is_the_kinds() -> None:
     def arm(name: str, kind: int, *found: str) -> Diagnosed:
-        mine = tuple(Finding(effect, "joint 2") for effect in found)
+        size = "abcd".index(name) + 1.0
+        mine = tuple(Finding(effect, "joint 2", size) for effect in found)
         return Diagnosed(name, kind, "s", 10, "named", "", findings=mine)
 
     arms = compared([
@@ -101,6 +111,11 @@ def test_what_most_arms_of_a_kind_have_is_the_kinds() -> None:
         ("b", "play"): True,
         ("d", "give"): False,
     }
+    page = Page(fleet_page("hall", [a.row for a in arms]))
+    assert page.tables["kind"][1:] == [["play", "joint 2", "2 of 3", "1.50", "1.00", "2.00"]]
+    own = [row[-1] for row in page.tables["arms"][1:]]
+    assert own == ["give at joint 2 (1.00 mm)", "–", "–", "give at joint 2 (4.00 mm)"]
+    assert "no model in use to tell drift by" in page.words()
 
 
 def test_folders_without_arms_are_refused(tmp_path: Path) -> None:

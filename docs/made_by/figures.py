@@ -40,7 +40,7 @@ COMMANDS = {
     "paper": "study table1 --paper-setting --arms 10",
     "coverage": "study coverage --data {data} --arms 8",
     "day": "study day --arms 12 --fast",
-    "poses": "study poses --arms 3",
+    "poses": "study poses --arms 6",
     "measurements": "study measurements --arms 4",
     "realisable": "study realisable",
     "discover": "study discover --no-network",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @options.output(
     "fleet",
-    "Folder to write: a diagnosis an arm, fleet.json, fleet.png.",
+    "Folder to write: a diagnosis an arm, fleet.json, fleet.html.",
     outputs.folder("fleet.json", told_by="fleet.json", schema="longarm/fleet/1"),
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
@@ -39,20 +39,13 @@ def command(folder: Path, output: Path, as_json: bool, **how: Any) -> None:
       longarm fleet examples/panda_touch -o fleet --jobs 2
       longarm fleet arms -o fleet
     """
-    from longarm_comp.report.fleet_picture import draw
+    from longarm_comp.core.files import write_text
+    from longarm_comp.report.fleet_page import fleet_page
     from longarm_comp.workflows.fleet import fleet
 
     with progress("fleet") as show:
         arms = fleet(folder, output, progress=show, **how)
-    draw(
-        [arm.name for arm in arms],
-        {
-            "model in use": [arm.in_use_mm for arm in arms],
-            "calibrated anew": [arm.calibrated_mm for arm in arms],
-            "diagnosed": [arm.diagnosed_mm for arm in arms],
-        },
-        output / "fleet.png",
-    )
+    write_text(output / "fleet.html", fleet_page(folder.resolve().name, [a.row for a in arms]))
     if all(arm.verdict == "failed" for arm in arms):
         raise JobError(f"no arm of {folder} could be diagnosed: {arms[0].summary}")
     if as_json:
@@ -66,7 +59,7 @@ def command(folder: Path, output: Path, as_json: bool, **how: Any) -> None:
         if arm.drifted:
             note(f"{arm.name} drifted: its model errs by {arm.in_use_mm:.2f} mm, a calibration of "
                  f"today by {arm.calibrated_mm:.2f} mm")  # fmt: skip
-    note(f"a diagnosis an arm, fleet.json and fleet.png in {output}")
+    note(f"page in {output / 'fleet.html'}; a diagnosis an arm and fleet.json beside it")
 
 
 def _cells(arm: Diagnosed) -> tuple[str, ...]:

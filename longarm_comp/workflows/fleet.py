@@ -22,6 +22,7 @@ from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.identify.findings import EffectFinding
 from longarm_comp.core.identify.kind_of_arm import table
+from longarm_comp.report.record import read_report
 from longarm_comp.version import __version__
 from longarm_comp.workflows.diagnose import diagnose_files
 from longarm_comp.workflows.evaluate import evaluate
@@ -52,11 +53,13 @@ class Finding:
 
     Attributes:
         effect: its name, or the names that no row tells apart, with "or" between them.
+        tip_mm: median size at the tip, of the effect at all of its places.
         of_kind: whether half of the arms of the kind, two at least, have it at that place.
     """
 
     effect: str
     where: str
+    tip_mm: float
     of_kind: bool = False
 
 
@@ -248,7 +251,8 @@ def _diagnosed(
             in_use = 1e3 * evaluate(arm, member.session, model=member.model)["calibrated"].mean
     except LongarmError as error:
         return Diagnosed(member.name, kind, where, 0, "failed", str(error), made_of=made_of)
-    left = found.held_out
+    left, reported = found.held_out, read_report(output / member.name).findings
+    sizes = [f.tip_mm.median if f.tip_mm else 0.0 for f in reported]
     made = Diagnosed(
         member.name,
         kind,
@@ -259,7 +263,11 @@ def _diagnosed(
         in_use,
         1e3 * left["calibrated"].mean,
         1e3 * left[list(left)[-1]].mean,
-        tuple(Finding(_names(f), place) for f in found.findings for place in f.where),
+        tuple(
+            Finding(_names(f), place, size)
+            for f, size in zip(found.findings, sizes, strict=True)
+            for place in f.where
+        ),
         made_of,
     )
     del found
