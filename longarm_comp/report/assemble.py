@@ -237,10 +237,10 @@ def _pair_mm(gain: Gain) -> list[float]:
 
 
 def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
-    """(3,) noise of the first sensor that measures positions, m; None where none measures all."""
+    """(3,) noise of the first sensor, m; None where it does not tell all of a place."""
     sigma = diagnosis.search.noise.sigma[:3]
     first = diagnosis.train.blocks[0].kind
-    return sigma if first == "position" and np.isfinite(sigma).all() else None
+    return sigma if first in ("position", "touch") and np.isfinite(sigma).all() else None
 
 
 def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:

@@ -34,9 +34,8 @@ def meaning(report: DiagnosisReport) -> str:
             f"{_of(open_, n)} may have another name, and more poses may tell."
         ),
         "partly": (
-            f"{_count(n)} {_explain(n)} a part of what the model lacked; "
-            + ("structure is left" if left.flag else "one could have too many names")
-            + (f"; {none}." if unnamed else ".")
+            f"{_partly(n, unnamed)} a part of what the model lacked; "
+            + ("structure is left." if left.flag else "it could have too many names.")
         ),
         "unknown": (
             f"There is structure that no effect of the library explains; {added}."
@@ -49,6 +48,18 @@ def meaning(report: DiagnosisReport) -> str:
 
 def _count(n: int) -> str:
     return (COUNTS[n] if n < len(COUNTS) else str(n)).capitalize()
+
+
+def _partly(n: int, unnamed: int) -> str:
+    """What explains a part: effects with names, causes without."""
+    causes = f"{_count(unnamed)} cause{'' if unnamed == 1 else 's'} without a name"
+    if not n:
+        return f"{causes} explain{'s' if unnamed == 1 else ''}"
+    named = f"{_count(n)} {_explain(n)}"
+    if not unnamed:
+        return named
+    effects = named.removesuffix(" explains").removesuffix(" explain")
+    return f"{effects} and {causes[0].lower()}{causes[1:]} explain"
 
 
 def _explain(n: int) -> str:
