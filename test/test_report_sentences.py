@@ -1,34 +1,23 @@
 """The sentences of a report against its numbers, over five hundred generated diagnoses.
 
-They are made from diagnoses, whose errors, findings, structure, noise and network are replaced by
-drawn ones: sentences are about numbers, whatever these are. Of two simulated arms, one has effects
-with names and a camera that drifts, the other a set of names that its rows cannot tell apart. Two
-are of measured arms, and these are also looked at as they are: a Panda that touched sockets, and
-DLR's Justin.
+They are made from diagnoses (`drawn_reports`): of two simulated arms one has effects with names and
+a camera that drifts, the other a set of names that its rows cannot tell apart. Others are of
+measured arms, Pandas that touched sockets and DLR's Justin; these are looked at as they are, too.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import re
-from functools import cache
 from math import sqrt
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hidden_arm import at, session, white
+from drawn_reports import drawn, in_doubt, justin, panda_4, panda_7, real
 from report_pages import Page
-from small_arm import ARM
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import errors
-from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.findings import Rival
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.practical import practical
 from longarm_comp.core.identify.structure import SIGNIFICANT
@@ -37,55 +26,6 @@ from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.open_questions import open_questions
 from longarm_comp.report.page import page as rendered
 from longarm_comp.report.words import DASH
-from longarm_comp.sessions.csv import read_csv
-from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.hidden import drives, loads
-from studies import real_sessions
-
-TOUCHED = Path(__file__).resolve().parents[1] / "examples" / "panda_touch"
-REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
-CALLED = ("slew", "luff", "extend", "knuckle")
-
-
-@cache
-def in_doubt() -> Diagnosis:
-    """A joint that gives way, or its servo: a set; the joints have names."""
-    data = ARM.model_dump(mode="json", exclude_defaults=True)
-    rows = [row | {"name": name} for row, name in zip(data["joints"], CALLED, strict=True)]
-    load = {"frame": 4, "position_m": [0.0, 0.0, 0.05], "mass_kg": 0.5}
-    arm = Arm.parse({**data, "joints": rows, "payload": load}, "boom")
-    rng = np.random.default_rng(3)
-    q = arm.lower + rng.random((150, arm.n)) * (arm.upper - arm.lower)
-    real = TrueArm(arm, (loads.JointCompliance(at(2, 4e-3)),))
-    return diagnose(arm, Session.record(q, real.tip(q) + white(rng, len(q))))
-
-
-@cache
-def real() -> Diagnosis:
-    """Two effects at joints, and a camera that drifts."""
-    made = session((drives.JointGain(at(2, 0.02)), drives.Backlash(at(1, 5e-3), 0.0)), n=150)
-    t_s = 60.0 * np.arange(len(made))
-    drift = np.outer(t_s / 3600, (1e-3, -2e-3, 1e-3))
-    return diagnose(ARM, dataclasses.replace(made, xyz=made.xyz + drift, columns={"t_s": t_s}))
-
-
-def touched(session: str) -> Diagnosis:
-    arm = Arm.load(TOUCHED / "arm.yaml")
-    return diagnose(arm, read_csv(TOUCHED / session, arm))
-
-
-def panda_4() -> Diagnosis:
-    return touched("panda_4.csv")
-
-
-def panda_7() -> Diagnosis:
-    """Only a cause without a name is found."""
-    return touched("panda_7.csv")
-
-
-def justin(data: Path) -> Diagnosis:
-    right, _ = real_sessions.justin(data / "real")
-    return diagnose(right.arm, right.train.take(np.arange(120)))
 
 
 def test_the_real_one_has_findings_of_both_sides() -> None:
@@ -111,77 +51,6 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     assert made.seen.before > 1.5 * made.seen.after
     assert made.commanded.before == pytest.approx(made.seen.before)
     assert made.commanded.after > 1.5 * made.seen.after
-
-
-class Network:
-    """Stands for a network that was kept."""
-
-
-def drawn(seed: int, base: Diagnosis) -> Diagnosis:
-    """Another diagnosis: of the same arm, all that a sentence may speak of drawn anew."""
-    rng = np.random.default_rng(seed)
-    found = base.findings[: int(rng.integers(len(base.findings) + 1))]
-    written = "calibrated" if not found or rng.random() < 0.1 else "with_effects"
-    network = Network() if rng.random() < 0.3 else None
-    size = 10 ** rng.uniform(-4, -1.5)
-    n = len(base.proof.errors["nominal"])
-
-    def left() -> np.ndarray:
-        tail = 1 + 4 * (rng.random((n, 1)) < 0.05)
-        return np.asarray(size * rng.uniform(0.05, 1.5) * tail * rng.standard_normal((n, 3)))
-
-    stages = [*base.models, *(["with_network"] if network else [])]
-    seen = {stage: left() for stage in stages}
-    alike = rng.random() < 0.5
-    commanded = seen if alike else {stage: left() for stage in stages}
-    flag = bool(rng.integers(2)) or network is not None
-    structure = dataclasses.replace(
-        base.structure,
-        flag=flag,
-        p_value=float(10 ** rng.uniform(-4, 0)),
-        inputs=("q2", "t_s") if flag else (),
-        size_m=float(size * rng.uniform(0, 1.2)) if flag else 0.0,
-        share_explained=float(rng.random()) if flag else 1.0,
-        sign="shows in the held-out poses" if flag and rng.random() < 0.3 else "",
-    )
-    noise = dataclasses.replace(
-        base.search.noise, sigma=np.full(3, size * rng.uniform(0.01, 1.5)), source="residual"
-    )
-    return dataclasses.replace(
-        base,
-        search=dataclasses.replace(base.search, noise=noise),
-        findings=tuple(varied(f, rng) for f in found),
-        structure=structure,
-        proof=dataclasses.replace(
-            base.proof,
-            errors=seen,
-            commanded=commanded,
-            turned=dict.fromkeys(seen, np.zeros((0, 3))),
-        ),
-        causes=(),
-        written=written,
-        network=network,
-        split_by=(),
-    )
-
-
-def varied(finding: Any, rng: np.random.Generator) -> Any:
-    """A finding with other odds, and sometimes a name that cannot be told from it."""
-    odds, chance = float(rng.uniform(0, 60)), float(rng.uniform(0, 0.5))
-    other_name = "joint_gain" if "bearing_tilt" in finding.names else "bearing_tilt"
-    best = Rival(Candidate(other_name, finding.terms), odds - float(rng.uniform(0, 20)), chance)
-    other = (*finding.alternatives, *((best,) if chance > 0.05 else ()))
-    had = tuple((name, (1 - chance) * p) for name, p in finding.chances)
-    chances = (*had, (other_name, chance))
-    sure = float(rng.choice([0.96, 0.9995]))
-    return dataclasses.replace(
-        finding,
-        log_bayes_factor=odds,
-        probability=sure,
-        chances=chances,
-        runner_up=best,
-        alternatives=other,
-    )
 
 
 Told = tuple[record.DiagnosisReport, Page]
