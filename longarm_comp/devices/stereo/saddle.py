@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
 from longarm_comp.devices.stereo.camera import Array
 
@@ -135,6 +134,8 @@ def _linearised(
     state: Array, dx: Array, dy: Array, values: Array, weight: Array
 ) -> tuple[Array, Array, Array]:
     """Cost (N,), Jacobian of the model (N, M, 9) and residuals (N, M)."""
+    from scipy.special import erf  # a quarter of a second; tags do without
+
     u, v, angle_1, angle_2, blur, contrast, level, slope_x, slope_y = state.T[..., None]
     x, y = dx - u, dy - v
     edges, rates, alongs = [], [], []
