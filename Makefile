@@ -34,7 +34,7 @@ $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/ros
 	@touch $@
 
 # What runs, without the peers of benchmarks and tests.
-PROGRAMS := longarm composed error_predictor kinematics servo_driver simulated_arm stereo_bridge trajectory_compensator
+PROGRAMS := longarm error_predictor kinematics servo_driver simulated_arm stereo_bridge trajectory_compensator
 $(STAMPS)/package: setup.py setup.cfg pyproject.toml package.xml $(STAMPS)/interfaces
 	$(INSTALL) --no-build-isolation --editable .
 	@# An editable installation holds no files but Python's: these are what `ros2` looks for.

@@ -10,7 +10,6 @@ NAME = "longarm_comp"
 
 # Programs that `ros2 run longarm_comp ...` finds: the modules of nodes/ that have a main.
 NODES = [
-    "composed",
     "error_predictor",
     "kinematics",
     "servo_driver",

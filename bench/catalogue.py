@@ -89,10 +89,6 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[Any, ...]]] = {
         "ros_share_node_ms": ("ros.share", "node"),
         "ros_sustained_rate_vs_echo_hz": ("ros.sustained_rate",),
         "ros_flood_compensate_p99_ms": ("ros.flooded",),
-        "ros_composed_target_to_trajectory_vs_echo_p50_ms": ("ros.beside_echo", "topic", 50, True),
-        "ros_composed_target_to_trajectory_vs_echo_p99_ms": ("ros.beside_echo", "topic", 99, True),
-        "ros_composed_compensate_vs_echo_p50_ms": ("ros.beside_echo", "service", 50, True),
-        "ros_composed_compensate_vs_echo_p99_ms": ("ros.beside_echo", "service", 99, True),
     },
 }
 """By kind and name: function, as `module.function` of this folder, and its arguments."""

@@ -1,7 +1,6 @@
 """Benchmarks of the graph's latency against a bare rclpy echo of the same messages.
 
 Processes: `kinematics`, `error_predictor` with a trained predictor, the echo, and this one.
-`composed` has the first two in one process, as `longarm up --composed`.
 Blocks of calls alternate, so that all sides are measured under the same load.  The p50 of a target
 is divided into shares.  DDS is the echo.  The predictor is the round trip of its service times the
 requests of a target.  The inverse kinematics is the whole compensation, computed here with a known
@@ -19,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -59,12 +58,12 @@ class Figures:
         return {"dds": dds, "predictor": predictor, "ik": ik, "node": node}
 
 
-def beside_echo(path: str, percent: int, composed: bool = False) -> Result:
+def beside_echo(path: str, percent: int) -> Result:
     """`target_pose` to `joint_trajectory` (topic), or the service `compensate`, not executed.
 
     Medians over the blocks for p50; p99 is that of all calls together.
     """
-    f = figures("composed" if composed else "processes")
+    f = figures()
     ours, echo = getattr(f, path), getattr(f, f"{path}_echo")
     if percent != 50:
         ours, echo = ours.reshape(1, -1), echo.reshape(1, -1)
@@ -78,7 +77,7 @@ def flooded() -> Result:
     from bench.ros_calls import Calls
 
     arm = demo_arm()
-    with _graph(arm, "processes") as calls_on:
+    with _graph(arm) as calls_on:
         calls: Calls = calls_on(Calls)
         calls.warm_up()
         words = ["-m", "bench.flood", str(FLOOD_HZ), str(FLOOD_S), "--ros-args"]
@@ -118,16 +117,13 @@ def _p(values: np.ndarray, share: float) -> np.ndarray:
     return percentiles
 
 
-How = Literal["processes", "composed"]
-
-
-@lru_cache(maxsize=2)
-def figures(how: How = "processes", blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
-    """All measurements of one kind of graph, taken once per process."""
+@lru_cache(maxsize=1)
+def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
+    """All measurements, taken once per process."""
     from bench.ros_calls import Calls
 
     arm = demo_arm()
-    with _graph(arm, how) as calls_on:
+    with _graph(arm) as calls_on:
         calls: Calls = calls_on(Calls)
         calls.warm_up()
         sides: tuple[Callable[[int], float], ...] = (
@@ -149,9 +145,9 @@ def figures(how: How = "processes", blocks: int = BLOCKS, per_block: int = PER_B
 
 
 @contextmanager
-def _graph(arm: Arm, how: How) -> Iterator[Callable[[Any], Any]]:
+def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
     """Run the processes; yields a function that creates the caller's side."""
-    from longarm_comp.nodes.bringup import COMPOSED, REAL, BringUp
+    from longarm_comp.nodes.bringup import REAL, BringUp
     from longarm_comp.nodes.supervisor import Supervisor
 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -161,8 +157,8 @@ def _graph(arm: Arm, how: How) -> Iterator[Callable[[Any], Any]]:
         predictor = Path(scratch) / "predictor.npz"
         train_dummy(arm, predictor)
         graph = BringUp(
-            arm=demo_arm_file(), predictor=predictor, namespace=space, composed=how == "composed",
-            without=tuple(node for node in REAL if node not in COMPOSED),
+            arm=demo_arm_file(), predictor=predictor, namespace=space,
+            without=tuple(n for n in REAL if n not in ("error_predictor", "kinematics")),
             set={"kinematics": {"acknowledged": False}},
         )  # fmt: skip
         echo = str(Path(__file__).with_name("ros_echo.py"))

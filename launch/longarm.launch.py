@@ -31,7 +31,6 @@ ARGUMENTS = (
     ("bus", "", "simulation: link to make to the servo bus; empty: in a new temporary folder"),
     ("namespace", "", "of this arm, so that several share a network"),
     ("config", "", "folder of parameter files that replace the package's own"),
-    ("composed", "false", "kinematics and error_predictor in one process"),
     ("paths", "false", "trajectory_compensator too, for planned paths"),
     ("shaping", "false", "moves that leave no ring"),
     ("rviz", "false", "start RViz too"),
@@ -74,7 +73,6 @@ def nodes(context):
         port=given["port"],
         speed=float(given["speed"]),
         set={"simulated_arm": {"hidden": given["hidden"]}} if sim else {},
-        composed=true(given["composed"]),
         paths=true(given["paths"]),
         shaping=true(given["shaping"]),
     ).fitted(scratch)
@@ -83,14 +81,14 @@ def nodes(context):
         Node(
             package="longarm_comp",
             executable=name,
-            name=None if name == "composed" else name,
+            name=name,
             namespace=graph.namespace,
             parameters=graph.files(name, bus, scratch),
             output="screen",
             respawn=True,
             respawn_delay=1.0,
         )
-        for name in graph.processes
+        for name in graph.nodes
     ]
     if true(given["rviz"]):
         base = "/".join(filter(None, (graph.namespace.strip("/"), "base")))

@@ -14,7 +14,6 @@ ARGUMENTS = (
     ("hidden", "joint_compliance=3.0", "undeclared effects and their size at the tip, mm"),
     ("speed", "1.0", "motion so many times faster"),
     ("namespace", "", "of this arm"),
-    ("composed", "false", "kinematics and error_predictor in one process"),
     ("rviz", "false", "start RViz too"),
 )
 

@@ -91,7 +91,6 @@ def read_and_written(context: click.Context) -> tuple[list[Path], list[Path]]:
             "output",
             "out",
             "picture",
-            "write_effect",
             "log",
             "save",
             "frames",

@@ -167,31 +167,21 @@ def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPa
     assert len(entities) >= 2
 
 
-@pytest.mark.parametrize(
-    ("composed", "programs"),
-    [
-        ("false", SIMULATED),
-        ("true", ("composed", "simulated_arm", "servo_driver", "stereo_bridge")),
-    ],
-)
-def test_a_launch_starts_every_node_with_what_it_takes(
-    composed: str, programs: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_launch_starts_every_node_with_what_it_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     module = launched(ROOT / "launch" / "longarm.launch.py", monkeypatch)
     arguments = {name: default or "" for name, default, _ in module.ARGUMENTS}
     arm = str(folder("config") / "arm_demo.yaml")
-    given = {**arguments, "arm": arm, "sim": "true", "rviz": "true", "composed": composed}
+    given = {**arguments, "arm": arm, "sim": "true", "rviz": "true"}
     module.LaunchConfiguration = lambda name: types.SimpleNamespace(
         perform=lambda context: given[name]
     )
     made = module.nodes(None)
-    assert len(made) == len(programs) + 2
-    calls = [call.kwargs for call in module.Node.call_args_list][: len(programs)]
-    assert [call["executable"] for call in calls] == list(programs)
+    assert len(made) == len(SIMULATED) + 2
+    calls = [call.kwargs for call in module.Node.call_args_list][: len(SIMULATED)]
+    assert [call["executable"] for call in calls] == list(SIMULATED)
     passed = {}
     for call in calls:
-        several = call["executable"] == "composed"  # a name would rename both nodes
-        assert call["name"] == (None if several else call["executable"])
+        assert call["name"] == call["executable"]
         *listed, written = call["parameters"]
         for file, (node, values) in zip(listed, read_yaml(Path(written)).items(), strict=True):
             passed[node.removeprefix("/**/")] = [file, values["ros__parameters"]]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +18,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
-from nodes_bench import ROOT, Bench, bench, own_graph
+from nodes_bench import Bench, bench, own_graph
 from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
@@ -28,11 +27,9 @@ from std_msgs.msg import Header
 from bench.dummy_predictor import train_dummy
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes import compensator, predictor_client
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.nodes.compensator import Readiness
 from longarm_comp.nodes.kinematics import Kinematics
 from longarm_comp.nodes.messages import joints_message, pose_message
@@ -191,33 +188,6 @@ def test_a_silent_predictor_is_probed_by_targets_and_ever_less_often(
     with pytest.raises(NoAnswer, match="no error_predictor"):
         client.ask(arm.mid, Context.empty())
     assert not client.answers
-
-
-def test_composed_the_predictor_is_called_and_not_asked_over_the_middleware(
-    stage: Bench, arm: Arm, demo_arm_path: Path, learned: Path, tmp_path: Path
-) -> None:
-    made = BringUp(
-        arm=demo_arm_path, predictor=learned, without=("servo_driver", "stereo_bridge"),
-        set={"kinematics": {"compiled": False, "acknowledged": False, "reach.look_s": 1.0}},
-        composed=True, namespace="one",
-    )  # fmt: skip
-    ((name, words),) = made.commands(tmp_path).items()
-    assert name == "composed"
-    process = stage.program(words, ROOT, ROOT)
-    seen = Watched(stage, arm, "/one")
-    published = stage.collect(graph.PREDICTED_ERROR, "one")
-    answer = seen.ask()
-    assert answer.status == STATUS.SUCCESS, answer.message
-    assert answer.in_domain and answer.predicted_error.x != 0.0
-    stage.spin(lambda: published or (seen.ask() and False))  # nothing is kept for a late listener
-    asks = stage.node.get_client_names_and_types_by_node("kinematics", "/one")
-    assert asks == []
-    serves = stage.node.get_service_names_and_types_by_node("error_predictor", "/one")
-    assert "/one/predict_error" in dict(serves)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=10) == 0
-    with pytest.raises(InputError, match="composed: 'kinematics'"):
-        replace(made, without=("kinematics",))
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.cli.run import root
 from longarm_comp.urdf_export import BASE_LINK, TIP
 
-WRITES = ("-o", "--output", "--out", "--picture", "--write-effect", "--save")
+WRITES = ("-o", "--output", "--out", "--picture", "--save")
 REFUSES_ITSELF = {("demo", "--out"), ("soak", "--out"), ("stereo calibrate", "--save")}
 """These take a new or an empty folder only."""
 

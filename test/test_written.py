@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,9 @@ from small_arm import ARM
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_drift import CameraDrift
-from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
-from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.posterior.found import FoundEffect
@@ -29,7 +26,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import checked
 from longarm_comp.workflows.diagnose import DiagnosisResult
-from longarm_comp.workflows.diagnosis_files import write_effects, write_model
+from longarm_comp.workflows.diagnosis_files import write_model
 from studies.outside import PumpShake, RubberStop
 
 FAR = ARM.lower + 0.9 * (ARM.upper - ARM.lower)
@@ -156,24 +153,3 @@ def test_what_was_found_is_in_the_written_model(stopped: DiagnosisResult, tmp_pa
     low, high = entry.parameters["amount"].ci95 or (0.0, 0.0)
     assert low < term.amount < high
     assert low * high > 0.0
-
-
-@pytest.mark.usefixtures("catalogue_of_ours")
-def test_what_was_found_is_written_as_an_effect_of_a_library(
-    stopped: DiagnosisResult, tmp_path: Path
-) -> None:
-    path = tmp_path / "found.py"
-    write_effects(stopped.diagnosis, path)
-    (kind,) = load_file(path)
-    (term,) = (e for e in stopped.model.effects if isinstance(e, Discovered))
-    ((made,),) = kind.candidates(ARM)
-    alone = Model(ARM, (term,)).tip(FAR)
-    same = made.with_values({"amount_1": term.amount})
-    np.testing.assert_array_equal(Model(ARM, (same,)).tip(FAR), alone)
-    assert np.abs(alone - Model(ARM).tip(FAR)).max() > 1e-4
-
-
-def test_there_is_no_effect_to_write_where_nothing_was_found(tmp_path: Path) -> None:
-    nothing: Any = SimpleNamespace(causes=(), arm=ARM)
-    with pytest.raises(JobError, match="nothing was found"):
-        write_effects(nothing, tmp_path / "found.py")

@@ -23,16 +23,9 @@ STEPS = 6.0
 @options.seed
 @options.without("network", "Train no network on the remaining error.")
 @options.output("diagnosis", "Folder to write.", outputs.DIAGNOSIS, outputs.diagnosed)
-@options.written(
-    "--write-effect",
-    "Also write what was found without a name, for --effects.",
-    outputs.EFFECTS,
-)
 @options.effects
 @options.as_json
-def command(
-    arm: Path, session: Path, output: Path, write_effect: Path | None, as_json: bool, **how: Any
-) -> None:
+def command(arm: Path, session: Path, output: Path, as_json: bool, **how: Any) -> None:
     """Find the effects that ARM's model lacks in SESSION (CSV or bag), add and prove them.
 
     Writes report.json, report.html, plots and model.yaml with the effects added (longarm undo
@@ -47,7 +40,6 @@ def command(
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.diagnose import diagnose_files
-    from longarm_comp.workflows.diagnosis_files import write_effects
 
     declared = Arm.load(arm)
     with progress("diagnose") as show:
@@ -58,8 +50,6 @@ def command(
             show(text, step / (step + STEPS))
 
         found = diagnose_files(declared, session, output, progress=say, **how)
-    if write_effect is not None:
-        write_effects(found.diagnosis, write_effect)
     report = found.report()
     if as_json:
         print_json({"output": str(output), **report})

@@ -90,7 +90,6 @@ def session(path: Path) -> bool:
 POSES = table("q1", without="repeat_id")
 COMMANDS = table("q1", "status", "predicted_error_x")
 PICTURE = marked(b"longarm")
-EFFECTS = marked(b'"""Effects that a diagnosis of')
 _DIAGNOSED = "report.json", "report.html", "model.yaml", "predictor.npz"
 DIAGNOSIS = folder(*_DIAGNOSED, told_by="report.json", schema="longarm/diagnosis/1")
 

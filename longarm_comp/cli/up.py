@@ -35,7 +35,6 @@ from longarm_comp.core.errors import JobError
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Folder of parameter files NODE.yaml; default: ARM's. The package's own for the rest.",
 )
-@click.option("--composed", is_flag=True, help="kinematics and error_predictor in one process.")
 @click.option("--paths", is_flag=True, help="trajectory_compensator too, for planned paths.")
 @click.option("--shaping", is_flag=True, help="Moves that leave no ring (docs/ringing.md).")
 @click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")

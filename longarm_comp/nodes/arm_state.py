@@ -27,9 +27,8 @@ from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode
 from longarm_comp.nodes.orders import untimely
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.predictor_client import Caller, PredictorClient
+from longarm_comp.nodes.predictor_client import PredictorClient
 from longarm_comp.nodes.stamps import stamp_ns
-from longarm_comp.nodes.worker import Worker
 
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm"),
@@ -64,10 +63,7 @@ class ArmState:
         moved: called with every joint reading (n,) that is believed, and its time (ROS clock, s).
     """
 
-    def __init__(
-        self, node: ArmNode, capacity: int, *, predictor: Callable[[Worker], Caller] | None = None,
-        trimmed: bool = False,
-    ) -> None:  # fmt: skip
+    def __init__(self, node: ArmNode, capacity: int, *, trimmed: bool = False) -> None:
         self.node, self.p, p = node, node.p, node.p
         for path in filter(None, p["effects"].split(os.pathsep)):
             load_file(path)
@@ -76,7 +72,7 @@ class ArmState:
         self.base_frame = prefix_of(node) + p.get("base_frame", "base")
         self.worker = node.worker(capacity)
         inlets = self.worker.inlets
-        caller = predictor(self.worker) if predictor else inlets.caller(graph.PREDICT_ERROR)
+        caller = inlets.caller(graph.PREDICT_ERROR)
         self.predictor = PredictorClient(caller, self.arm, p["predictor_timeout_s"])
         self.driver = DriverLink(
             inlets, self.arm, acknowledged=p["acknowledged"], joints=lambda: self.joints,

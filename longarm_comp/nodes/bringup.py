@@ -32,8 +32,6 @@ from longarm_comp.sim.servo_emulator import read_arm
 
 REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
-COMPOSED = ("error_predictor", "kinematics")
-"""Nodes that run in one process, `nodes/composed.py`, where that is asked for."""
 PATHS = "trajectory_compensator"
 """The node that is started where paths are asked for."""
 
@@ -54,7 +52,6 @@ class BringUp:
         port: serial port of the servos; empty for the one in the parameter file.
         speed: factor on all velocities in simulation.
         set: further parameters, by node and name.
-        composed: run `COMPOSED` in one process.
         paths: run `PATHS` too.
         shaping: `servo_driver` sends moves in parts that cancel the arm's ring.
     """
@@ -70,7 +67,6 @@ class BringUp:
     speed: float = 1.0
     set: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     without: tuple[str, ...] = ()
-    composed: bool = False
     paths: bool = False
     shaping: bool = False
 
@@ -80,9 +76,6 @@ class BringUp:
                 raise InputError("bring-up", "node", name, ", ".join((*SIMULATED, PATHS)))
         if not 0.01 <= self.speed <= 100.0:
             raise InputError("bring-up", "speed", self.speed, "0.01 to 100")
-        if self.composed and any(node in self.without for node in COMPOSED):
-            allowed = f"together with {' and '.join(COMPOSED)}"
-            raise InputError("bring-up", "composed", ", ".join(self.without), allowed)
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -190,27 +183,19 @@ class BringUp:
             "lag_s": float(given.get("lag_s", 0.03)) / self.speed,
         }
 
-    @property
-    def processes(self) -> tuple[str, ...]:
-        """Programs that run the nodes, each by its name, in the order of starting."""
-        if not self.composed:
-            return self.nodes
-        return ("composed", *(node for node in self.nodes if node not in COMPOSED))
-
-    def files(self, process: str, bus: str, scratch: Path) -> list[Path]:
-        """Parameter files of a process: of its nodes, then one of what overrides them.
+    def files(self, node: str, bus: str, scratch: Path) -> list[Path]:
+        """Parameter files of a node: its own, then one of what overrides it.
 
         Args:
             bus: link to the simulated servo bus.
             scratch: folder for the last one.
         """
-        nodes = COMPOSED if process == "composed" else (process,)
-        values = {f"/**/{n}": {"ros__parameters": self.parameters(n, bus)} for n in nodes}
-        write_text(scratch / f"{process}.given.yaml", yaml.safe_dump(values))
-        return [*map(self.file, nodes), scratch / f"{process}.given.yaml"]
+        values = {f"/**/{node}": {"ros__parameters": self.parameters(node, bus)}}
+        write_text(scratch / f"{node}.given.yaml", yaml.safe_dump(values))
+        return [self.file(node), scratch / f"{node}.given.yaml"]
 
     def commands(self, scratch: Path) -> dict[str, list[str]]:
-        """Program and arguments of every process, by its name; ``scratch``: folder for files."""
+        """Program and arguments of every node, by its name; ``scratch``: folder for files."""
         bus = str(scratch / "servo_bus")
         space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else []
         return {
@@ -222,7 +207,7 @@ class BringUp:
                     for w in ("--params-file", str(file))
                 ),
             ]
-            for name in self.processes
+            for name in self.nodes
         }
 
 

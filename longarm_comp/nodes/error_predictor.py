@@ -71,12 +71,8 @@ class ErrorPredictor(ArmNode):
         self, request: PredictError.Request, reply: Callable[[PredictError.Response], None],
         sent: float,
     ) -> None:  # fmt: skip
-        response = self.answer(request)
+        response = self._answer(request)
         reply(response)
-        self.publish(response)
-
-    def publish(self, response: PredictError.Response) -> None:
-        """Publish the error that was predicted, if one was."""
         if not response.success:
             return
         message = Vector3Stamped(vector=response.error)
@@ -84,8 +80,7 @@ class ErrorPredictor(ArmNode):
         message.header.frame_id = self._base_frame
         self._errors.publish(message)
 
-    def answer(self, request: PredictError.Request) -> PredictError.Response:
-        """The answer to a question; from any thread of this process."""
+    def _answer(self, request: PredictError.Request) -> PredictError.Response:
         response = PredictError.Response(sigma=math.nan, error=vector_message([math.nan] * 3))
         loaded = self._loaded
         try:

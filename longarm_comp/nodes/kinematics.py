@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -29,8 +28,6 @@ from longarm_comp.nodes.health import ERROR, OK, PERIOD, TIP_SAID, WARN, Report,
 from longarm_comp.nodes.interfaces import BEST_EFFORT
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.predictor_client import Caller
-from longarm_comp.nodes.worker import Worker
 from longarm_interfaces.msg import Motion
 
 PARAMS = (
@@ -52,20 +49,13 @@ PARAMS = (
 
 
 class Kinematics(ArmNode):
-    """Computes one target after another on a worker thread, so that the executor stays free.
+    """Computes one target after another on a worker thread, so that the executor stays free."""
 
-    Args:
-        predictor: makes what the worker asks for the learned error; the service on the graph
-            where it is not given.
-    """
-
-    def __init__(
-        self, executor: SingleThreadedExecutor, predictor: Callable[[Worker], Caller] | None = None
-    ) -> None:
+    def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "kinematics", PARAMS)
         p, twins = self.p, Twins(self)
         self._twins = twins
-        self._arm = state = ArmState(self, p["queue"], predictor=predictor, trimmed=p["trimmed"])
+        self._arm = state = ArmState(self, p["queue"], trimmed=p["trimmed"])
         self._monitor = monitoring.TipMonitor(state)
         self._learning = learning.Learning(state)
         self._markers = drawing.Markers(state)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -145,32 +143,3 @@ class PredictorClient:
     def _note(self, *, answers: bool, silent: bool) -> None:
         self.answers, self._silent = answers, silent
         self._probe, self._patience_s = None, _PROBE_S[0]
-
-
-class LocalCaller:
-    """A predictor in the same process, called as if it were a service.
-
-    Args:
-        serve: the response to a request; from any thread.
-        published: called with every response, later.
-        later: takes a job, to be run when the target is answered: until then it would only wait.
-    """
-
-    present = True
-
-    def __init__(
-        self, serve: Callable[[Any], Any], published: Callable[[Any], None],
-        later: Callable[[Callable[[], None]], None],
-    ) -> None:  # fmt: skip
-        self._serve, self._published, self._later = serve, published, later
-        self._number, self._response = 0, None
-
-    def send(self, request: Any) -> int:
-        """Compute the response."""
-        self._number, self._response = self._number + 1, self._serve(request)
-        self._later(partial(self._published, self._response))
-        return self._number
-
-    def answer(self, number: int, within_s: float) -> Any:
-        """The response to the last request."""
-        return self._response if number == self._number else None

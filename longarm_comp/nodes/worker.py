@@ -70,12 +70,6 @@ class Worker:
             self.inlets.wake()
         return True
 
-    def next(self, job: Job) -> None:
-        """Queue a job ahead of those that wait: it is run after the present one."""
-        self._jobs.appendleft(job)
-        if threading.current_thread() is not self._thread:
-            self.inlets.wake()
-
     def ask(self, job: Job) -> Future | None:
         """Queue a job whose result a coroutine can await; None when too many wait already."""
         future = Future(executor=self._executor)
