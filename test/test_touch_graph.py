@@ -31,7 +31,7 @@ def pressed(arm: QuickArm, monkeypatch: pytest.MonkeyPatch, keys: list[str | np.
     """Somebody at the keys: joints (n,) move the arm there first, then press Enter."""
     left = iter(keys)
 
-    def asked(prompt: str) -> str:
+    def asked(prompt: str, _: object) -> str:
         key = next(left, "end")
         if isinstance(key, str):
             return key
@@ -140,7 +140,7 @@ def test_a_touch_outside_the_socket_is_refused(
         arm.node.create_timer(0.05, lambda: felt.publish(String(data=seat[""])))
         keys = iter([("", ARM.mid), ("a", ARM.mid + 0.1), ("", ARM.mid + 0.2)])
 
-        def asked(prompt: str) -> str:
+        def asked(prompt: str, _: object) -> str:
             key = next(keys, None)
             if key is None:
                 return "end"

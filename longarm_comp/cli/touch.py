@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import signal
 from contextlib import nullcontext
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import kept_if_broken_off, note, print_json
-from longarm_comp.cli.signals import on_graph
+from longarm_comp.cli.signals import handled, on_graph
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -84,9 +86,10 @@ def command(
     if output.exists():
         touches.begin_with(read_session(output, declared))
 
+    written = len(touches.rows)
+
     def kept() -> str:
-        count = len(touches.rows)
-        return f"{output} keeps {count} touches; --resume adds to them" if count else ""
+        return f"{output} keeps {written} touches; --resume adds to them" if written else ""
 
     with (
         kept_if_broken_off(kept),
@@ -94,7 +97,7 @@ def command(
         limp(client) if by_hand else nullcontext(""),
     ):
         note(_HELP)
-        column, line = "touch", _asked(f"touch {name}")
+        column, line = "touch", _asked(f"touch {name}", client.stop)
         while line != "end":
             if not line:
                 try:
@@ -111,18 +114,28 @@ def command(
                 column, name = "touch", line
             if line in ("", "undo"):
                 _kept(touches, output)
-            line = _asked(f"{column} {name}")
+                written = len(touches.rows)
+            line = _asked(f"{column} {name}", client.stop)
     if as_json:
         print_json({"output": str(output), "rows": len(touches.rows)})
         return
-    note(f"{len(touches.rows)} touches in {output}")
+    done = f"{written} touches in {output}; next: longarm calibrate {arm} {output}"
+    note(done if written else "no touch was taken, nothing is written")
 
 
-def _asked(prompt: str) -> str:
-    """The next line; the end of the input ends the session."""
+def _asked(prompt: str, stop: Event) -> str:
+    """The next line; the end of the input ends the session, and a signal waits for no key."""
+
+    def now(*_: object) -> None:
+        stop.set()
+        raise KeyboardInterrupt
+
     try:
-        return str(click.prompt(prompt, default="", show_default=False, err=True)).strip()
+        with handled(dict.fromkeys((signal.SIGINT, signal.SIGTERM), now)):
+            return str(click.prompt(prompt, default="", show_default=False, err=True)).strip()
     except click.Abort:
+        if stop.is_set():
+            raise
         return "end"
 
 

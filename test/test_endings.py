@@ -1,0 +1,172 @@
+"""Every ending of `touch` and `apply`: its cause, what is kept, the next command."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from pathlib import Path
+from threading import Event
+from unittest.mock import MagicMock
+
+import click
+import pytest
+from cli_shell import Shell
+from touching import ARM
+
+from longarm_comp.core.errors import JobError
+from longarm_comp.jobs import apply as apply_job
+from longarm_comp.jobs import touch as touch_job
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "panda_touch" / "arm.yaml"
+FULL = OSError(errno.ENOSPC, "No space left on device", "file")
+Keys = Callable[..., None]
+
+
+class Client(nullcontext[object]):
+    """Stands for one on a graph."""
+
+    def __init__(self, arm: object, namespace: str, stop: Event, name: str) -> None:
+        super().__init__(self)
+        self.stop, self.putting_back = stop, nullcontext
+
+
+def raising(error: BaseException) -> Callable[..., None]:
+    def act(*_: object, **__: object) -> None:
+        raise error
+
+    return act
+
+
+@pytest.fixture
+def keys(monkeypatch: pytest.MonkeyPatch) -> Keys:
+    """A graph whose arm rests, and somebody at its keys: lines, or something that happens."""
+    monkeypatch.setattr("longarm_comp.jobs.client.ArmClient", Client)
+    monkeypatch.setattr(touch_job, "resting", lambda client: ARM.mid)
+    monkeypatch.setattr(touch_job, "_seated", lambda client: True)
+
+    def press(*lines: str | Callable[[], None]) -> None:
+        left: Iterator[str | Callable[[], None]] = iter(lines)
+
+        def line(*_: object, **__: object) -> str:
+            now = next(left, None)
+            if now is None:
+                raise EOFError
+            if callable(now):
+                now()
+                return ""
+            return now
+
+        monkeypatch.setattr(click.termui, "visible_prompt_func", line)
+
+    return press
+
+
+def touched(shell: Shell, *words: str) -> tuple[int, str]:
+    code = shell("touch", EXAMPLE, "-o", "t.csv", *words)
+    return code, shell.err
+
+
+def rows() -> int:
+    return len(Path("t.csv").read_text().splitlines()) - 1
+
+
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    return lambda: monkeypatch.setattr(os, "fsync", raising(FULL))
+
+
+@pytest.mark.parametrize("end", [("end",), ()], ids=["end", "end of the input"])
+def test_touches_that_end(keys: Keys, end: tuple[str, ...], shell: Shell) -> None:
+    keys("", "b", "", "", "undo", *end)
+    code, said = touched(shell)
+    assert code == 0 and rows() == 2
+    assert f"2 touches in t.csv; next: longarm calibrate {EXAMPLE} t.csv" in said
+
+
+def test_no_touch(keys: Keys, shell: Shell) -> None:
+    keys("", "undo", "end")
+    code, said = touched(shell)
+    assert code == 0 and not Path("t.csv").exists() and "nothing is written" in said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_at_the_prompt_waits_for_no_key(
+    keys: Keys, number: signal.Signals, shell: Shell
+) -> None:
+    keys("", "", lambda: os.kill(os.getpid(), number), "")
+    code, said = touched(shell)
+    assert code == 130 and rows() == 2
+    assert said.splitlines()[-2:] == [
+        "longarm: t.csv keeps 2 touches; --resume adds to them", "longarm: interrupted",
+    ]  # fmt: skip
+
+
+def test_a_full_disk_keeps_the_touches_before(
+    keys: Keys, shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys("", "", full_disk(monkeypatch), "end")
+    code, said = touched(shell)
+    assert code == 3 and rows() == 2
+    *_, kept, cause = said.splitlines()
+    assert "t.csv keeps 2 touches; --resume adds to them" in kept and "No space left" in cause
+
+
+def test_an_arm_that_does_not_rest_is_told_and_waited_for(
+    keys: Keys, shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def shaky() -> None:
+        monkeypatch.setattr(touch_job, "resting", raising(JobError("the arm did not rest")))
+
+    keys("", shaky, "end")
+    code, said = touched(shell)
+    assert code == 0 and rows() == 1 and "the arm did not rest" in said
+
+
+def test_torque_is_on_again_after_a_fault(
+    keys: Keys, shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    attendant = MagicMock()
+    monkeypatch.setattr(touch_job, "Attendant", lambda client: attendant)
+    keys("", full_disk(monkeypatch), "end")
+    code, _ = touched(shell, "--by-hand")
+    assert code == 3 and attendant.stop.call_count == attendant.reset.call_count == 1
+
+
+def test_torque_that_cannot_be_switched(
+    keys: Keys, shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    attendant = MagicMock(stop=raising(JobError("no driver answers")))
+    monkeypatch.setattr(touch_job, "Attendant", lambda client: attendant)
+    keys("")
+    assert touched(shell, "--by-hand") == (3, "longarm: no driver answers\n")
+
+
+@pytest.mark.parametrize("begun", [False, True])
+@pytest.mark.parametrize(
+    ("error", "code", "cause"),
+    [
+        (FULL, 3, "No space left"),
+        (JobError("error_predictor did not take up its file"), 3, "did not take up"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+    ids=["full disk", "refused", "interrupted"],
+)
+def test_apply_that_is_broken_off(
+    begun: bool, error: BaseException, code: int, cause: str, shell: Shell,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Before anything is changed nothing is said of what is kept."""
+
+    def broken(*_: object, progress: Callable[[str, float], None], **__: object) -> None:
+        if begun:
+            progress("network", 0.5)
+        raise error
+
+    monkeypatch.setattr("longarm_comp.jobs.graph_client.GraphClient", MagicMock())
+    monkeypatch.setattr(apply_job, "apply_on_graph", broken)
+    assert shell("apply", "diagnosis") == code
+    *before, last = shell.err.splitlines()
+    assert cause in last
+    assert ("the same command finishes the rest" in " ".join(before)) == begun
