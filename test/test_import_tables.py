@@ -143,6 +143,14 @@ def test_what_the_user_says_wins(shell: Shell) -> None:
     assert session()["x"].tolist() == [0.001]
 
 
+def test_a_plain_name_needs_no_unit_of_one_with_a_heading(shell: Shell) -> None:
+    """In whichever order they stand."""
+    for names, cells in (("Goal q1,q1 [deg]", "7,180"), ("q1 [deg],Goal q1", "180,7")):
+        Path("log.csv").write_text(f"{names},X [mm],Y [mm],Z [mm]\n{cells},1,2,3\n")
+        assert shell("import-data", "log.csv") == 0, shell.err
+        assert session()["q1"].tolist() == pytest.approx([np.pi])
+
+
 @pytest.mark.parametrize("title", ["Survey of 2024-03-01", "Boom,survey,12", "Boom,survey\n"])
 def test_a_title_is_no_heading(title: str, shell: Shell) -> None:
     Path("log.csv").write_text(f"{title}\nA1_deg,X_mm,Y_mm,Z_mm,note\n1,2,3,4,a\n1,2,3,4,b\n")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
@@ -152,10 +152,14 @@ def understand(
         if name in found and rank[name] < by:
             continue
         rank[name] = by
-        timed = name == "t_s" and seconds(cells.column(place)) is not None  # it has no unit
-        fits = None if timed else _fitting(where, name, source, unit, defaults, arm)
-        found[name] = Column(name, source, place, fits)
-    return sorted(found.values(), key=lambda c: _order(c.name))
+        found[name] = Column(name, source, place, unit)
+
+    def fitting(c: Column) -> Column:
+        timed = c.name == "t_s" and seconds(cells.column(c.place)) is not None  # it has no unit
+        fits = None if timed else _fitting(where, c.name, c.source, c.unit, defaults, arm)
+        return replace(c, unit=fits)
+
+    return sorted(map(fitting, found.values()), key=lambda c: _order(c.name))
 
 
 def _fitting(
