@@ -21,9 +21,10 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import physics_of
-from longarm_comp.core.compensation.path import CompensatedPath, PlannedPath, compensate_path
+from longarm_comp.core.compensation.path import CompensatedPath, compensate_path
+from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.compensation.result import Method
-from longarm_comp.core.compensation.retime import Timed, slopes_of
+from longarm_comp.core.compensation.retime import Timed
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import effect_class
@@ -32,6 +33,7 @@ from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
+from longarm_comp.math.cubic_path import smooth_slopes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
@@ -160,7 +162,7 @@ def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
     arm, plan, n = studied.arm, found.plan, studied.arm.n
     assert plan.joints is not None and plan.times is not None
     came = History.unknown(n).after(plan.joints[:1], arm.mid)
-    before = Timed(plan.times, plan.joints, slopes_of(plan.times, plan.joints))
+    before = Timed(plan.times, plan.joints, smooth_slopes(plan.times, plan.joints))
     started = time.process_time()
     made: CompensatedPath = compensate_path(
         studied.model, None, plan, start=None, history=came,
@@ -168,12 +170,13 @@ def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
     )  # fmt: skip
     spent = time.process_time() - started
     off = [deviation(studied, path, found.curve, came.approach) for path in (before, made.timed)]
-    jerk = [_jerk(path, arm) for path in (before, made.timed)]
+    jerk = [path.mean_square_jerk(arm.upper - arm.lower) for path in (before, made.timed)]
     return {
         "way_points": len(plan.times),
         "before_ms": float((off[0] ** 2).mean()), "after_ms": float((off[1] ** 2).mean()),
         "before_max_m": float(off[0].max()), "after_max_m": float(off[1].max()),
-        "jerk_before": jerk[0], "jerk_after": jerk[1], "spent_s": spent,
+        "jerk_before": jerk[0], "jerk_after": jerk[1],
+        "longer": made.timed.stretch, "spent_s": spent,
     }  # fmt: skip
 
 
@@ -190,13 +193,6 @@ def deviation(studied: StudiedArm, path: Timed, curve: np.ndarray, sides: np.nda
         share = np.clip(((tip - a) * along).sum(1) / (along * along).sum(1), 0.0, 1.0)
         nearest[k] = np.linalg.norm(tip - a - share[:, None] * along, axis=1).min()
     return nearest
-
-
-def _jerk(path: Timed, arm: Arm) -> float:
-    """Mean square of the third derivative, in ranges of the joints, over time."""
-    middle = 0.5 * (path.times[1:] + path.times[:-1])
-    steep = ((path.at(middle, 3) / (arm.upper - arm.lower)) ** 2).sum(axis=1)
-    return float(np.average(steep, weights=np.diff(path.times)))
 
 
 def one_arm(declared: Arm, number: int, seed: int, each: int) -> list[dict[str, Any]]:
@@ -261,6 +257,7 @@ def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                     "jerk_ratio": float(np.sqrt(
                         sum(x["jerk_after"] for x in mine) / sum(x["jerk_before"] for x in mine)
                     )),
+                    "longer": float(np.mean([x["longer"] for x in mine])),
                     "ms_per_waypoint": 1e3 * sum(x["spent_s"] for x in mine) / float(points.sum()),
                 })  # fmt: skip
     return rows

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes import trajectory_compensator
 from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.nodes.messages import duration, joints_message
 from longarm_comp.nodes.stamps import stamp_ns
@@ -121,6 +123,21 @@ class Planner:
 def ramp(start: np.ndarray, end: np.ndarray, count: int = 11) -> np.ndarray:
     share = np.linspace(0.0, 1.0, count)[:, None]
     return start + (3 * share**2 - 2 * share**3) * (end - start)
+
+
+def test_a_goal_is_no_later_than_its_time_tolerance_and_the_parameter_allow() -> None:
+    end = JointTrajectoryPoint(time_from_start=duration(4.0))
+    for given, late_s, share in (
+        (1.0, 0.0, 1.0),
+        (1.0, 2.0, 0.5),
+        (0.1, 2.0, 0.1),
+        (0.0, 2.0, 0.0),
+    ):
+        goal = TYPE.Goal(
+            trajectory=JointTrajectory(points=[end]), goal_time_tolerance=duration(late_s)
+        )
+        node: Any = SimpleNamespace(p={"max_longer": given})
+        assert trajectory_compensator._TrajectoryCompensator._longer(node, goal) == share
 
 
 def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything_moves(

@@ -18,17 +18,18 @@ from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.path import (
     CompensatedPath,
     PathRefused,
-    PlannedPath,
     compensate_path,
 )
+from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.compensation.result import Method, Status
-from longarm_comp.core.compensation.retime import MotionLimits, Timed, fastest, retimed, slopes_of
+from longarm_comp.core.compensation.retime import MotionLimits, Timed, fastest, retimed
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.math.cubic_path import CubicPath, monotone_slopes, smooth_slopes
 from studies.path import lagging
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
@@ -59,9 +60,10 @@ def plan_of(arm: Arm, count: int = 41) -> PlannedPath:
 def follow(
     model: Model, plan: PlannedPath, predictor: object = None, **more: object
 ) -> CompensatedPath:
-    more = {"start": plan.joints[0], "turn_m": 0.0, **more}
+    known = {"start": plan.joints[0], "turn_m": 0.0, "history": History.unknown(model.arm.n)}
+    more = known | more
     return compensate_path(
-        model, predictor, plan, history=History.unknown(model.arm.n),
+        model, predictor, plan,
         context_at=lambda arrived: Context(**arrived.fields()), **more,
     )  # fmt: skip
 
@@ -78,13 +80,12 @@ def misses(model: Model, joints: np.ndarray, plan: PlannedPath) -> np.ndarray:
 
 def test_the_tip_follows_the_plan_through_sag_play_and_turns(arm: Arm, model: Model) -> None:
     plan = plan_of(arm)
-    found = follow(model, plan)
+    found = follow(model, plan, max_longer=0.0)
     assert misses(model, plan.joints, plan).min() > 5e-3  # uncompensated
     assert misses(model, found.timed.joints, plan).max() < 2e-6
     np.testing.assert_array_equal(found.timed.joints[0], plan.joints[0])  # it stands there
-    lasts = np.diff(found.timed.times)  # nothing limits it; its play is taken up first
-    np.testing.assert_allclose(lasts[1:], np.diff(plan.times)[1:])
-    assert 0.1 < lasts[0] < 0.2 and found.timed.stretch == pytest.approx(lasts.sum() / SECONDS)
+    np.testing.assert_array_equal(found.timed.times, plan.times)  # nothing limits it
+    assert found.timed.stretch == 1.0
     shift = np.abs(np.diff(found.timed.joints - plan.joints, axis=0))[1:]
     assert (shift[:, [1, 3, 4, 5, 6]] < 2e-3).all()  # of joints without play nothing jumps
     turned = np.flatnonzero(shift[:, 0] > 3e-3)
@@ -108,6 +109,57 @@ def test_play_is_taken_up_while_its_joint_stands_near_its_turn(arm: Arm) -> None
         assert off[moving].max() < most
     steps = [np.abs(np.diff(path.joints[:, 0] - plan.joints[:, 0])) for path in (quick, gentle)]
     assert steps[0][150:].max() > 0.9 * width and steps[1][150:].max() < 0.5 * width
+
+
+def test_a_path_slows_down_where_a_joint_turns_so_that_its_play_costs_no_jerk(arm: Arm) -> None:
+    model, unit = declared_model(arm).plus(FrictionHysteresis(joint=1, width=4e-3)), np.ones(arm.n)
+    plan = plan_of(arm, 201)
+    assert plan.times is not None and plan.joints is not None
+    own = CubicPath(plan.times, plan.joints, smooth_slopes(plan.times, plan.joints))
+    paths = {
+        longer: follow(
+            model, plan, turn_m=1e-4, max_longer=longer, start=None, history=came_up(arm, plan)
+        ).timed
+        for longer in (0.0, 0.1, 1.0)
+    }
+    jerk = {
+        k: path.mean_square_jerk(unit) / own.mean_square_jerk(unit) for k, path in paths.items()
+    }
+    assert jerk[0.0] > 100.0 * jerk[1.0] and jerk[0.0] > 2.0 * jerk[0.1] > 2.0 * jerk[1.0]
+    assert jerk[1.0] < 1.3**2  # all joints turn there
+    assert 1.1 < paths[1.0].stretch < 2.0  # all that it takes
+    assert 1.03 < paths[0.1].stretch <= 1.1 + 1e-9
+    lasts = np.diff(paths[1.0].times) / np.diff(plan.times)
+    assert np.argmax(lasts) in range(95, 106) and lasts[:40].max() < 1.01 > lasts[-40:].max()
+
+
+def came_up(arm: Arm, plan: PlannedPath) -> History:
+    """Every joint came to the plan's start from below."""
+    assert plan.joints is not None
+    return History.unknown(arm.n).after(plan.joints[:1], plan.joints[0] - 0.05)
+
+
+def test_between_way_points_no_joint_leaves_its_range(arm: Arm) -> None:
+    """At its limit a joint turns between two way-points: a smooth path would go beyond."""
+    times = np.linspace(0.0, SECONDS, 8)
+    joints = arm.mid + np.outer(np.sin(np.pi * times / SECONDS), 0.1 * (arm.upper - arm.lower))
+    plan = PlannedPath.of_joints(arm, times, joints)
+    box = replace_limits(arm, joints[:, 0].max())
+    made = compensate_path(
+        Model(box), None, plan, start=joints[0], history=History.unknown(arm.n),
+        context_at=lambda arrived: Context(**arrived.fields()),
+    ).timed  # fmt: skip
+    free = CubicPath(times, joints, smooth_slopes(times, joints))
+    assert (free.extremes()[1] > joints.max(axis=0) + 1e-3)[0]
+    assert made.extremes()[1][0] <= box.upper[0] + 1e-12
+    assert made.extremes()[1][1] > joints[:, 1].max() + 1e-3  # only that one
+
+
+def replace_limits(arm: Arm, upper: float) -> Arm:
+    """The arm with another upper limit of its first joint."""
+    data = arm.model_dump(mode="json", exclude_none=True)
+    data["joints"][0]["limits_deg"][1] = float(np.degrees(upper))
+    return Arm.parse(data, "limited")
 
 
 def test_a_path_that_begins_against_its_play_takes_it_up_first_and_gently(arm: Arm) -> None:
@@ -213,11 +265,11 @@ def test_random_ways_are_timed_within_limits() -> None:
         limits = MotionLimits(np.full(4, 0.5), rng.uniform(1.0, 4.0, 4))
         quick = fastest(ways, limits)
         slow = np.linspace(0.0, 5.0, 30)
-        for timed in (quick, retimed(Timed(slow, ways, slopes_of(slow, ways)), limits)):
+        for timed in (quick, retimed(Timed(slow, ways, monotone_slopes(slow, ways)), limits)):
             assert timed.excess(limits) <= 1.0 + 1e-5
         least = (np.abs(np.diff(ways, axis=0)) / limits.velocity).max(axis=1).sum()
         assert least < quick.times[-1] < 4.0 * least
-        kept = Timed(20.0 * slow, ways, slopes_of(20.0 * slow, ways))
+        kept = Timed(20.0 * slow, ways, monotone_slopes(20.0 * slow, ways))
         assert retimed(kept, limits) is kept
 
 
@@ -228,7 +280,7 @@ def test_without_toppra_only_a_path_that_is_too_fast_is_refused(
 
     monkeypatch.setitem(sys.modules, "toppra", None)
     times, ways = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 5)[:, None]
-    path = Timed(times, ways, slopes_of(times, ways))
+    path = Timed(times, ways, monotone_slopes(times, ways))
     assert retimed(path, MotionLimits(np.array([9.0]), np.array([99.0]))) is path
     with pytest.raises(JobError, match=r"longarm_comp\[path\]"):
         retimed(path, MotionLimits(np.array([0.5]), np.array([99.0])))

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 @options.path_option("--path", "Way-points (CSV as targets, t_s where timed), in their order.")
 @click.option("--max-velocity", type=float, help="Of every joint along --path, rad/s or m/s.")
 @click.option("--max-acceleration", type=float, help="The same, rad/s^2 or m/s^2.")
+@click.option(
+    "--max-longer", type=click.FloatRange(0.0),
+    help="Share by which --path may take longer where play is taken up; 0: exact times. Default 1.",
+)  # fmt: skip
 @options.model
 @options.predictor
 @click.option(
@@ -61,6 +65,7 @@ def command(
     path: Path | None,
     max_velocity: float | None,
     max_acceleration: float | None,
+    max_longer: float | None,
     model: Path | None,
     predictor: Path | None,
     method: str | None,
@@ -100,9 +105,14 @@ def command(
     if (bool(numbers), targets is not None, path is not None).count(True) != 1:
         allowed = "one of X Y Z, --targets FILE, --path FILE"
         raise InputError("compensate", "target", list(numbers), allowed)
-    for flag, value in (("--max-velocity", max_velocity), ("--max-acceleration", max_acceleration)):
-        if value is not None and path is None:
-            raise InputError("compensate", flag, value, "with --path alone")
+    along: dict[str, Any] = {
+        "max_velocity": max_velocity, "max_acceleration": max_acceleration,
+        "max_longer": max_longer,
+    }  # fmt: skip
+    along = {name: value for name, value in along.items() if value is not None}
+    for name in along if path is None else ():
+        flag = "--" + name.replace("_", "-")
+        raise InputError("compensate", flag, along[name], "with --path alone")
     base = physics(declared, model)
     form, output = options.form_of(like, output)
     given = (targets or path, *([form.read] if form else []))
@@ -121,10 +131,7 @@ def command(
     if path is None:
         answers = compensate(base, wanted, learned, run_up=run_up, realisable=realisable, **alike)
     else:
-        answers = found = compensate_path(
-            base, wanted, learned,
-            max_velocity=max_velocity, max_acceleration=max_acceleration, **alike,
-        )  # fmt: skip
+        answers = found = compensate_path(base, wanted, learned, **along, **alike)
         for text in found.notes:
             note(text)
     answers.save(output, *([form.write] if form else []))

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.math.cubic_path import Array, CubicPath, monotone_slopes
 from longarm_comp.math.shaper import Shaper
 
 _WHERE = "joint trajectory"
@@ -94,9 +95,6 @@ def _within_limits(positions: Array, config: ServoConfig) -> None:
             joint.check_inside(value, _WHERE, f"points[{k}].positions of {name}")
 
 
-Array = npt.NDArray[np.float64]
-
-
 @dataclass(frozen=True)
 class TrajectoryPoint:
     """One way-point: seconds from the start, positions (rad, m) and perhaps velocities."""
@@ -115,82 +113,6 @@ class JointTrajectory:
 
 
 @dataclass(frozen=True)
-class JointPath:
-    """Cubic Hermite path.
-
-    Attributes:
-        times: (k,) s, from 0, increasing.
-        positions: (k, n) rad or m.
-        slopes: (k, n) rad/s or m/s at the knots.
-        stretch: factor by which it was slowed to keep the velocity limits; 1 if it was not.
-    """
-
-    times: Array
-    positions: Array
-    slopes: Array
-    stretch: float = 1.0
-
-    @property
-    def duration(self) -> float:
-        """s"""
-        return float(self.times[-1])
-
-    @property
-    def end(self) -> Array:
-        """(n,) final position."""
-        return self.positions[-1]
-
-    def at(self, time_s: npt.ArrayLike) -> Array:
-        """(..., n) positions at times (...); constant before the start and after the end."""
-        t = np.clip(time_s, 0.0, self.times[-1])[..., None]
-        k = np.searchsorted(self.times[1:-1], t[..., 0], side="right")
-        if len(self.times) == 1:
-            return self.positions[k]
-        h = (self.times[k + 1] - self.times[k])[..., None]
-        u = (t - self.times[k][..., None]) / h
-        p, m, n = self.positions[k], self.slopes[k], self.slopes[k + 1]
-        step = self.positions[k + 1] - p
-        return p + h * m * u + (3 * step - h * (2 * m + n)) * u**2 + (h * (m + n) - 2 * step) * u**3
-
-    def extremes(self) -> tuple[Array, Array]:
-        """Lowest and highest position on the path, (n,) each."""
-        if len(self.times) == 1:
-            return self.positions[0], self.positions[0]
-        h = np.diff(self.times)[:, None]
-        b, c = self._velocity_terms()
-        m = self.slopes[:-1]
-        # Turning points: m + b u + c u^2 = 0 with the stable form of the quadratic formula.
-        root = np.sqrt(np.maximum(b**2 - 4 * c * m, 0.0))
-        half = -0.5 * (b + np.where(b < 0, -root, root))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            turns = np.stack((half / c, m / half))
-        turns = np.clip(np.where(np.isfinite(turns), turns, 0.0), 0.0, 1.0)
-        reached = self.positions[:-1] + h * (m * turns + b * turns**2 / 2 + c * turns**3 / 3)
-        every = np.concatenate((self.positions[None], reached), axis=None).reshape(
-            -1, self.positions.shape[1]
-        )
-        return every.min(axis=0), every.max(axis=0)
-
-    def peak_velocity(self) -> Array:
-        """(n,) highest speed on the path."""
-        if len(self.times) == 1:
-            return np.zeros(self.positions.shape[1])
-        b, c = self._velocity_terms()
-        m = self.slopes[:-1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u = -b / (2 * c)
-        inside = (u > 0.0) & (u < 1.0)
-        u = np.where(inside, u, 0.0)
-        return np.maximum(np.abs(self.slopes).max(axis=0), np.abs(m + b * u + c * u**2).max(axis=0))
-
-    def _velocity_terms(self) -> tuple[Array, Array]:
-        """Velocity in a segment is ``slope + b u + c u^2``, u from 0 to 1."""
-        chord = np.diff(self.positions, axis=0) / np.diff(self.times)[:, None]
-        m, n = self.slopes[:-1], self.slopes[1:]
-        return 6 * chord - 4 * m - 2 * n, 3 * (m + n) - 6 * chord
-
-
-@dataclass(frozen=True)
 class TakenOver:
     """A path taken up in the middle of a motion: at first it is blended with braking.
 
@@ -203,7 +125,7 @@ class TakenOver:
         lower, upper: (n,) the joint box.
     """
 
-    path: JointPath
+    path: CubicPath
     start: Array
     speed: Array
     blend_s: float
@@ -248,7 +170,7 @@ class InParts:
     shaper: Shaper
 
     @property
-    def path(self) -> JointPath:
+    def path(self) -> CubicPath:
         """What is followed."""
         return self.way.path
 
@@ -272,7 +194,7 @@ class InParts:
 
 def plan_path(
     start: Array, times: Array, positions: Array, velocities: Array | None, max_velocity: Array
-) -> JointPath:
+) -> CubicPath:
     """A path from rest at ``start`` through the way-points to rest, within the velocity limits.
 
     Segments whose mean velocity is too high are lengthened. Then all segments are lengthened by
@@ -293,30 +215,15 @@ def plan_path(
     least = np.max(np.abs(np.diff(points, axis=0)) / max_velocity, axis=1)
     steps = np.maximum(requested, least)
     knots = np.concatenate(([0.0], np.cumsum(steps)))
-    slopes = _monotone_slopes(knots, points)
+    slopes = monotone_slopes(knots, points)
     if velocities is not None:
         ratio = np.minimum(
             np.divide(requested, steps, out=np.ones_like(steps), where=steps > 0.0), 1.0
         )
         inner = np.minimum(ratio[:-1], ratio[1:])[:, None]
         slopes[1:-1] = velocities[-1 - len(inner) : -1] * inner
-    path = JointPath(knots, points, slopes)
+    path = CubicPath(knots, points, slopes)
     slower = max(1.0, float(np.max(path.peak_velocity() / max_velocity)))
     expected = max(float(times[-1]), 1.5 * away)
     stretch = max(path.duration * slower / expected, 1.0) if expected > 0.0 else 1.0
-    return JointPath(knots * slower, points, slopes / slower, stretch)
-
-
-def _monotone_slopes(times: Array, positions: Array) -> Array:
-    """Fritsch-Butland slopes, zero at both ends and wherever the direction turns."""
-    slopes = np.zeros_like(positions)
-    if len(times) < 3:
-        return slopes
-    h = np.diff(times)[:, None]
-    chord = np.diff(positions, axis=0) / h
-    before, after = chord[:-1], chord[1:]
-    weight = (h[:-1] + 2 * h[1:]) / (3 * (h[:-1] + h[1:]))
-    same = before * after > 0.0
-    bottom = np.where(same, weight * after + (1 - weight) * before, 1.0)
-    slopes[1:-1] = np.where(same, before * after / bottom, 0.0)
-    return slopes
+    return CubicPath(knots * slower, points, slopes / slower, stretch)

@@ -17,7 +17,6 @@ from longarm_comp.devices.follower_step import Accepted, Event, EventKind, Follo
 from longarm_comp.devices.joint_path import (
     Array,
     InParts,
-    JointPath,
     JointTrajectory,
     TakenOver,
     checked,
@@ -27,6 +26,7 @@ from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble, ServoWatch
 from longarm_comp.devices.trim import Trim
+from longarm_comp.math.cubic_path import CubicPath
 from longarm_comp.math.shaper import Shaper, Way
 
 __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
@@ -148,16 +148,16 @@ class TrajectoryFollower:
         """Stop smoothly and hold. Raises as ``accept``."""
         self.accept(JointTrajectory((), ()), now)
 
-    def _taken_over(self, path: JointPath, start: Array) -> TakenOver:
+    def _taken_over(self, path: CubicPath, start: Array) -> TakenOver:
         """A path as it is followed from the present set-point and velocity."""
         blend_s = self._config.follower.blend_s
         return TakenOver(path, start, self._velocity.copy(), blend_s, self._lower, self._upper)
 
-    def _braking(self, start: Array) -> JointPath:
+    def _braking(self, start: Array) -> CubicPath:
         """From a set-point to the nearest rest."""
         brake = start + 0.5 * self._config.follower.blend_s * self._velocity
         rest = np.clip(brake, self._lower, self._upper)[None]
-        return JointPath(np.zeros(1), rest, np.zeros_like(rest))
+        return CubicPath(np.zeros(1), rest, np.zeros_like(rest))
 
     @property
     def held(self) -> bool:
@@ -342,7 +342,7 @@ class TrajectoryFollower:
             values.append(min(max(value, joint.lower), joint.upper))
         return np.array(values)
 
-    def _check_inside(self, path: JointPath) -> None:
+    def _check_inside(self, path: CubicPath) -> None:
         low, high = path.extremes()
         for k, (name, joint) in enumerate(self._config.joints.items()):
             for value in (low[k], high[k]):

@@ -22,13 +22,13 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Method, physics_of
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext
 from longarm_comp.core.compensation.path import (
+    MAX_LONGER,
     TURN_M,
     CompensatedPath,
     PathRefused,
-    PlannedPath,
-    as_planned,
     compensate_path,
 )
+from longarm_comp.core.compensation.planned_path import PlannedPath, as_planned
 from longarm_comp.core.compensation.retime import MotionLimits
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
@@ -53,6 +53,7 @@ PARAMS = (
     Param("max_acceleration", [0.0], "the same, rad/s^2 or m/s^2; 0: none", 0.0, 1e6),
     Param("max_correction_m", 0.05, "most that the declared tip is moved", 1e-6, 1.0),
     Param("turn_m", TURN_M, "the tip may be so far off where a joint with play turns", 0.0, 0.1),
+    Param("max_longer", MAX_LONGER, "share that it may take longer for play; 0: never", 0.0, 9.0),
     Param("order_max_age_s", 2.0, "older goals move nothing", 0.01, 60.0),
     Param("planned_period_s", 0.1, "between two joint states for the planner", 0.01, 60.0),
     PERIOD,
@@ -115,7 +116,7 @@ class _TrajectoryCompensator(ArmNode):
         )
         made: CompensatedPath | None = None
         if not why:
-            future = self._worker.ask(partial(self._compensated, asked))
+            future = self._worker.ask(partial(self._compensated, goal.request))
             made, why = (None, "too many goals wait") if future is None else await future
         why = why or self._fresh.too_old(asked.header.stamp)
         if goal.is_cancel_requested:
@@ -184,8 +185,9 @@ class _TrajectoryCompensator(ArmNode):
 
     # ------------------------------------------------------------------ on the worker's thread
 
-    def _compensated(self, asked: JointTrajectory) -> tuple[CompensatedPath | None, str]:
+    def _compensated(self, request: Any) -> tuple[CompensatedPath | None, str]:
         """The path to send, or why there is none."""
+        asked = request.trajectory
         start = self._state.joints
         assert start is not None
         loaded = self._files.loaded
@@ -196,6 +198,7 @@ class _TrajectoryCompensator(ArmNode):
             "history": History.unknown(self._arm.n) if moving else self._driver.history,
             "context_at": partial(self._state.context, model=physics),
             "turn_m": self.p["turn_m"],
+            "max_longer": self._longer(request),
             "limits": self._limits,
             "max_correction_m": self.p["max_correction_m"],
             "options": CompensationOptions(self._method),
@@ -213,6 +216,13 @@ class _TrajectoryCompensator(ArmNode):
         for note in found.notes:
             self.get_logger().warning(note, throttle_duration_sec=1.0)
         return found, ""
+
+    def _longer(self, request: Any) -> float:
+        """Share by which a path may take longer: no more than the goal's time tolerance, if any."""
+        late = seconds(request.goal_time_tolerance)
+        lasts = seconds(request.trajectory.points[-1].time_from_start)
+        most: float = self.p["max_longer"]
+        return min(most, late / lasts) if late > 0.0 < lasts else most
 
     def _plan(self, asked: JointTrajectory, start: np.ndarray) -> PlannedPath:
         """A trajectory as a plan of all joints; those that it does not name stay at ``start``."""

@@ -13,8 +13,9 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import plan_move
 from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions
-from longarm_comp.core.compensation.path import PlannedPath
+from longarm_comp.core.compensation.path import MAX_LONGER
 from longarm_comp.core.compensation.path import compensate_path as solve_path
+from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.compensation.result import Method, Settling
 from longarm_comp.core.compensation.retime import MotionLimits, Timed
 from longarm_comp.core.errors import InputError
@@ -64,6 +65,7 @@ def compensate_path(
     max_velocity: ArrayLike | None = None,
     max_acceleration: ArrayLike | None = None,
     max_correction_m: float = np.inf,
+    max_longer: float = MAX_LONGER,
     seed: ArrayLike | None = None,
     position_only: bool = False,
     locked: Sequence[int | str] = (),
@@ -75,10 +77,12 @@ def compensate_path(
         model, predictor, method, frame, context, history, locked, settling: as in `compensate`.
         path: way-points in their order: positions (N, 3) in m or poses (N, 4, 4), or `Targets`
             that were read from a file; their t_s are the times.
-        times: (N,) s, rising. They stay where the limits allow. None: with both limits as fast
-            as these allow, else a second a way-point.
+        times: (N,) s, rising. They stay where the limits allow and no play is taken up. None: with
+            both limits as fast as these allow, else a second a way-point.
         max_velocity, max_acceleration: one for every joint, or (n,); rad/s, m/s, and a second.
         max_correction_m: most that the declared arm's tip may be moved, m.
+        max_longer: share by which it may take longer, so that play is taken up without a kick
+            where joints turn; 0: exact times.
         seed: (n,) joints to start the first search from.
         position_only: leave the orientation free.
 
@@ -107,7 +111,8 @@ def compensate_path(
         PlannedPath(carried, None if times is None else np.asarray(times, float)),
         start=start, history=came, seed=first,
         context_at=lambda arrived: points.after(given, arrived),
-        limits=limits, max_correction_m=max_correction_m, position_only=position_only,
+        limits=limits, max_correction_m=max_correction_m, max_longer=max_longer,
+        position_only=position_only,
         options=CompensationOptions(chosen, Settling(**settling), tuple(locked)),
     )  # fmt: skip
     before, arrivals = start, []

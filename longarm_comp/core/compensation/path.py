@@ -17,6 +17,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import CompensationOptions
 from longarm_comp.core.compensation.compensate import judged, physics_of, reason_of
+from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.compensation.result import (
     Compensation,
     Method,
@@ -27,23 +28,21 @@ from longarm_comp.core.compensation.result import (
     outside,
     shifted,
 )
-from longarm_comp.core.compensation.retime import MotionLimits, Timed, planned_times
-from longarm_comp.core.compensation.take_up import TakeUp
+from longarm_comp.core.compensation.retime import MotionLimits, Timed, fastest, planned_times
+from longarm_comp.core.compensation.slow_down import slowed
+from longarm_comp.core.compensation.take_up import TakeUp, Turn, taken_up
 from longarm_comp.core.compensation.unknown import (
     missing_column,
     outside_data,
     uncertain_payload,
     unknown_history,
 )
-from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered_at
 from longarm_comp.core.model.link_frames import reach
 from longarm_comp.core.model.model import Model
-
-_POSE_JOINTS = 6
-"""An arm of fewer joints cannot keep a planned orientation: its path is one of positions."""
 
 ContextAt = Callable[[History], Context]
 """Circumstances at all way-points, given the histories (k, n) there."""
@@ -55,37 +54,6 @@ class PathRefused(JobError):  # noqa: N818
     def __init__(self, status: Status, row: int, why: str) -> None:
         super().__init__(f"way-point {row}: {status}: {why}")
         self.status, self.row = status, row
-
-
-@dataclass(frozen=True, eq=False)
-class PlannedPath:
-    """Way-points of the tip, base frame, and how a planner would have the joints bring it there.
-
-    Attributes:
-        targets: (k, 3) m or (k, 4, 4).
-        times: (k,) s, increasing; None: as fast as the limits allow.
-        joints: (k, n) as planned, to start each search from; None: none were planned.
-        velocities: (k, n) as planned; None: none were.
-        begun: the first way-point is where the planner believes the arm to stand.
-    """
-
-    targets: np.ndarray
-    times: np.ndarray | None = None
-    joints: np.ndarray | None = None
-    velocities: np.ndarray | None = None
-    begun: bool = False
-
-    @classmethod
-    def of_joints(
-        cls, arm: Arm, times: np.ndarray, joints: np.ndarray, velocities: np.ndarray | None = None
-    ) -> PlannedPath:
-        """What a planner means with joints (k, n): the tip of the declared arm, rigid.
-
-        The first way-point is where it believes the arm to stand.
-        """
-        poses = Model(arm).pose(joints)
-        targets = poses if arm.n >= _POSE_JOINTS else poses[:, :3, 3]
-        return cls(targets, times, joints, velocities, begun=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +108,9 @@ class CompensatedPath:
 
 TURN_M = 1e-4
 """The tip may leave a path by so much where a joint turns: what a camera sees of one picture."""
+MAX_LONGER = 1.0
+"""A path may take so much longer, as a share.  In two halves, with the jerk of one way, it takes
+4^(1/3) = 1.6 times as long, and its play at the start and in the middle a fifth each."""
 
 
 def compensate_path(
@@ -154,6 +125,7 @@ def compensate_path(
     limits: MotionLimits | None = None,
     max_correction_m: float = np.inf,
     turn_m: float = TURN_M,
+    max_longer: float = MAX_LONGER,
     position_only: bool = False,
     options: CompensationOptions | None = None,
 ) -> CompensatedPath:
@@ -169,6 +141,8 @@ def compensate_path(
         max_correction_m: most that the declared arm's tip may be moved, m.
         turn_m: how far the tip may leave the path where a joint turns, so that its play is taken
             up without a kick.
+        max_longer: share by which the path may take longer for the same; 0: planned times stay,
+            where the limits allow.
 
     Raises:
         PathRefused: a way-point cannot be reached, or needs too large a correction; a limit or a
@@ -176,7 +150,7 @@ def compensate_path(
         InputError: the plan's shapes or times are not allowed.
     """
     arm = model.arm
-    _check(plan, arm.n)
+    plan.check(arm.n)
     options = options or CompensationOptions()
     free = position_only or plan.targets.ndim == 2
     faults = ik.target_faults(plan.targets, free, "path")
@@ -184,16 +158,19 @@ def compensate_path(
         raise PathRefused(Status.BAD_TARGET, row, faults[row])
     begun = plan.begun and start is not None
     notes: tuple[str, ...] = ()
-    way = _Way(model, predictor, plan, start, history, context_at, begun, turn_m, free, options)
+    way = _Way(
+        model, predictor, plan, start, history, context_at, begun, turn_m, max_longer,
+        limits or MotionLimits.none(arm.n), free, options,
+    )  # fmt: skip
     try:
-        answers, came, later_s = way.solved(seed)
+        timed, answers = way.solved(seed)
     except _Unanswered as unanswered:
         notes = (str(unanswered),)
         way = replace(way, predictor=None)
-        answers, came, later_s = way.solved(seed)
+        timed, answers = way.solved(seed)
     corrected = _corrections(arm, plan, answers.command, int(begun), max_correction_m)
-    timed = _timed(plan, answers.command, limits or MotionLimits.none(arm.n), later_s)
     _keep_out(arm, timed)
+    came = history.along(timed.joints, timed.joints[0] if begun else start).latest
     return CompensatedPath(timed, answers, corrected, came, (*notes, *way.doubts(answers)))
 
 
@@ -213,6 +190,8 @@ class _Way:
     context_at: ContextAt
     begun: bool
     turn_m: float
+    max_longer: float
+    limits: MotionLimits
     free: bool
     options: CompensationOptions
 
@@ -220,35 +199,40 @@ class _Way:
     def physics(self) -> Model:
         return physics_of(self.model, self.options.method)
 
-    def solved(self, seed: np.ndarray | None) -> tuple[PathAnswers, History, float]:
-        """Joints at all way-points, their history at the end, how much longer the first way is."""
-        settling, count = self.options.settling, len(self.plan.targets)
+    def solved(self, seed: np.ndarray | None) -> tuple[Timed, PathAnswers]:
+        """Joints at all way-points, with their times, and what they are for."""
+        settling = self.options.settling
         learned = self.predictor is not None and self.options.method.learned
-        take = TakeUp(self.physics, self.turn_m)
-        times = np.arange(float(count)) if self.plan.times is None else self.plan.times
-        error, sigma = np.zeros((count, 3)), np.full((count, 3), np.nan)
-        lag, passes = np.zeros((count, self.model.arm.n)), 0
-        seeds = q = ideal = self._seeds(seed)
+        take, seeds = TakeUp(self.physics, self.turn_m), self._seeds(seed)
+        error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
+        context = self._context(self._held)  # as if no joint turned: so the way of each is known
+        lag = take.lag(seeds, context)
+        q = self._reached(seeds + lag, error, context)
+        bare = q - lag
+        if learned:
+            error, sigma = self._expected(q, context)
+            q = self._reached(q, error, context)
+        way, passes = q - lag, int(learned)
         while True:
-            came = take.at_once(q, self._histories(take.steady(q)))
-            context = self._context(came)
-            if passes and learned:
+            came = take.came(way, lag, self.history, self.start)
+            context, before = self._context(came), (lag, error)
+            lag = take.lag(q, context)
+            if learned and not settling.single_pass:
                 error, sigma = self._expected(q, context)
-            if take.joints:
-                lag = take.lag(q, context)
-            found = self._reached(seeds + lag, error, context)
-            moved = np.abs(found - q)
-            q, ideal = found, ideal if passes else found
-            once = not (learned or take.joints) or (settling.single_pass and passes > 0)
-            if once or (moved <= np.maximum(take.near, settling.tol_m)).all():
+            near = np.maximum(take.near, settling.tol_m)
+            changes = np.linalg.norm(error - before[1], axis=1) / settling.tol_m
+            changes = np.maximum(changes, (np.abs(lag - before[0]) / near).max(axis=1))
+            if (changes <= 1.0).all():
                 break
             if passes == settling.max_passes:
-                row = int(np.argmax(moved.max(axis=1)))
-                raise PathRefused(Status.NOT_CONVERGED, row, settling.unsettled)
+                raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), settling.unsettled)
+            q = self._reached(q - before[0] + lag, error, context)
             passes += 1
-        q, later_s = take.spread(q, lag, came.approach, times)
-        answers = PathAnswers(ideal, self._standing(q), error, sigma, context, passes)
-        return answers, self._histories(q).latest, later_s
+        lag = before[0]  # that q was found with
+        timed = self._timed(way, q - lag - way, lag, take.turns(way, lag, came.approach))
+        ideal = self._standing(bare + lag) if learned else timed.joints
+        answers = PathAnswers(ideal, timed.joints, *before[1:], sigma, context, passes)
+        return timed, answers
 
     def doubts(self, answers: PathAnswers) -> tuple[str, ...]:
         """What is not known where the path begins, and what lies beyond the data."""
@@ -265,9 +249,31 @@ class _Way:
             ]
         return tuple(dict.fromkeys(filter(None, found)))
 
-    def _histories(self, q: np.ndarray) -> History:
-        """Of the joints at all way-points."""
-        return self.history.along(q, q[0] if self.begun else self.start)
+    @property
+    def _held(self) -> History:
+        """Of way-points, as if the joints did not move on the way."""
+        parts = (self.history.approach, self.history.legs)
+        return History(*(np.repeat(x[None], len(self.plan.targets), axis=0) for x in parts))
+
+    def _timed(self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: list[Turn]) -> Timed:
+        """Commands of parts (k, n) as `taken_up` has them, and when they are due."""
+        plan, arm = self.plan, self.model.arm
+        planned = np.arange(float(len(way))) if plan.times is None else plan.times
+        ways = way if plan.joints is None else plan.joints
+        first = ways[:2] - ways[:1]
+        begins = np.diff(self._standing(way + off + lag)[:2] - first, axis=0).sum(axis=0)
+        times = slowed(planned, ways, arm.upper - arm.lower, begins, turns, self.max_longer)
+        stands, lag = taken_up(way, off, lag, turns, times)
+        begun = self._standing(stands + lag)[0]
+        stands[0] = stands[len(first) - 1] - first[-1]  # what is beyond is gone first
+        lag[0] = begun - stands[0]
+        try:
+            if plan.times is None and self.limits.bounded and len(way) > 1:
+                return fastest(stands + lag, self.limits)
+            box = arm.lower, arm.upper
+            return planned_times(plan, planned, times, stands, lag, self.limits, box)
+        except JobError as error:
+            raise PathRefused(Status.NOT_CONVERGED, 0, str(error)) from None
 
     def _context(self, came: History) -> Context:
         context = self.context_at(came)
@@ -280,9 +286,7 @@ class _Way:
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
             return self._standing(np.clip(plan.joints, arm.lower, arm.upper))
-        held = (np.repeat(part[None], len(plan.targets), axis=0)
-                for part in (self.history.approach, self.history.legs))  # fmt: skip
-        context = self._context(History(*held))
+        context = self._context(self._held)
         made: list[np.ndarray] = []
         first = self.start if seed is None else seed
         for row, target in enumerate(plan.targets):
@@ -337,34 +341,6 @@ class _Way:
         return error, sigma
 
 
-def as_planned(rigid: Model, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
-    """(n,) joints at which the declared, ``rigid`` arm has its tip where the model's is at q (n,).
-
-    Where none inside the limits do, the nearest.
-    """
-    real = model.pose(q, context)
-    target = real if model.arm.n >= _POSE_JOINTS else real[:3, 3]
-    return ik.solve(rigid, target, seed=q, max_starts=1).q
-
-
-def _check(plan: PlannedPath, n: int) -> None:
-    k = len(plan.targets)
-    if not k or plan.targets.shape[1:] not in ((3,), (4, 4)):
-        allowed = "(k, 3) or (k, 4, 4), k of at least 1"
-        raise InputError("path", "targets", f"shape {plan.targets.shape}", allowed)
-    for name in ("joints", "velocities"):
-        given = getattr(plan, name)
-        if given is not None and (given.shape != (k, n) or not np.isfinite(given).all()):
-            raise InputError("path", name, f"shape {given.shape}", f"({k}, {n}), finite")
-    if plan.times is None:
-        return
-    if plan.times.shape != (k,) or not np.isfinite(plan.times).all():
-        raise InputError("path", "times", f"shape {plan.times.shape}", f"({k},), finite")
-    for row, (before, now) in enumerate(zip(np.r_[-np.inf, plan.times], plan.times, strict=False)):
-        if now <= before or now < 0.0:
-            raise InputError("path", f"time of way-point {row}", float(now), "0 s or later, rising")
-
-
 def _corrections(
     arm: Arm, plan: PlannedPath, joints: np.ndarray, first: int, most_m: float
 ) -> np.ndarray:
@@ -378,13 +354,6 @@ def _corrections(
             f"{1e3 * moved[row]:.2f} mm, allowed {1e3 * most_m:g} mm",
         )  # fmt: skip
     return moved
-
-
-def _timed(plan: PlannedPath, joints: np.ndarray, limits: MotionLimits, later_s: float) -> Timed:
-    try:
-        return planned_times(plan.times, joints, limits, plan.joints, plan.velocities, later_s)
-    except JobError as error:
-        raise PathRefused(Status.NOT_CONVERGED, 0, str(error)) from None
 
 
 def _keep_out(arm: Arm, timed: Timed) -> None:

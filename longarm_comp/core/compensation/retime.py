@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
+from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.errors import JobError
+from longarm_comp.math.cubic_path import CubicPath, monotone_slopes, smooth_slopes
 
 _LOOKED_AT = 16
-"""Places between two way-points at which limits are looked at."""
+"""Places between two way-points at which the way is looked at."""
 _ROUNDING = 1e-6
 """Share of a limit that rounding may take."""
 
@@ -39,48 +40,20 @@ class MotionLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class Timed:
-    """Cubic Hermite segments from rest to rest, as joint trajectory controllers follow them.
-
-    Attributes:
-        times: (k,) s, increasing. joints, velocities: (k, n) at these times.
-        stretch: by what the plan's duration was multiplied; 1 where its times stayed.
-    """
-
-    times: np.ndarray
-    joints: np.ndarray
-    velocities: np.ndarray
-    stretch: float = 1.0
-
-    def at(self, times: np.ndarray, order: int = 0) -> np.ndarray:
-        """(N, n) joints at some times, or their derivative of an order."""
-        found: np.ndarray = self._spline(times, order)
-        return found
-
-    @property
-    def _spline(self) -> CubicHermiteSpline:
-        return CubicHermiteSpline(self.times, self.joints, self.velocities)
+class Timed(CubicPath):
+    """A path from rest to rest, compared with limits."""
 
     @property
     def between(self) -> np.ndarray:
-        """Times at which limits are looked at: 16 in every segment, and its ends from inside."""
+        """Times on the way: 16 in every segment, and its ends from inside."""
         share = np.linspace(1e-9, 1.0 - 1e-9, _LOOKED_AT)
         return (self.times[:-1, None] + np.diff(self.times)[:, None] * share).ravel()
 
     def excess(self, limits: MotionLimits) -> float:
         """The largest share of a limit that velocity, or root of acceleration, takes."""
-        times = self.between
-        speed = np.abs(self.at(times, 1)) / limits.velocity
-        force = np.abs(self.at(times, 2)) / limits.acceleration
-        return float(max(speed.max(initial=0.0), np.sqrt(force.max(initial=0.0))))
-
-
-def slopes_of(times: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """(k, n) velocities at way-points (k, n), monotone between them and 0 at both ends."""
-    slopes = np.zeros_like(joints)
-    if len(times) > 2:
-        slopes[1:-1] = PchipInterpolator(times, joints).derivative()(times[1:-1])
-    return slopes
+        speed = self.peak_velocity() / limits.velocity
+        force = self.peak_acceleration() / limits.acceleration
+        return float(max(speed.max(), np.sqrt(force.max())))
 
 
 def retimed(path: Timed, limits: MotionLimits) -> Timed:
@@ -95,42 +68,45 @@ def fastest(joints: np.ndarray, limits: MotionLimits) -> Timed:
     ways = (np.abs(np.diff(joints, axis=0)) / limits.velocity).max(axis=1)  # s at full speed
     times = np.concatenate([[0.0], np.cumsum(np.maximum(ways, _ROUNDING * ways.sum()))])
     if not times[-1]:
-        return Timed(_ROUNDING * np.arange(len(joints)), joints, np.zeros_like(joints))
-    path = Timed(times, joints, PchipInterpolator(times, joints).derivative()(times))
+        return Timed(_ROUNDING * np.arange(float(len(joints))), joints, np.zeros_like(joints))
+    slopes = smooth_slopes(times, joints)  # of the way itself, which is at rest nowhere
+    slopes[[0, -1]] = np.diff(joints, axis=0)[[0, -1]] / np.diff(times)[[0, -1], None]
+    path = Timed(times, joints, slopes)
     return replace(_found(path, limits), stretch=1.0)
 
 
 def planned_times(
-    times: np.ndarray | None,
-    joints: np.ndarray,
+    plan: PlannedPath,
+    planned: np.ndarray,
+    times: np.ndarray,
+    stands: np.ndarray,
+    beyond: np.ndarray,
     limits: MotionLimits,
-    planned: np.ndarray | None,
-    velocities: np.ndarray | None,
-    later_s: float = 0.0,
+    box: tuple[np.ndarray, np.ndarray],
 ) -> Timed:
-    """Way-points (k, n) at planned times (k,), or later where limits demand it.
-
-    Without times as fast as the limits allow; without these too, a second a way-point.
+    """Commands at times (k,), or later where limits demand it.
 
     Args:
-        planned, velocities: (k, n) of the plan that the way-points correct.
-        later_s: by so much the first way lasts longer, and is gone more slowly.
+        planned: (k,) s, the plan's own times.
+        stands, beyond: (k, n) where joints stand, and how far commands are beyond: each is smooth
+            by itself.
+        box: (n,) lowest and highest that joints may be sent to, between way-points too.
     """
-    first = 0.0 if times is None else float(times[0])
+    joints = stands + beyond
     if len(joints) == 1:
-        return Timed(np.array([first]), joints, np.zeros_like(joints))
-    if times is None and limits.bounded:
-        return fastest(joints, limits)
-    since = np.arange(float(len(joints))) if times is None else times - first
-    first_s, whole_s = float(since[1]), float(since[-1])
-    since = np.append(0.0, since[1:] + later_s)
-    slopes = slopes_of(since, joints)
-    if velocities is not None and planned is not None:
-        slopes = slopes_of(since, joints - planned) + velocities
-        slopes[1] -= velocities[1] * later_s / (first_s + later_s)
-        slopes[[0, -1]] = 0.0
-    made = retimed(Timed(since, joints, slopes, since[-1] / whole_s), limits)
-    return replace(made, times=made.times + first)
+        return Timed(times, joints, np.zeros_like(joints))
+    slopes = monotone_slopes(times, beyond)
+    if plan.velocities is None or plan.joints is None:
+        slopes += smooth_slopes(times, stands)
+    else:
+        slopes += smooth_slopes(times, planned[:, None]) * plan.velocities
+        slopes += smooth_slopes(times, stands - plan.joints)
+    low, high = Timed(times, joints, slopes).extremes()
+    out = (low < box[0]) | (high > box[1])
+    slopes[:, out] = monotone_slopes(times, joints[:, out])
+    stretch = float(np.ptp(times) / np.ptp(planned))
+    made = retimed(Timed(times - times[0], joints, slopes, stretch), limits)
+    return replace(made, times=made.times + times[0])
 
 
 def _found(path: Timed, limits: MotionLimits) -> Timed:

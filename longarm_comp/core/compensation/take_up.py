@@ -7,14 +7,15 @@ the play is taken up smoothly over that time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.retime import Timed, slopes_of
+from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.unknown import history_joints
 from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.model.model import Model, unstack
@@ -55,6 +56,8 @@ class TakeUp:
     def lag(self, q: np.ndarray, context: Context) -> np.ndarray:
         """(k, n): how far commands (k, n) are beyond where their joints stand, by their history."""
         behind, arm = np.zeros_like(q), self.model.arm
+        if not self.joints:
+            return behind
         posture = self.model.unsagged(unstack(q), context)
         for effect in self.model.effects:
             twists = effect.twists(posture) if effect.history_joints(arm) else {}
@@ -64,59 +67,72 @@ class TakeUp:
                     behind[:, joint] -= twist[2 if arm.joints[row - 1].type == "prismatic" else 5]
         return behind
 
-    def at_once(self, q: np.ndarray, came: History) -> History:
-        """The history, joints turned on the first way that turn while near where they start."""
-        approach, legs = came.approach.copy(), came.legs.copy()
-        for joint in self.joints:
-            turned = int(np.argmax(came.approach[:, joint] != came.approach[0, joint]))
-            if (np.abs(q[:turned, joint] - q[0, joint]) <= self.near[joint]).all():
-                approach[1:turned, joint] = approach[turned, joint]
-                legs[1:turned, joint] = legs[turned, joint]
-        return replace(came, approach=approach, legs=legs)
+    def came(
+        self, stands: np.ndarray, lag: np.ndarray, held: History, start: np.ndarray | None
+    ) -> History:
+        """Of commands at which joints stand at (k, n), lag (k, n) behind; first from a start (n,).
 
-    def spread(
-        self, q: np.ndarray, lag: np.ndarray, sides: np.ndarray, times: np.ndarray
-    ) -> tuple[np.ndarray, float]:
-        """Commands (k, n), each lag (k, n) taken up while its joint is near its turn.
-
-        A joint that turns where the path begins takes up its play before anything moves. Also by
-        how many seconds the first way therefore has to last longer.
-
-        Args:
-            sides: (k, n) that the joints come from: they change where a joint has turned.
-            times: (k,) s.
+        A joint's side is that of its own way: what its command crosses where it turns is no way
+        back.  A joint that turns on the first way, while near where it starts, turns at once.
         """
-        made, stands, first_up = q.copy(), q - lag, np.zeros(q.shape[1])
+        steady = self.steady(stands)
+        came = held.along(steady + lag, start)
+        moves = np.diff(steady, axis=0, prepend=steady[:1])
+        last = np.where(np.abs(moves) >= SAME_POSE, np.arange(len(moves))[:, None], 0)
+        last = np.maximum.accumulate(last, axis=0)
+        sides = np.sign(np.take_along_axis(moves, last, axis=0))
+        sides, legs = np.where(last > 0, sides, came.approach[0]), came.legs
+        for joint in self.joints:
+            turned = int(np.argmax(sides[:, joint] != sides[0, joint]))
+            if (np.abs(stands[:turned, joint] - stands[0, joint]) <= self.near[joint]).all():
+                sides[1:turned, joint] = sides[turned, joint]
+                legs[1:turned, joint] = legs[turned, joint]
+        return History(sides, legs)
+
+    def turns(self, stands: np.ndarray, lag: np.ndarray, sides: np.ndarray) -> list[Turn]:
+        """Where joints that stand at (k, n) turn: their sides (k, n) change where they have."""
+        found = []
         for joint in self.joints:
             begun = 0
             for turned in (np.flatnonzero(np.diff(sides[:, joint])) + 1).tolist():
                 before = stands[begun:turned, joint]
                 turn = before.max() if sides[turned, joint] < 0 else before.min()
                 away = np.flatnonzero(np.abs(before - turn) > self.near[joint])
-                first = begun + (int(away[-1]) + 1 if len(away) else 0)
-                part = slice(min(first, turned - 1), turned + 1)
-                low, high = lag[part, joint][[0, -1]]
-                share = (times[part] - times[part][0]) / np.ptp(times[part])
-                share = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-                made[part, joint] = stands[part, joint] + low + share * (high - low)
-                if not first:
-                    first_up[joint] = high - low
+                first = min(begun + (int(away[-1]) + 1 if len(away) else 0), turned - 1)
+                crossed = float(lag[turned, joint] - lag[first, joint])
+                found.append(Turn(joint, first, turned, crossed))
                 begun = turned
-        return made, self._longer_s(times, stands, first_up)
-
-    def _longer_s(self, times: np.ndarray, stands: np.ndarray, first_up: np.ndarray) -> float:
-        """For the first way to add little to the jerk of all by what is taken up in it."""
-        span = self.model.arm.upper - self.model.arm.lower
-        if not first_up.any() or len(times) < 3:
-            return 0.0
-        since, ways = times[1:], stands[1:] / span
-        path, steps = Timed(since, ways, slopes_of(since, ways)), np.diff(since)
-        jerk = float(((path.at(since[:-1] + 0.5 * steps, 3) ** 2).sum(axis=1) * steps).sum())
-        # A cubic from rest to rest in a time t has a square of jerk of (12 / t^3)^2 t, of its way 1
-        lasts = (144.0 * ((first_up / span) ** 2).sum() / max(_MORE_JERK * jerk, 1e-12)) ** 0.2
-        return max(0.0, float(lasts - (times[1] - times[0])))
+        return found
 
 
-_MORE_JERK = 0.2
-"""Share of a path's squared jerk that play taken up at its beginning may add: a tenth of its root
-mean square."""
+class Turn(NamedTuple):
+    """From the ``first`` to the ``last`` way-point a joint stands near its turn (0-based).
+
+    Its command crosses so much play (rad, m) there.
+    """
+
+    joint: int
+    first: int
+    last: int
+    crossed: float
+
+
+def taken_up(
+    way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: Sequence[Turn], times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where joints stand at times (k,), and how far commands are beyond: (k, n) each.
+
+    They are smooth in time from one side of the play to the other.
+
+    Args:
+        way: (k, n) where joints would stand if none turned.
+        off: (k, n) how much further they have to stand, which the play itself changes a little.
+    """
+    off, lag = off.copy(), lag.copy()
+    for joint, first, last, crossed in turns:
+        part = slice(first, last + 1)
+        share = (times[part] - times[first]) / (times[last] - times[first])
+        share = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        lag[part, joint] = lag[first, joint] + share * crossed
+        off[part] = off[first] + np.multiply.outer(share, off[last] - off[first])
+    return way + off, lag

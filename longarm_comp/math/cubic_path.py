@@ -1,0 +1,150 @@
+"""Joints along a path that is cubic in time between way-points (Hermite segments)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CubicPath:
+    """Cubic Hermite segments, as joint trajectory controllers follow them.
+
+    Attributes:
+        times: (k,) s, increasing.
+        joints: (k, n) rad or m at these times. velocities: (k, n) rad/s or m/s.
+        stretch: by what the duration was multiplied to keep limits, or to take up play; 1 if it
+            was not.
+    """
+
+    times: Array
+    joints: Array
+    velocities: Array
+    stretch: float = 1.0
+
+    def at(self, time_s: npt.ArrayLike, order: int = 0) -> Array:
+        """(..., n) joints at times (...), or their derivative of an order up to 3.
+
+        Before the path and after it they are those of its ends.
+        """
+        t = np.clip(time_s, self.times[0], self.times[-1])[..., None]
+        k = np.searchsorted(self.times[1:-1], t[..., 0], side="right")
+        if len(self.times) == 1:
+            return self.joints[k] if not order else np.zeros_like(self.joints[k])
+        h = (self.times[k + 1] - self.times[k])[..., None]
+        u = (t - self.times[k][..., None]) / h
+        m, n = h * self.velocities[k], h * self.velocities[k + 1]
+        way = self.joints[k + 1] - self.joints[k]
+        bend, twist = 3.0 * way - 2.0 * m - n, m + n - 2.0 * way
+        if order == 0:
+            return self.joints[k] + (m + (bend + twist * u) * u) * u
+        slopes = (m + (2.0 * bend + 3.0 * twist * u) * u, 2.0 * bend + 6.0 * twist * u, 6.0 * twist)
+        return np.asarray(np.broadcast_to(slopes[order - 1] / h**order, way.shape))
+
+    @property
+    def duration(self) -> float:
+        """s from time 0 on."""
+        return float(self.times[-1])
+
+    @property
+    def end(self) -> Array:
+        """(n,) final position."""
+        return self.joints[-1]
+
+    def extremes(self) -> tuple[Array, Array]:
+        """Lowest and highest position on the path, (n,) each."""
+        if len(self.times) == 1:
+            return self.joints[0], self.joints[0]
+        h = np.diff(self.times)[:, None]
+        b, c = self._velocity_terms()
+        m = self.velocities[:-1]
+        # Turning points: m + b u + c u^2 = 0 with the stable form of the quadratic formula.
+        root = np.sqrt(np.maximum(b**2 - 4 * c * m, 0.0))
+        half = -0.5 * (b + np.where(b < 0, -root, root))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turns = np.stack((half / c, m / half))
+        turns = np.clip(np.where(np.isfinite(turns), turns, 0.0), 0.0, 1.0)
+        reached = self.joints[:-1] + h * (m * turns + b * turns**2 / 2 + c * turns**3 / 3)
+        every = np.concatenate((self.joints[None], reached), axis=None).reshape(
+            -1, self.joints.shape[1]
+        )
+        return every.min(axis=0), every.max(axis=0)
+
+    def peak_velocity(self) -> Array:
+        """(n,) highest speed on the path."""
+        if len(self.times) == 1:
+            return np.zeros(self.joints.shape[1])
+        b, c = self._velocity_terms()
+        m = self.velocities[:-1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = -b / (2 * c)
+        inside = (u > 0.0) & (u < 1.0)
+        u = np.where(inside, u, 0.0)
+        return np.maximum(
+            np.abs(self.velocities).max(axis=0), np.abs(m + b * u + c * u**2).max(axis=0)
+        )
+
+    def peak_acceleration(self) -> Array:
+        """(n,) highest on the path: at an end of a segment, within which it is linear."""
+        if len(self.times) == 1:
+            return np.zeros(self.joints.shape[1])
+        (b, c), h = self._velocity_terms(), np.diff(self.times)[:, None]
+        return np.asarray(np.maximum(np.abs(b), np.abs(b + 2.0 * c)) / h).max(axis=0)
+
+    @property
+    def jerk(self) -> Array:
+        """(k - 1, n) of every segment, rad/s^3 or m/s^3."""
+        return 2.0 * self._velocity_terms()[1] / np.diff(self.times)[:, None] ** 2
+
+    def mean_square_jerk(self, unit: Array) -> float:
+        """Of all joints together, in units (n,), averaged over time."""
+        if len(self.times) == 1:
+            return 0.0
+        square = ((self.jerk / unit) ** 2).sum(axis=1)
+        return float(np.average(square, weights=np.diff(self.times)))
+
+    def _velocity_terms(self) -> tuple[Array, Array]:
+        """Velocity in a segment is ``slope + b u + c u^2``, u from 0 to 1."""
+        chord = np.diff(self.joints, axis=0) / np.diff(self.times)[:, None]
+        m, n = self.velocities[:-1], self.velocities[1:]
+        return 6 * chord - 4 * m - 2 * n, 3 * (m + n) - 6 * chord
+
+
+def smooth_slopes(times: Array, joints: Array) -> Array:
+    """(k, n) velocities at way-points (k, n): 0 at both ends, in between of fourth order in the
+    steps, where these change slowly.
+
+    They are those of parabolas through three way-points, brought nearer to a cubic spline's by one
+    round of its equations, of which a third is left out: their errors of third order cancel.
+    """
+    slopes = np.zeros_like(joints)
+    if len(times) < 3:
+        return slopes
+    h = np.diff(times)[:, None]
+    chord = np.diff(joints, axis=0) / h
+    left = h[1:] / (h[1:] + h[:-1])
+    inner = left * chord[:-1] + (1.0 - left) * chord[1:]
+    slopes[1:-1] = inner
+    beside = left * slopes[:-2] + (1.0 - left) * slopes[2:]
+    slopes[1:-1] = (4.0 * inner - beside) / 3.0
+    return slopes
+
+
+def monotone_slopes(times: Array, joints: Array) -> Array:
+    """As `smooth_slopes`, but the path stays in the box that the way-points span.
+
+    They are 0 wherever the direction turns, and at most three times the slower way beside them
+    (Fritsch and Carlson 1980).
+    """
+    slopes = smooth_slopes(times, joints)
+    if len(times) > 2:
+        chord = np.diff(joints, axis=0) / np.diff(times)[:, None]
+        before, after = chord[:-1], chord[1:]
+        side = np.sign(before) * (before * after > 0.0)
+        most = 3.0 * np.minimum(np.abs(before), np.abs(after))
+        slopes[1:-1] = side * np.clip(side * slopes[1:-1], 0.0, most)
+    return slopes

@@ -1,0 +1,46 @@
+"""Cubic paths: derivatives, extremes and slopes, against what they were sampled from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from longarm_comp.math.cubic_path import CubicPath, monotone_slopes, smooth_slopes
+
+TIMES = np.cumsum(0.03 + 0.01 * np.sin(np.linspace(0.0, 9.0, 200)))
+
+
+def test_derivatives_and_peaks_are_those_of_the_path() -> None:
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.5, 2.0, 6))
+    path = CubicPath(times, rng.normal(size=(6, 2)), rng.normal(size=(6, 2)))
+    np.testing.assert_allclose(path.at(times), path.joints, atol=1e-12)
+    np.testing.assert_allclose(path.at(times, 1), path.velocities, atol=1e-12)
+    share = np.linspace(0.001, 0.999, 400)
+    inside = (times[:-1, None] + np.diff(times)[:, None] * share).ravel()
+    step = 1e-6
+    for order in (1, 2, 3):
+        slope = (path.at(inside + step, order - 1) - path.at(inside - step, order - 1)) / (2 * step)
+        np.testing.assert_allclose(path.at(inside, order), slope, atol=1e-4)
+    np.testing.assert_allclose(path.at(inside, 3)[::400], path.jerk)
+    assert path.peak_velocity() == pytest.approx(np.abs(path.at(inside, 1)).max(axis=0), rel=5e-3)
+    most = np.abs(path.at(inside, 2)).max(axis=0)
+    assert (path.peak_acceleration() >= most).all()
+    assert path.peak_acceleration() == pytest.approx(most, rel=5e-3)
+    outside = path.at([times[0] - 1.0, times[-1] + 1.0])
+    np.testing.assert_allclose(outside, path.joints[[0, -1]], atol=1e-12)
+
+
+def test_smooth_slopes_keep_the_jerk_of_what_was_sampled_on_any_grid() -> None:
+    joints = np.sin(TIMES)[:, None]
+    smooth, monotone = (f(TIMES, joints) for f in (smooth_slopes, monotone_slopes))
+    inner = slice(5, -5)
+    np.testing.assert_allclose(smooth[inner, 0], np.cos(TIMES)[inner], atol=2e-6)
+    middle = 0.5 * (TIMES[1:] + TIMES[:-1])
+    jerk = CubicPath(TIMES, joints, smooth).jerk[inner, 0]
+    np.testing.assert_allclose(jerk, -np.cos(middle)[inner], atol=0.2)
+    turns = CubicPath(TIMES, joints, monotone)
+    assert np.abs(turns.jerk[inner, 0] + np.cos(middle)[inner]).max() > 5.0
+    low, high = turns.extremes()
+    assert low >= joints.min() and high <= joints.max()
+    assert not smooth[[0, -1]].any() and not monotone[[0, -1]].any()
