@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import errno
-import functools
-import itertools
-import os
-import shutil
-import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import report_samples
 from cli_shell import Shell
+from diagnosis_folders import FOUND, at_work, bytes_of, small_networks, writer
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.errors import InputError, JobError, LongarmError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import LearnedGain
 from longarm_comp.core.model.declared_model import declared_model
@@ -35,66 +26,26 @@ from longarm_comp.report import record
 from longarm_comp.workflows.apply import apply
 from longarm_comp.workflows.at_work import undo
 from longarm_comp.workflows.changes import changes
-from longarm_comp.workflows.inputs import admitted, file_hash, load_predictor
+from longarm_comp.workflows.inputs import file_hash, load_predictor
 from longarm_comp.workflows.train import TrainedPredictor, train
-
-FOUND = Model(ARM, (*JointZero.for_arm(ARM), FrictionHysteresis(1, width=0.004)))
 
 
 @pytest.fixture(scope="module", autouse=True)
-def small_networks() -> Iterator[None]:
+def quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        quick = functools.partial(train, ensemble=2, hidden=10)
-        patch.setattr("longarm_comp.workflows.apply.train", quick)
+        patch.setattr("longarm_comp.workflows.apply.train", small_networks())
         yield
 
 
 @pytest.fixture
 def diagnosed(work: Path, tmp_path: Path) -> Callable[..., Path]:
-    """Writes the folder of a diagnosis of the session in ``work``."""
+    """Writes folders of diagnoses."""
     return writer(work, tmp_path)
-
-
-def writer(work: Path, tmp_path: Path) -> Callable[..., Path]:
-    """As `diagnosed`, into any folder."""
-
-    def write(
-        name: str = "diagnosis",
-        *,
-        before: Path | None = None,
-        verdict: str = "named",
-        model: Model = FOUND,
-        **more: Any,
-    ) -> Path:
-        folder = tmp_path / name
-        shutil.copy(work / "samples.csv", tmp_path / "samples.csv")
-        known = None if before is None else load_model(before, ARM)
-        provenance = {
-            "session_hash": admitted(tmp_path / "samples.csv", ARM, known).hash,
-            "model_before": "" if before is None else file_hash(before),
-            "session": "../samples.csv",
-            **more,
-        }
-        version = 1 if before is None else read_stored(before).version + 1
-        save_model(folder / "model.yaml", store(model, version=version, provenance=provenance))
-        made, _ = getattr(report_samples, verdict)(np.random.default_rng(1))
-        (folder / "report.json").write_text(record.text(record.checked(made)))
-        return folder
-
-    return write
-
-
-def at_work(tmp_path: Path) -> Path:
-    return tmp_path / "work" / "model.yaml"
 
 
 def kept_of(model: Path) -> str:
     """Name of the predictor that was trained with a model, while it is not at work."""
     return f"predictor.of_{file_hash(model)[:12]}.npz"
-
-
-def bytes_of(folder: Path) -> dict[str, bytes]:
-    return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
 
 
 def test_a_first_diagnosis_on_the_declared_arm_and_back(
@@ -159,167 +110,6 @@ def test_undo_restores_model_and_predictor_byte_for_byte(
     undo(model)
     after = bytes_of(model.parent)
     assert {name: after[name] for name in before} == before
-
-
-# ------------------------------------------------------------------ broken off anywhere
-
-
-STEPS = ("replace", "unlink")
-"""Of `os`: what changes a folder. Bytes are written to files that nobody reads yet."""
-
-
-class Broken(BaseException):
-    """The process ended here."""
-
-
-@contextmanager
-def stopping(at: int, how: Callable[[], Any], before: bool) -> Iterator[list[str]]:
-    """`how` is called before or after the step of this number; yields the steps made."""
-    made: list[str] = []
-    real = {name: getattr(os, name) for name in STEPS}
-
-    def step(name: str) -> Callable[..., None]:
-        def run(*given: Any, **named: Any) -> None:
-            made.append(name)
-            if before and len(made) == at:
-                how()
-            real[name](*given, **named)
-            if not before and len(made) == at:
-                how()
-
-        return run
-
-    with pytest.MonkeyPatch.context() as patch:
-        for name in STEPS:
-            patch.setattr(os, name, step(name))
-        yield made
-
-
-def full() -> None:
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-def broken() -> None:
-    raise Broken
-
-
-class Versions:
-    """An arm with version 1 and its predictor at work, version 0 before, and a diagnosis for 2."""
-
-    def __init__(self, diagnosed: Callable[..., Path], tmp_path: Path) -> None:
-        self.model = at_work(tmp_path)
-        self.predictor = self.model.parent / "predictor.npz"
-        apply(diagnosed("first"), ARM, self.model)
-        wider = FOUND.with_values(1.5 * FOUND.values)
-        self.second = diagnosed("second", before=self.model, model=wider)
-        self.one = self.model.read_bytes(), self.predictor.read_bytes()
-        self.two = (self.second / "model.yaml").read_bytes()
-        samples = self.second.parent / "samples.csv"
-        self.session = admitted(samples, ARM, load_model(self.model, ARM))
-        model = self.second / "model.yaml"
-        self.trained = train(ARM, self.session, model=model, ensemble=2, hidden=10)
-        self.start = bytes_of(self.model.parent)
-
-    def again(self) -> None:
-        """The folder as at the beginning."""
-        shutil.rmtree(self.model.parent)
-        self.model.parent.mkdir()
-        for name, content in self.start.items():
-            (self.model.parent / name).write_bytes(content)
-
-    def apply(self, network: bool) -> None:
-        """With the session that was read and the network that was trained once."""
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("longarm_comp.workflows.apply.train", lambda *a, **k: self.trained)
-            patch.setattr("longarm_comp.workflows.apply.admitted", lambda *a, **k: self.session)
-            apply(self.second, ARM, self.model, network=network)
-
-    def check(self, network: bool) -> None:
-        """Whatever happened, what is at work is whole, and the way on and the way back are open."""
-        applied = self.model.read_bytes() == self.two
-        if not applied:
-            assert (self.model.read_bytes(), self.predictor.read_bytes()) == self.one
-            self.apply(network)
-        assert self.model.read_bytes() == self.two
-        undo(self.model)
-        assert (self.model.read_bytes(), self.predictor.read_bytes()) == self.one
-
-
-@pytest.fixture(scope="module")
-def trained_versions(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Versions:
-    folder = tmp_path_factory.mktemp("versions")
-    return Versions(writer(work, folder), folder)
-
-
-@pytest.fixture
-def versions(trained_versions: Versions) -> Versions:
-    trained_versions.again()
-    return trained_versions
-
-
-@pytest.mark.parametrize("network", [True, pytest.param(False, marks=pytest.mark.long)])
-@pytest.mark.parametrize(
-    ("how", "ending"), [(full, (OSError, LongarmError)), (broken, Broken)], ids=["full", "killed"]
-)
-def test_apply_broken_off_anywhere_loses_nothing(
-    how: Callable[[], Any], ending: Any, network: bool, versions: Versions
-) -> None:
-    with stopping(0, how, True) as steps:
-        versions.apply(network)
-    count = len(steps)
-    assert count >= 6
-    for at, before in itertools.product(range(1, count + 1), (True, False)):
-        versions.again()
-        with contextlib.suppress(ending), stopping(at, how, before):  # a file may be gone already
-            versions.apply(network)
-        versions.check(network)
-
-
-def test_undo_broken_off_anywhere_is_finished_by_the_next(versions: Versions) -> None:
-    versions.apply(network=True)
-    applied = bytes_of(versions.model.parent)
-    with stopping(0, broken, True) as steps:
-        undo(versions.model)
-    count = len(steps)
-    assert count >= 3
-    for at, before in itertools.product(range(1, count + 1), (True, False)):
-        versions.start, kept = applied, versions.start
-        versions.again()
-        versions.start = kept
-        with contextlib.suppress(Broken), stopping(at, broken, before):
-            undo(versions.model)
-        with contextlib.suppress(InputError):  # it was finished
-            undo(versions.model)
-        assert (versions.model.read_bytes(), versions.predictor.read_bytes()) == versions.one
-
-
-@pytest.mark.parametrize("before", [True, False])
-def test_a_process_that_is_killed_loses_nothing(before: bool, versions: Versions) -> None:
-    """As above with a process that really ends, without any clean-up."""
-    for at in range(1, 9):
-        versions.again()
-        child = os.fork()
-        if not child:
-            with stopping(at, lambda: os.kill(os.getpid(), signal.SIGKILL), before):
-                versions.apply(network=True)
-            os._exit(0)
-        os.waitpid(child, 0)
-        versions.check(network=True)
-
-
-def test_a_second_change_finishes_the_first(versions: Versions, tmp_path: Path) -> None:
-    """Killed with the model replaced and the predictor not, the predictor that fits comes next."""
-    with stopping(0, broken, True) as steps:
-        versions.apply(network=True)
-    for at in range(1, len(steps) + 1):
-        versions.again()
-        with contextlib.suppress(Broken), stopping(at, broken, False):
-            versions.apply(network=True)
-        if versions.model.read_bytes() != versions.two:
-            continue
-        with pytest.raises(InputError, match="at work already"):
-            versions.apply(network=True)
-        load_predictor(versions.predictor, ARM, versions.model)
 
 
 def test_a_diagnosis_older_than_the_model_at_work_is_refused(

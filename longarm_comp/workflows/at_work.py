@@ -18,7 +18,7 @@ from typing import Protocol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.learn import predictor_file
-from longarm_comp.core.model import model_file
+from longarm_comp.core.model import file_versions, model_file
 from longarm_comp.workflows.inputs import file_hash
 
 _HASH = 12
@@ -53,7 +53,7 @@ def put_to_work(
         trained.save(_kept(predictor, new))
     else:
         _kept(predictor, new).unlink(missing_ok=True)  # of an earlier time that was taken back
-    model_file.put(model, content)
+    file_versions.put(model, content)
     finish(model, predictor)
     if aside is not None and trained is None:
         os.replace(predictor, aside)
@@ -74,7 +74,7 @@ def undo(model: Path) -> Path | None:
     names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in at_work})
     discarded = file_hash(model) if model.is_file() else ""
     back = [name for name in names if finish(model, name)]
-    if not (back and not model_file.previous(model).is_file()):
+    if not (back and not file_versions.previous(model).is_file()):
         model_file.undo(model)
         back = [name for name in names if finish(model, name)]
         for name in names:
@@ -85,7 +85,7 @@ def undo(model: Path) -> Path | None:
 
 def finish(model: Path, predictor: Path) -> bool:
     """Finish a change that was broken off; whether a predictor is at work again by it."""
-    model_file.settle(model)
+    file_versions.settle(model)
     fits = _kept(predictor, file_hash(model)) if model.is_file() else None
     if fits is None or not fits.is_file():
         return False
@@ -106,7 +106,7 @@ def _keep(predictor: Path) -> Path | None:
 
 def _forget(model: Path, predictor: Path) -> None:
     """Remove predictors of versions that `undo` no longer reaches."""
-    versions = [path for path in (model, model_file.previous(model)) if path.is_file()]
+    versions = [path for path in (model, file_versions.previous(model)) if path.is_file()]
     needed = {_kept(predictor, file_hash(path)) for path in versions}
     for path in predictor.parent.glob(f"{predictor.stem}.of_*{predictor.suffix}"):
         if _KEPT.search(path.stem) and path not in needed and _trained_with(path):

@@ -11,8 +11,9 @@ from typing import ClassVar
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place, rows
+from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
 from longarm_comp.core.effects.joint_term import reach
+from longarm_comp.core.effects.sites import rows
 from longarm_comp.core.errors import InputError
 
 MOST_OF_REACH = 0.25

@@ -25,38 +25,20 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.posture import Lumped, Posture
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
+from longarm_comp.core.effects.parameters import Parameter
+from longarm_comp.core.effects.sites import moving_joints
 from longarm_comp.core.errors import InputError
-
-_FLAT = 1000.0
-"""Width of a prior that knows nothing, in ordinary sizes: 50 m and 50 rad for a base."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One number of an effect: unit, meaning, prior standard deviation and physical bounds.
-
-    Attributes:
-        prior: standard deviation of plausible values; 0 means fixed at its value.
-        unknown: nothing is known beforehand: the fit's prior is too wide to pull (`FLAT`).
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    prior: float
-    lower: float = -math.inf
-    upper: float = math.inf
-    unknown: bool = False
-
-    @property
-    def width(self) -> float:
-        """Standard deviation of the fit's prior."""
-        return _FLAT * self.prior if self.unknown else self.prior
-
 
 _PARAMETER, _PLACE, _FORM, _TRIED = "parameter", "place", "form", "tried"
 Drive = Literal["servo", "gear", "arm"]
 Places = Callable[[Arm], Sequence[int] | Sequence[str]]
+
+
+@cache
+def _metadata(kind: type[_Term], role: str) -> dict[str, Any]:
+    """What the fields of one role declare, by name."""
+    declared = dataclasses.fields(kind)
+    return {f.name: f.metadata[role] for f in declared if role in f.metadata}
 
 
 @cache
@@ -126,31 +108,6 @@ def form(
     return dataclasses.field(default=default, metadata={_FORM: scale, _TRIED: tuple(tried)})
 
 
-def moving_joints(arm: Arm) -> list[int]:
-    """Row ids of the joints that move, passive ones too."""
-    return [joint.id for joint in arm.joints if joint.type != "fixed"]
-
-
-def rows(arm: Arm) -> list[int]:
-    """Ids of all rows."""
-    return [joint.id for joint in arm.joints]
-
-
-def frames(arm: Arm) -> list[int]:
-    """The base (0) and the frame of every row."""
-    return [0, *rows(arm)]
-
-
-def beams(arm: Arm) -> list[str]:
-    """Names of the declared beams."""
-    return [beam.name for beam in arm.links]
-
-
-def markers(arm: Arm) -> list[str]:
-    """Names of the declared markers; empty for the tip."""
-    return ["", *arm.markers]
-
-
 @dataclass(frozen=True)
 class _Term:
     """Common base of arm-side effects and measuring-side biases: identity, parameters, files.
@@ -217,11 +174,7 @@ class _Term:
     @cache
     def declared(cls) -> tuple[Parameter, ...]:
         """The parameters of this kind of effect, in the order of its fields."""
-        return tuple(
-            Parameter(f.name, **f.metadata[_PARAMETER])
-            for f in dataclasses.fields(cls)
-            if _PARAMETER in f.metadata
-        )
+        return tuple(Parameter(name, **p) for name, p in _metadata(cls, _PARAMETER).items())  # type: ignore[arg-type]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The parameters of this instance; priors may come from the arm's tolerances."""
@@ -240,14 +193,12 @@ class _Term:
     @classmethod
     def allowed_places(cls) -> Mapping[str, Places]:
         """By place field, its allowed values on an arm, without fields that allow any text."""
-        meta = {f.name: f.metadata for f in dataclasses.fields(cls)}
-        return {name: m[_PLACE] for name, m in meta.items() if m.get(_PLACE) is not None}
+        return {name: known for name, known in _metadata(cls, _PLACE).items() if known}  # type: ignore[arg-type]
 
     @classmethod
     def scales(cls) -> Mapping[str, tuple[float, float]]:
         """Forms with a continuous scale: lower and upper end by name."""
-        meta = {f.name: f.metadata for f in dataclasses.fields(cls)}
-        return {name: m[_FORM] for name, m in meta.items() if m.get(_FORM) is not None}
+        return {name: ends for name, ends in _metadata(cls, _FORM).items() if ends}  # type: ignore[arg-type]
 
     @property
     def places(self) -> dict[str, Any]:
@@ -320,8 +271,7 @@ class _Term:
 
         By default every site alone, in every form that is tried.
         """
-        meta = {f.name: f.metadata.get(_TRIED) for f in dataclasses.fields(cls)}
-        tried = {name: values for name, values in meta.items() if values}
+        tried = {name: values for name, values in _metadata(cls, _TRIED).items() if values}  # type: ignore[arg-type]
         forms = [dict(zip(tried, v, strict=True)) for v in itertools.product(*tried.values())]
         return [(cls(**site, **form),) for site in cls.sites(arm) for form in forms]
 

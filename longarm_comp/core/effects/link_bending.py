@@ -10,8 +10,9 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
-from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place, rows
+from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
 from longarm_comp.core.effects.joint_term import reach, typical_loads, with_prior
+from longarm_comp.core.effects.sites import rows
 
 _POINT = 1e-6  # m: a link shorter than this has no direction
 

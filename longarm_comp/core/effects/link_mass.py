@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Lumped, Posture
 from longarm_comp.core.arm.spatial import ZERO, Twist
-from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place, rows
+from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
 from longarm_comp.core.effects.joint_term import typical_loads, with_prior
+from longarm_comp.core.effects.sites import rows
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ from typing import ClassVar
 
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, beams, parameter, place
+from longarm_comp.core.effects.effect import Effect, parameter, place
 from longarm_comp.core.effects.link_deflection import extra_sag
+from longarm_comp.core.effects.sites import beams
 
 
 @dataclass(frozen=True)

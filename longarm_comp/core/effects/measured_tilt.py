@@ -13,7 +13,8 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Inclinometer
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, Parameter, form, frames, parameter, place
+from longarm_comp.core.effects.effect import Effect, Parameter, form, parameter, place
+from longarm_comp.core.effects.sites import frames
 from longarm_comp.core.errors import InputError
 
 

@@ -11,7 +11,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import three
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, Parameter, markers, parameter, place
+from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
+from longarm_comp.core.effects.sites import markers
 
 
 @dataclass(frozen=True)

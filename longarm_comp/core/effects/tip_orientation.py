@@ -10,7 +10,8 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame, Vec
-from longarm_comp.core.effects.effect import Bias, markers, parameter, place
+from longarm_comp.core.effects.effect import Bias, parameter, place
+from longarm_comp.core.effects.sites import markers
 
 
 @dataclass(frozen=True)

@@ -156,11 +156,7 @@ class Model:
 
     def plus(self, *terms: Effect | Bias) -> Model:
         """A copy with further terms."""
-        effects = tuple(t for t in terms if isinstance(t, Effect))
-        biases = tuple(t for t in terms if isinstance(t, Bias))
-        return dataclasses.replace(
-            self, effects=self.effects + effects, biases=self.biases + biases
-        )
+        return self.with_terms([*self.terms, *terms])
 
     # ------------------------------------------------------------------ predict
 
@@ -371,7 +367,6 @@ class Model:
         else:  # a load that the model does not hold: from none of it on
             none = slot.owner.with_values({p.name: 0.0 for p in slot.owner.parameters(self.arm)})
             model = self.plus(self._moved(dataclasses.replace(slot, owner=none), step))
-            model.__dict__["chain"] = self.chain
         raised = model._under_load(model._weighed(posture))
         return TwistChange(raised, self._under_load(posture), 1.0 / step)
 

@@ -1,14 +1,13 @@
 """`model.yaml`: a calibrated model with units, intervals and the origin of every value.
 
-A change gives a new version. The previous file is kept beside it, and `undo` restores it byte for
-byte.
+A change gives a new version. The previous file is kept beside it (`file_versions`), and `undo`
+restores it byte for byte.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, get_type_hints
@@ -22,7 +21,7 @@ from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.effects.catalogue import effect_class, origin
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.model.file_versions import previous, put, replaced, settle
 from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, read, triangular, written
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
@@ -229,56 +228,6 @@ def save_model(path: str | Path, stored: StoredModel) -> None:
     put(path, text.encode())
 
 
-def put(path: str | Path, content: bytes) -> None:
-    """Write a model file's bytes atomically. An existing file becomes the previous version.
-
-    It is first kept beside both, so that broken off anywhere both versions are still there.
-    """
-    path = Path(path)
-    settle(path)
-    if os.path.isfile(path):  # False in an unreadable folder; writing then raises
-        with atomic_path(_before(path)) as partial:
-            partial.write_bytes(path.read_bytes())
-    with atomic_path(path) as partial:
-        partial.write_bytes(content)
-    settle(path)
-
-
-def settle(path: str | Path) -> None:
-    """Finish a `put` that was broken off: what it kept is the previous version, or not needed."""
-    path = Path(path)
-    kept = _before(path)
-    if not os.path.isfile(kept):
-        return
-    if os.path.isfile(path) and path.read_bytes() == kept.read_bytes():  # nothing was replaced
-        kept.unlink()
-    else:
-        _move(kept, previous(path))
-
-
-def previous(path: str | Path) -> Path:
-    """Path of the previous version. Raises InputError where the path names no file."""
-    return _beside(path, "previous")
-
-
-def _before(path: Path) -> Path:
-    return _beside(path, "before")
-
-
-def _beside(path: str | Path, what: str) -> Path:
-    path = Path(path)
-    if not path.name:
-        raise InputError(str(path), "model", "a folder", "a file")
-    return path.with_name(f"{path.stem}.{what}{path.suffix}")
-
-
-def _move(path: Path, to: str | Path) -> None:
-    try:
-        os.replace(path, to)
-    except OSError as error:
-        raise InputError(str(to), "file", error.strerror, "a file that may be replaced") from error
-
-
 def undo(path: str | Path) -> None:
     """Restore the previous version, byte for byte."""
     settle(path)
@@ -286,7 +235,7 @@ def undo(path: str | Path) -> None:
     if not kept.is_file():
         raise InputError(str(path), "previous version", "missing", f"a file {kept.name}")
     read_stored(kept)
-    _move(kept, path)
+    replaced(kept, path)
 
 
 def read_stored(path: str | Path) -> StoredModel:

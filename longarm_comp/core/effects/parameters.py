@@ -1,0 +1,32 @@
+"""One fitted number of an effect, as it is declared."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+_FLAT = 1000.0
+"""Width of a prior that knows nothing, in ordinary sizes: 50 m and 50 rad for a base."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect: unit, meaning, prior standard deviation and physical bounds.
+
+    Attributes:
+        prior: standard deviation of plausible values; 0 means fixed at its value.
+        unknown: nothing is known beforehand: the fit's prior is too wide to pull (`FLAT`).
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    prior: float
+    lower: float = -math.inf
+    upper: float = math.inf
+    unknown: bool = False
+
+    @property
+    def width(self) -> float:
+        """Standard deviation of the fit's prior."""
+        return _FLAT * self.prior if self.unknown else self.prior

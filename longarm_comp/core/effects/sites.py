@@ -1,0 +1,30 @@
+"""Places that an arm has: what a `place` of an effect may be."""
+
+from __future__ import annotations
+
+from longarm_comp.core.arm.arm import Arm
+
+
+def moving_joints(arm: Arm) -> list[int]:
+    """Row ids of the joints that move, passive ones too."""
+    return [joint.id for joint in arm.joints if joint.type != "fixed"]
+
+
+def rows(arm: Arm) -> list[int]:
+    """Ids of all rows."""
+    return [joint.id for joint in arm.joints]
+
+
+def frames(arm: Arm) -> list[int]:
+    """The base (0) and the frame of every row."""
+    return [0, *rows(arm)]
+
+
+def beams(arm: Arm) -> list[str]:
+    """Names of the declared beams."""
+    return [beam.name for beam in arm.links]
+
+
+def markers(arm: Arm) -> list[str]:
+    """Names of the declared markers; empty for the tip."""
+    return ["", *arm.markers]

@@ -1,0 +1,60 @@
+"""A file and its previous version beside it: replaced whole, wherever it is broken off."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import atomic_path
+
+
+def put(path: str | Path, content: bytes) -> None:
+    """Write a model file's bytes atomically. An existing file becomes the previous version.
+
+    It is first kept beside both, so that broken off anywhere both versions are still there.
+    """
+    path = Path(path)
+    settle(path)
+    if os.path.isfile(path):  # False in an unreadable folder; writing then raises
+        with atomic_path(_before(path)) as partial:
+            partial.write_bytes(path.read_bytes())
+    with atomic_path(path) as partial:
+        partial.write_bytes(content)
+    settle(path)
+
+
+def settle(path: str | Path) -> None:
+    """Finish a `put` that was broken off: what it kept is the previous version, or not needed."""
+    path = Path(path)
+    kept = _before(path)
+    if not os.path.isfile(kept):
+        return
+    if os.path.isfile(path) and path.read_bytes() == kept.read_bytes():  # nothing was replaced
+        kept.unlink()
+    else:
+        replaced(kept, previous(path))
+
+
+def previous(path: str | Path) -> Path:
+    """Path of the previous version. Raises InputError where the path names no file."""
+    return _beside(path, "previous")
+
+
+def _before(path: Path) -> Path:
+    return _beside(path, "before")
+
+
+def _beside(path: str | Path, what: str) -> Path:
+    path = Path(path)
+    if not path.name:
+        raise InputError(str(path), "model", "a folder", "a file")
+    return path.with_name(f"{path.stem}.{what}{path.suffix}")
+
+
+def replaced(path: Path, to: str | Path) -> None:
+    """A file takes the place of another."""
+    try:
+        os.replace(path, to)
+    except OSError as error:
+        raise InputError(str(to), "file", error.strerror, "a file that may be replaced") from error
