@@ -81,6 +81,6 @@ def _print(report: dict[str, Any]) -> None:
         print_table("Effects added", header, cells)
     for duty, held in to_do(checked(report).for_people()).items():
         for card in held:
-            told = (card.tip, card.sure, said(card), card.software, card.improves)
-            click.echo(f"{duty.lower()}: {card.title}: {'; '.join(filter(None, told))}")
+            size = "; ".join(filter(None, (card.tip, card.sure, f"{card.figure} {card.improves}")))
+            click.echo(f"{duty.lower()}: {card.title} ({size}): {said(card)} {card.software}")
     click.echo(f"{report['verdict']}: {report['summary']}")
