@@ -66,7 +66,7 @@ def test_models_differ_in_effects_values_and_geometry() -> None:
     found = of_models(
         store(held, intervals=near), store(other, intervals={(1, "width"): (0.019, 0.021)})
     )
-    assert "Only B holds camera_scale." in found.said
+    assert "Only B had camera_scale." in found.said
     assert any(said.startswith("backlash joint 2 width grew from 0.573°") for said in found.said)
     assert found.tables[1].rows == (("joint 1", "offset", "0.573 °", "1.146 °", "+0.573 °"),)
 

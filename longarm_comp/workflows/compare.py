@@ -96,7 +96,7 @@ def of_diagnoses(a: DiagnosisReport, b: DiagnosisReport) -> _Comparison:
     same = a.provenance.data_sha256 == b.provenance.data_sha256
     said = [
         f"Verdict {a.verdict} and {b.verdict}, of {'the same' if same else 'different'} data.",
-        *_found(a, b),
+        *_only({f.effect for f in a.findings}, {f.effect for f in b.findings}, "found"),
         *_moved(*values),
     ]
     left = [each.structure_left.text or "none" for each in (a, b)]
@@ -155,16 +155,10 @@ def _values_of_findings(report: DiagnosisReport) -> Values:
     }
 
 
-def _found(a: DiagnosisReport, b: DiagnosisReport) -> list[str]:
-    """Effects that only one of them found."""
-    names = [{f.effect for f in each.findings} for each in (a, b)]
-    made = [
-        f"Only {which} found {', '.join(sorted(names[k] - names[1 - k]))}."
-        for k, which in enumerate("AB")
-        if names[k] - names[1 - k]
-    ]
-    both = names[0] & names[1]
-    return [*([f"Both found {', '.join(sorted(both))}."] if both else []), *made]
+def _only(a: set[str], b: set[str], verb: str) -> list[str]:
+    """Effects of both, and those of one alone."""
+    parts = (("Both", a & b), ("Only A", a - b), ("Only B", b - a))
+    return [f"{who} {verb} {', '.join(sorted(names))}." for who, names in parts if names]
 
 
 def _moved(a: Values, b: Values) -> list[str]:
@@ -202,24 +196,12 @@ def of_models(a: StoredModel, b: StoredModel) -> _Comparison:
         raise InputError("compare", "arm", b.arm.name, f"{a.arm.name}, as the first model")
     effects = [_stored((*each.effects, *each.camera)) for each in (a, b)]
     geometry = [_stored(each.geometry) for each in (a, b)]
-    names = [dict.fromkeys(key[0] for key in each) for each in effects]
-    said = [f"Versions {a.version} and {b.version} of a model of {a.arm.name}."]
-    for k, which in enumerate("AB"):
-        only = [name for name in names[k] if name not in names[1 - k]]
-        if only:
-            said.append(f"Only {which} holds {', '.join(only)}.")
-    said += _moved(*effects)
-    moved = _largest_changes(geometry[0], geometry[1])
-    return _Comparison(
-        "models",
-        tuple(said),
-        (
-            _value_table(*effects),
-            _ComparisonTable(
-                "Geometry, largest changes", ("where", "parameter", "A", "B", "change"), moved
-            ),
-        ),
-    )
+    names = [{key[0] for key in each} for each in effects]
+    versions = f"Versions {a.version} and {b.version} of a model of {a.arm.name}."
+    header = ("where", "parameter", "A", "B", "change")
+    moved = _ComparisonTable("Geometry, largest changes", header, _largest_changes(*geometry))
+    said = (versions, *_only(*names, "had"), *_moved(*effects))
+    return _Comparison("models", said, (_value_table(*effects), moved))
 
 
 def _stored(terms: Iterable[StoredTerm]) -> Values:
