@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import yaml
 from cli_shell import Shell
 from hidden_arm import session
 from report_pages import sample
 from small_arm import ARM
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.camera_scale import CameraScale
 from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import store
 from longarm_comp.report.record import checked, text
@@ -69,6 +72,14 @@ def test_models_differ_in_effects_values_and_geometry() -> None:
     assert "Only B had camera_scale." in found.said
     assert any(said.startswith("backlash joint 2 width grew from 0.573°") for said in found.said)
     assert found.tables[1].rows == (("joint 1", "offset", "0.573 °", "1.146 °", "+0.573 °"),)
+
+
+def test_models_of_two_arms_of_one_name_are_refused() -> None:
+    data = ARM.model_dump(mode="json", exclude_defaults=True)
+    warmer = Arm.parse({**data, "reference_temperature_c": 25.0}, "warmer")
+    assert warmer.name == ARM.name and warmer.hash != ARM.hash
+    with pytest.raises(InputError, match="as the first model"):
+        of_models(store(Model(ARM)), store(Model(warmer)))
 
 
 def test_sessions_are_compared_where_they_share_poses(rng: np.random.Generator) -> None:

@@ -193,7 +193,8 @@ def _noise(report: DiagnosisReport) -> str:
 def of_models(a: StoredModel, b: StoredModel) -> _Comparison:
     """Effects and values; geometry by its largest changes."""
     if a.arm.hash != b.arm.hash:
-        raise InputError("compare", "arm", b.arm.name, f"{a.arm.name}, as the first model")
+        first, second = (f"{m.arm.name} {m.arm.hash[:12]}" for m in (a, b))
+        raise InputError("compare", "arm", second, f"{first}, as the first model")
     effects = [_stored((*each.effects, *each.camera)) for each in (a, b)]
     geometry = [_stored(each.geometry) for each in (a, b)]
     names = [{key[0] for key in each} for each in effects]
