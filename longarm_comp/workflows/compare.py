@@ -201,7 +201,7 @@ def of_models(a: StoredModel, b: StoredModel) -> _Comparison:
     versions = f"Versions {a.version} and {b.version} of a model of {a.arm.name}."
     header = ("where", "parameter", "A", "B", "change")
     moved = _ComparisonTable("Geometry, largest changes", header, _largest_changes(*geometry))
-    said = (versions, *_only(*names, "had"), *_moved(*effects))
+    said = (versions, *_only(names[0], names[1], "had"), *_moved(*effects))
     return _Comparison("models", said, (_value_table(*effects), moved))
 
 
