@@ -61,7 +61,7 @@ def test_a_planted_compliance_is_named_with_its_value() -> None:
     (term,) = (t for t in found.fit.model.effects if isinstance(t, JointCompliance))
     assert term.compliance == pytest.approx(8e-3, rel=0.1)
     assert one(found).terms == (term,)
-    assert one(found).where[0] == (("joint 2",), pytest.approx(1.0, abs=0.05))
+    assert one(found).where == (("joint 2",),)
 
 
 def test_the_place_follows_the_effect() -> None:
@@ -97,8 +97,7 @@ def test_beams_are_not_seven_bearings() -> None:
     soft = [LinkStiffness(beam=beam.name, softness=0.5) for beam in DEMO.links[1:]]
     found = one(explained(session_of(DEMO, 16, *soft), LinkStiffness, BearingTilt, JointCompliance))
     assert found.name == "link_stiffness" and dict(found.names)["link_stiffness"] > 0.8
-    first, second = (chance for _, chance in found.where[:2])
-    assert 0.3 < second <= first < 0.7
+    assert len(found.where) == 2  # with the first beam, and without
 
 
 def test_a_soft_base_and_the_bearing_above_it_are_a_set() -> None:
@@ -113,7 +112,7 @@ def test_poses_tell_a_soft_base_from_a_bearing_that_turns() -> None:
     tilting = BearingTilt(2, about_x=6e-3, about_y=6e-3)
     found = one(explained(session_of(DEMO, 1, tilting), *ELASTIC))
     assert found.credible == ("bearing_tilt",)
-    assert found.where[0][0] == ("joint 2",)
+    assert found.where[0] == ("joint 2",)
 
 
 def test_a_weak_effect_beside_a_strong_one_is_found() -> None:
@@ -153,7 +152,7 @@ def test_the_misfit_of_a_form_gets_no_name(seed: int) -> None:
     (named,) = (f for f in found if not f.unnamed)
     assert named.credible[0] == "joint_compliance"
     assert set(named.credible) <= {"joint_compliance", "bearing_tilt"}
-    assert named.where[0][0] == ("joint 2",)
+    assert named.where[0] == ("joint 2",)
     assert any(f.unnamed for f in found)
 
 
@@ -238,9 +237,6 @@ def test_a_heavy_base_makes_no_soft_joint_implausible() -> None:
     assert found.chosen[0].compliance == pytest.approx(2.2, rel=0.02)  # type: ignore[union-attr]
 
 
-@pytest.mark.xfail(
-    reason="ends at 11.6 with a gain of 0.25 beside it, and a noise 25 times too big"
-)
 def test_a_joint_far_softer_than_its_prior_has_its_value() -> None:
     found = soft_joint(20.0)
     assert places(found) == [("joint_compliance", "joint 2")]

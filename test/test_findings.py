@@ -25,9 +25,7 @@ def gain(joint: int, *names: tuple[str, float], factor: float = 40.0) -> FoundEf
     rivals = [(c, factor - 2.0 * k) for k, c in enumerate((GEAR, TILT, WAVE), 1)]
     shown = tuple((c, f) for c, f in rivals if c.name in dict(names))
     every = (("joint_gain", 1.0 - sum(p for _, p in names)), *names)
-    return FoundEffect(
-        (JointGain(joint, gain=0.01),), 0.9, every, (((f"joint {joint}",), 1.0),), factor, shown
-    )
+    return FoundEffect((JointGain(joint, gain=0.01),), 0.9, every, factor, shown)
 
 
 def test_a_credible_set_is_the_smallest_with_95_percent() -> None:
@@ -39,9 +37,7 @@ def test_a_credible_set_is_the_smallest_with_95_percent() -> None:
 
 
 def test_single_effects_of_one_name_are_one_finding_and_the_strongest_is_first() -> None:
-    soft = FoundEffect(
-        (JointCompliance(3),), 0.99, (("joint_compliance", 1.0),), ((("joint 3",), 1.0),), 50.0
-    )
+    soft = FoundEffect((JointCompliance(3),), 0.99, (("joint_compliance", 1.0),), 50.0)
     first, second = findings([gain(2, factor=30.0), soft, gain(5, factor=40.0)])
     assert (first.name, first.where) == ("joint_gain", ("joint 2", "joint 5"))
     assert first.log_bayes_factor == 70.0
@@ -98,7 +94,7 @@ def test_a_function_that_may_be_the_cause_opens_a_name_and_is_no_name() -> None:
 
 def test_a_function_alone_is_no_finding() -> None:
     (term,) = WAVE.terms
-    alone = FoundEffect((term,), 0.99, (("discovered", 1.0),), ((("joint 5",), 1.0),), 40.0)
+    alone = FoundEffect((term,), 0.99, (("discovered", 1.0),), 40.0)
     assert findings([alone]) == ()
     assert alone.unnamed
     assert alone.chance_unnamed == 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -11,13 +12,17 @@ import pytest
 from demo_rows import session_of
 from discover_rows import DEMO, ROWS, calibrated, measured
 from hidden_arm import at
+from scipy.special import expit
 from small_arm import ARM as SMALL
 
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.discovered import Discovered
-from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.effect import Effect, parameter
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.joint_term import joint_load, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
@@ -26,10 +31,11 @@ from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, instead
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import offered, tolerances
 from longarm_comp.core.identify.posterior.propositions import propositions
+from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
 from studies.outside import PumpShake, RubberStop
@@ -83,7 +89,7 @@ def planted(seed: int = 2) -> tuple[ModelFit, FoundEffect]:
     model = Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))).plus(JointGain(5))
     fitted = fit(model, rows, sigma=np.full(3, 4e-4))
     (term,) = (t for t in fitted.model.terms if isinstance(t, JointGain))
-    found = FoundEffect((term,), 1.0, ((term.name, 1.0),), (((term.where,), 1.0),), 200.0)
+    found = FoundEffect((term,), 1.0, ((term.name, 1.0),), 200.0)
     return fitted, found
 
 
@@ -135,20 +141,101 @@ def test_what_its_own_form_may_leave_has_less_evidence() -> None:
     assert wide < narrow
 
 
+@dataclasses.dataclass(frozen=True)
+class Twin(JointCompliance):
+    """The same physics by another name."""
+
+    name: ClassVar[str] = "twin"
+    aliases: ClassVar[tuple[str, ...]] = ()
+
+
+def explained_by(rows: Session, *terms: Effect) -> tuple[ModelFit, tuple[FoundEffect, ...]]:
+    """A fit with some effects, each found by itself."""
+    model = Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))).plus(*terms)
+    fitted = fit(model, rows, sigma=np.full(3, 4e-4))
+    held = {t.key: t for t in fitted.model.terms}
+    found = (FoundEffect((held[t.key],), 1.0, ((t.name, 1.0),), 200.0) for t in terms)
+    return fitted, tuple(found)
+
+
+def judged(
+    fitted: ModelFit,
+    kinds: Sequence[Candidate],
+    found: tuple[FoundEffect, ...],
+    *tried: float,
+) -> dict[str, FoundEffect]:
+    """By name, with forms that err by any of some shares."""
+    banks = [offered(fitted, columns_at(fitted), kinds, (), found, t) for t in tried]
+    again, _ = max(banks, key=lambda b: b.standing).judged(found, banks)
+    return {f.name: f for f in again}
+
+
+def everywhere(kind: type[JointCompliance]) -> Candidate:
+    return Candidate(kind.name, tuple(kind(row) for row in kind.rows(DEMO)))
+
+
 def test_names_that_no_measurement_distinguishes_share_evenly() -> None:
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
-    fitted = fit(
-        Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))), rows, sigma=np.full(3, 4e-4)
-    )
-    kinds = library(DEMO, rows.context(), KINDS, fitted.model.terms).testable
-    bank = offered(fitted, columns_at(fitted), kinds, (), (), 0.01)
-    (found,) = bank.explained().found
-    chances = dict(found.names)
+    fitted, found = explained_by(rows, JointCompliance(2))
+    kinds = library(DEMO, rows.context(), KINDS).testable
+    soft = judged(fitted, kinds, found, 0.01)["joint_compliance"]
+    chances = dict(soft.names)
     assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)
-    assert sum(chances.values()) == pytest.approx(1.0, abs=1e-4)
-    ((rival, factor),) = [r for r in found.rivals if r[0].name == "servo_droop"]
+    assert sum(chances.values()) == pytest.approx(1.0)
+    assert (soft.alike, soft.fitted_rivals()) == (("servo_droop",), [])
+    ((rival, factor),) = [r for r in soft.rivals if r[0].name == "servo_droop"]
     assert rival.terms[0].searched
-    assert factor == pytest.approx(found.log_bayes_factor, abs=2.0)
+    assert factor == pytest.approx(soft.log_bayes_factor)
+
+
+def test_a_family_pays_for_the_joints_that_it_needs() -> None:
+    """Offered at every joint, true at one, it is as likely as the same physics offered there."""
+    rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
+    fitted, found = explained_by(rows, JointCompliance(2))
+    soft = judged(fitted, [everywhere(Twin), everywhere(JointCompliance)], found, 0.01)[
+        "joint_compliance"
+    ]
+    assert dict(soft.names)["twin"] == pytest.approx(0.5, abs=0.15)
+    (rival,) = soft.fitted_rivals()
+    assert rival.where == everywhere(Twin).where
+
+
+def test_a_name_that_is_there_takes_a_further_place_as_one_effect() -> None:
+    """Two soft joints of one name are likelier than of two names."""
+    true = (JointCompliance(2, compliance=8e-3), JointCompliance(4, compliance=8e-3))
+    rows = session_of(DEMO, 1, *true)
+    fitted, found = explained_by(rows, Twin(2), JointCompliance(4))
+    twin = judged(fitted, [everywhere(JointCompliance)], found, 0.01)["twin"]
+    assert dict(twin.names)["joint_compliance"] > 0.9
+    assert [f.name for f in instead(found, 0, found[1])] == ["joint_compliance"]
+
+
+def test_what_a_larger_error_of_a_form_explains_is_in_doubt() -> None:
+    """With forms of larger error, nearly as likely, nothing is left that asks for the effect."""
+    fitted, found = planted()
+    narrow = offered(fitted, columns_at(fitted), (), (), (found,), 0.01)
+    of = narrow.bank
+    blind = OfferBank(of.offers, 0 * of.gram, 0 * of.along, of.lower, of.upper)
+    wide = dataclasses.replace(narrow, bank=blind, base=narrow.standing - 1.0)
+    ((alone,), _) = narrow.judged((found,), [narrow])
+    ((doubted,), _) = narrow.judged((found,), [narrow, wide])
+    assert alone.there > 0.999
+    assert doubted.there == pytest.approx(expit(1.0))
+
+
+def test_a_row_at_a_threshold_says_nothing_of_its_side() -> None:
+    """The threshold's tolerance frees each row alone whose load is as near, and no other."""
+    play = Backlash(4, gate=0.1, blend=0.01, width=0.02)
+    rows = session_of(DEMO, 2, play)
+    fitted, found = explained_by(rows, play)
+    every = tolerances(fitted, columns_at(fitted), found, 0.05)
+    assert every is not None
+    touched = (every.reshape(len(rows), 3, -1) != 0).any(axis=1)
+    free = touched[:, touched.sum(axis=0) == 1]
+    load = np.abs(joint_load(fitted.posture, 4)) / typical_loads(DEMO)[1]
+    off = np.abs(load / 0.1 - 1.0)
+    assert free.any(axis=1)[off < 0.04].sum() >= 3
+    assert not free.any(axis=1)[off > 0.07].any()
 
 
 # ------------------------------------------------------------------ functions on offer

@@ -34,7 +34,7 @@ FAR = ARM.lower + 0.9 * (ARM.upper - ARM.lower)
 
 def single(term: Any, there: float, *others: tuple[str, float]) -> FoundEffect:
     names = ((term.name, 1.0 - sum(p for _, p in others)), *others)
-    return FoundEffect((term,), there, names, (((term.where,), 1.0),), 20.0)
+    return FoundEffect((term,), there, names, 20.0)
 
 
 # ------------------------------------------------------------------ which model

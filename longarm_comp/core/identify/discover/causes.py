@@ -101,12 +101,6 @@ def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
 
 def _places(terms: Sequence[words.Found], found: FoundEffect) -> tuple[str, ...]:
     """Where it may act: the place in the model, then others of the credible set."""
-    mine = dict.fromkeys(map(words.where, terms))
-    first = " and ".join(mine)
-    made, total = {first: None}, 0.0
-    for places, chance in found.where:
-        if total >= CREDIBLE:
-            break
-        total += chance
-        made.setdefault(" and ".join(places))
-    return (*dict.fromkeys((first, *words.seen_alike(terms), *made)),)
+    first = " and ".join(dict.fromkeys(map(words.where, terms)))
+    other = [" and ".join(places) for places in found.where]
+    return (*dict.fromkeys((first, *words.seen_alike(terms), *other)),)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,12 +28,10 @@ class Explanation:
     Attributes:
         bank: what was on offer.
         effects: those that are there, in the order in which they were found.
-        others: other explanations that the restarts found.
     """
 
     bank: OfferBank
     effects: tuple[SingleEffect, ...]
-    others: tuple[Explanation, ...] = ()
 
     @cached_property
     def chosen(self) -> tuple[Offer, ...]:
@@ -62,8 +59,7 @@ def explain(bank: OfferBank, known: Sequence[int] = ()) -> Explanation:
     starts = [_grown(bank, (), frozenset(), most)]
     if known:
         starts.append(_grown(bank, _standing(bank, known), frozenset(), most))
-    seen = [_pruned(start) for start in starts]
-    best = max(seen, key=lambda e: e.evidence)
+    best = max(map(_pruned, starts), key=lambda e: e.evidence)
     shut_once: set[int] = set()
     while left := [e for e in best.effects if e.best not in shut_once]:
         effect = left[0]
@@ -72,10 +68,9 @@ def explain(bank: OfferBank, known: Sequence[int] = ()) -> Explanation:
         others = tuple(e for e in best.effects if e is not effect)
         without = _grown(bank, others, shut, min(len(others) + 2, most))
         again = _pruned(_grown(bank, without.effects, frozenset(), most))
-        seen += [_pruned(without), again]
         if again.evidence > best.evidence + 1.0:
             best = again
-    return dataclasses.replace(best, others=tuple(e for e in seen if e is not best))
+    return best
 
 
 def _standing(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:

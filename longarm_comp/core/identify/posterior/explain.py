@@ -23,7 +23,13 @@ from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.posterior.forms import refined, retuned
-from longarm_comp.core.identify.posterior.found import CREDIBLE, Explained, FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.found import (
+    CREDIBLE,
+    Explained,
+    FoundEffect,
+    Proposition,
+    instead,
+)
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import TOLERANCES, offered
 from longarm_comp.core.identify.posterior.propositions import propositions
@@ -212,11 +218,11 @@ class _Search:
         that all else must be explained anew.
         """
         state = self._settled(state)
-        found, doubtful = max(self._offered(state), key=lambda b: b.standing).judged(state.found)
+        banks = self._offered(state)
+        found, doubtful = max(banks, key=lambda b: b.standing).judged(state.found, banks)
         sure = tuple(f for f in found if f.there >= CREDIBLE)
         if len(sure) < len(found) and (fewer := self._taken(state, sure)) is not None:
-            state = self._settled(fewer)
-            doubtful = (*doubtful, *(f for f in found if f.there < CREDIBLE))
+            return fewer, (*doubtful, *(f for f in found if f.there < CREDIBLE)), True
         state = replace(state, found=sure)
         here = self._standing(state.fit, sure)[0]
         for k, mine in enumerate(sure):
@@ -224,19 +230,18 @@ class _Search:
                 rival.name: self._instead(state, k, rival) - here for rival in mine.fitted_rivals()
             }
             judged, better = mine.against(worth)
-            found = (*state.found[:k], judged, *state.found[k + 1 :])
             if better:
-                taken = self._taken(state, found)
+                taken = self._taken(state, instead(state.found, k, judged))
                 if taken is not None:
                     return taken, doubtful, True
             else:
+                found = (*state.found[:k], judged, *state.found[k + 1 :])
                 state = replace(state, found=found)
         return state, doubtful, False
 
     def _instead(self, state: _State, number: int, rival: Candidate) -> float:
         """Log evidence with a rival in the place of one effect, fitted."""
-        taken = replace(state.found[number], terms=rival.terms)
-        found = (*state.found[:number], taken, *state.found[number + 1 :])
+        found = instead(state.found, number, replace(state.found[number], terms=rival.terms))
         terms = _known(state.fit.model, found)
         if len({t.key for t in terms}) < len(terms):
             return -math.inf

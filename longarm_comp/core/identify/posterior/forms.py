@@ -8,6 +8,8 @@ that were set aside, the threshold is looked for again, each row counting no mor
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -72,12 +74,12 @@ def _cost(fit: ModelFit, columns: FitColumns, now: Term, then: Term) -> np.ndarr
     return np.asarray(np.minimum((white**2).sum(axis=1), OUTLIER**2))
 
 
-LOOKS = 9
-"""Values looked at side by side; then as many again around the best of them."""
+LOOKS = 7
+"""Values looked at side by side; then as many again around the best of them, and so on."""
+CLOSER = 4
+"""Times: the last values are a thousandth of the range apart."""
 WORTH = 0.5
 """Log evidence that a form must bring to be taken instead of the one that is there."""
-TURNS = 2
-"""Times that every scale is gone along, where a term has several."""
 
 
 def refined(
@@ -95,26 +97,32 @@ def refined(
     """
     marginal = columns.without({term.key})
 
-    def best_of(terms: Sequence[Term]) -> tuple[float, Term]:
+    def worth(terms: Sequence[Term]) -> np.ndarray:
         each = [Candidate(term.name, (t,)) for t in terms]
-        worth = evidence_of_each(fit, marginal, columns, each)
-        best = int(np.argmax(worth))
-        return float(worth[best]), terms[best]
+        return evidence_of_each(fit, marginal, columns, each)
 
-    start, _ = best, here = best_of([term])
-    for _ in range(min(len(term.scales()), TURNS)):
-        for field in term.scales():
-            low, high = neighbours(here, field, candidates)
-            for _ in range(2):
-                values = np.linspace(low, high, LOOKS)
-                moved = [dataclasses.replace(here, **{field: float(v)}) for v in values]
-                found = best_of(moved)
-                if found[0] > best:
-                    best, here = found
-                step = (high - low) / (LOOKS - 1)
-                centre = float(getattr(here, field))
-                low, high = max(low, centre - step), min(high, centre + step)
-    return here if best > start + WORTH else term
+    fields = list(term.scales())
+    reach = np.array([neighbours(term, field, candidates) for field in fields])
+    ends, least = reach.copy(), float(worth([term])[0]) + WORTH
+    best, here = -math.inf, term
+    for _ in range(CLOSER):
+        values = [np.linspace(low, high, LOOKS) for low, high in reach]
+        grid = np.array(list(itertools.product(*values)))
+        found = worth([_at(term, fields, point) for point in grid])
+        chances = np.exp(found - found.max())
+        centre = chances @ grid / chances.sum()
+        tried = [_at(term, fields, point) for point in (centre, grid[int(np.argmax(found))])]
+        for moved, now in zip(tried, worth(tried).tolist(), strict=True):
+            if now > best + WORTH:
+                best, here = now, moved
+        step = np.ptp(reach, axis=1) / (LOOKS - 1)
+        centre = np.array([getattr(here, field) for field in fields])
+        reach = np.clip(np.stack([centre - step, centre + step], axis=1), ends[:, :1], ends[:, 1:])
+    return here if best > least else term
+
+
+def _at(term: Term, fields: Sequence[str], values: np.ndarray) -> Term:
+    return dataclasses.replace(term, **dict(zip(fields, values.tolist(), strict=True)))
 
 
 def neighbours(term: Term, field: str, candidates: Sequence[Candidate]) -> tuple[float, float]:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term
 
@@ -12,7 +15,7 @@ CREDIBLE = 0.95
 """Probability that a credible set holds."""
 UNNAMED = 0.05
 """Probability, beforehand, of a cause that the library does not hold."""
-_OVERFLOW = 700.0  # the largest exponent of a float
+OVERFLOW = 700.0  # the largest exponent of a float
 
 
 @dataclass(frozen=True)
@@ -37,18 +40,20 @@ class FoundEffect:
         there: probability that it is there.
         names: (name, probability) given that it is there, most probable first; of functions
             without a name the name of their effect class.
-        where: (places, probability) likewise, of the most probable name.
         log_bayes_factor: of it on top of the others.
         rivals: the best candidate of every other name in the credible set, with its log Bayes
             factor in the place of this effect.
+        where: places that explain it nearly alike; its own first.
+        alike: names that no measurement distinguishes from it.
     """
 
     terms: tuple[Term, ...]
     there: float
     names: tuple[tuple[str, float], ...]
-    where: tuple[tuple[tuple[str, ...], float], ...]
     log_bayes_factor: float
     rivals: tuple[tuple[Candidate, float], ...] = ()
+    where: tuple[tuple[str, ...], ...] = ()
+    alike: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -77,8 +82,7 @@ class FoundEffect:
 
     @property
     def _told_by_columns(self) -> set[str]:
-        alike = {n for n, p in self.names if p >= self.names[0][1] and n != self.name}
-        return alike | {c.name for c, _ in self.rivals if not c.terms[0].searched}
+        return {*self.alike, *(c.name for c, _ in self.rivals if not c.terms[0].searched)}
 
     def against(self, worth: Mapping[str, float]) -> tuple[FoundEffect, bool]:
         """With the probabilities of fits; what is best leads. Whether that is another effect.
@@ -91,7 +95,7 @@ class FoundEffect:
         told = self._told_by_columns | {self.name}
         share = {n: p for n, p in self.names if n in told}
         total = sum(share.values()) or 1.0
-        odds = {n: math.exp(min(w, _OVERFLOW)) for n, w in worth.items()}
+        odds = {n: math.exp(min(w, OVERFLOW)) for n, w in worth.items()}
         whole = 1.0 + sum(odds.values())
         names = {n: p / total / whole for n, p in share.items()}
         names |= {n: o / whole for n, o in odds.items()}
@@ -108,13 +112,24 @@ class FoundEffect:
     @property
     def credible(self) -> tuple[str, ...]:
         """The smallest set of names that holds 95 % of the probability."""
-        made, total = [], 0.0
-        for name, chance in self.names:
-            made.append(name)
-            total += chance
-            if total >= CREDIBLE:
-                break
-        return tuple(made)
+        return smallest_set(dict(self.names))
+
+
+def instead(
+    found: Sequence[FoundEffect], number: int, rival: FoundEffect
+) -> tuple[FoundEffect, ...]:
+    """Effects with a rival in the place of one, and of what there is of its own name."""
+    rest = (f for k, f in enumerate(found) if k != number)
+    return (rival, *(f for f in rest if rival.unnamed or f.name != rival.name))
+
+
+K = TypeVar("K")
+
+
+def smallest_set(chances: Mapping[K, float]) -> tuple[K, ...]:
+    """The fewest, in their order, that hold 95 % of the probability of all."""
+    held = np.cumsum(list(chances.values())) / sum(chances.values())
+    return tuple(chances)[: int((held < CREDIBLE).sum()) + 1]
 
 
 @dataclass(frozen=True)

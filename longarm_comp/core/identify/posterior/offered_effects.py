@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from scipy.special import expit
@@ -15,24 +14,25 @@ from scipy.special import expit
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.discover.inputs import levels_of
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.posterior.ascent import Explanation, explain
+from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
+    OVERFLOW,
     Explained,
     FoundEffect,
+    smallest_set,
 )
 from longarm_comp.core.identify.posterior.single_effects import (
     NONE,
     Offer,
     OfferBank,
-    SingleEffect,
 )
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
 
 LOOKED_AT = 1e-4
-"""Probability from which on another name is fitted in the place of an effect: with one size for all
-of an offer's coefficients it may be as much too low."""
+"""Probability from which on another name is fitted in the place of an effect: columns are those of
+small changes, so a fit may be worth ten log units more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +59,14 @@ class OfferedEffects:
     def explained(self) -> Explained:
         """The posterior over the offers."""
         best = explain(self.bank, self.known)
-        offers, effects = self._located(best.chosen), best.effects
-        instead = self._instead(best)
+        offers = self._located(best.chosen)
         evidence, values = self.bank.joint(offers)
-        every = [self._found(e, offers, k, values[k], instead[k]) for k, e in enumerate(effects)]
+        every = [
+            FoundEffect(
+                self._terms(e.best, o, v), e.there, ((o.name, 1.0),), self._worth(offers, k)
+            )
+            for k, (e, o, v) in enumerate(zip(best.effects, offers, values, strict=True))
+        ]
         found = tuple(f for f in every if f.there >= CREDIBLE)
         return Explained(found, tuple(f for f in every if f.there < CREDIBLE), self.base + evidence)
 
@@ -85,76 +89,129 @@ class OfferedEffects:
         return self.base + max(best, self.bank.evidence(self._located(offers)))
 
     def judged(
-        self, found: Sequence[FoundEffect]
+        self, found: Sequence[FoundEffect], banks: Sequence[OfferedEffects]
     ) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
-        """What was found and is in the model, with its probabilities by this bank; the doubtful."""
-        explained = self.explained()
-        again = {frozenset(t.key for t in f.terms): f for f in explained.found}
+        """What was found and is in the model, with its credible sets; what may be there beside.
+
+        Args:
+            found: in the order of the fit's explanation.
+            banks: by tolerance of forms, each as likely as this: what one effect explains, a
+                larger error of another's form may explain too.
+        """
+        offers = [self.bank.offers[n] for n in self.known]
+        number = {tuple(t.variant for t in self.things[n].terms): k
+                  for k, n in enumerate(self.known)}  # fmt: skip
         fitted = {t.key: t for t in self.fitted.model.terms}
         made = []
-        offers = [self.bank.offers[n] for n in self.known]
         for f in found:
-            now = again.get(frozenset(t.key for t in f.terms), f)
-            if now is f:  # not found again: by what it is worth beside the others
-                rest = [o for o in offers if set(o.keys).isdisjoint(t.key for t in f.terms)]
-                worth = self.bank.evidence(offers) - self.bank.evidence(rest)
-                now = dataclasses.replace(f, there=float(expit(worth)), log_bayes_factor=worth)
-            made.append(dataclasses.replace(now, terms=tuple(fitted[t.key] for t in f.terms)))
+            k = number.get(tuple(t.variant for t in f.terms))
+            if k is not None:
+                rest = [*offers[:k], *offers[k + 1 :]]
+                without = max(b.base + b.bank.evidence(rest) for b in banks)
+                f = dataclasses.replace(
+                    f,
+                    terms=tuple(fitted[t.key] for t in f.terms),
+                    there=float(expit(self.standing - without)),
+                )
+                made.append(self._credible(f, offers, k))
         held = {t.key for f in found for t in f.terms}
-        doubtful = (*explained.doubtful, *(f for f in explained.found if f.name not in
-                    {g.name for g in found}))  # fmt: skip
-        left = tuple(f for f in doubtful if held.isdisjoint(t.key for t in f.terms))
-        return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), left
+        left = (f for f in self.explained().doubtful if held.isdisjoint(t.key for t in f.terms))
+        return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
 
-    def _instead(self, best: Explanation) -> list[dict[int, float]]:
-        """For each effect the offers that stand in its place in other explanations.
+    def _credible(self, found: FoundEffect, offers: list[Offer], k: int) -> FoundEffect:
+        """An effect with all names that may stand in its place, judged at the places they need."""
+        here, own = self.bank.evidence(offers), self._worth(offers, k)
+        alike = self._alike(found)
+        likeliest: dict[str, tuple[float, int, Offer, list[Offer]]] = {}
+        where = {tuple(t.where for t in found.terms): 1.0}
+        for n, offer, rest in self._may_stand(offers, k, here + math.log(LOOKED_AT)):
+            tried = (offer, self._needed([*rest, offer], len(rest)))
+            worth = [self.bank.evidence([*rest, each]) - here for each in tried]
+            odds = max(worth)
+            if offer.name == found.name:
+                for each, value in zip(tried, worth, strict=True):
+                    places = tuple(t.where for t in self._terms(n, each))
+                    where.setdefault(places, math.exp(min(value, 0.0)))
+            elif offer.name not in alike and odds > likeliest.get(offer.name, (-math.inf,))[0]:
+                likeliest[offer.name] = odds, n, offer, rest
+        names = dict.fromkeys((found.name, *alike), 1.0 / (1 + len(alike)))
+        names |= {name: math.exp(min(rival[0], OVERFLOW)) for name, rival in likeliest.items()}
+        rivals = [(self.things[self._first[n]], own) for n in alike]
+        for odds, n, offer, rest in likeliest.values():
+            terms = self._terms(n, offer, self.bank.joint([*rest, offer])[1][-1])
+            factor = own + odds - offer.log_prior + offers[k].log_prior
+            rivals.append((Candidate(offer.name, terms), factor))
+        total = sum(names.values())
+        ordered = sorted(names.items(), key=lambda c: (c[0] != found.name, -c[1]))
+        return FoundEffect(
+            found.terms,
+            found.there,
+            tuple((n, p / total) for n, p in ordered),
+            own,
+            tuple(sorted(rivals, key=lambda r: -names[r[0].name])),
+            smallest_set(where),
+            alike,
+        )
 
-        With the probability of these explanations beside the best.
+    def _may_stand(
+        self, offers: list[Offer], k: int, least: float
+    ) -> Iterator[tuple[int, Offer, list[Offer]]]:
+        """What may stand in the place of one of some offers with some evidence at least.
+
+        Each with the offers that are beside it then: a name that is there at other places already
+        takes these too.
         """
-        made: list[dict[int, float]] = [{} for _ in best.effects]
-        seen: dict[frozenset[str], Explanation] = {}
-        for other in sorted(best.others, key=lambda e: e.evidence):
-            seen[frozenset(o.name for o in other.chosen)] = other
-        mine = frozenset(o.name for o in best.chosen)
-        rest = {names: e for names, e in seen.items() if names - mine}
-        chances = np.exp([min(e.evidence - best.evidence, 0.0) for e in rest.values()])
-        chances /= 1.0 + chances.sum()
-        for (names, other), chance in zip(rest.items(), chances.tolist(), strict=True):
-            new = [e.best for e in other.effects if self.things[e.best].name not in mine]
-            for effects, offer in zip(made, best.chosen, strict=True):
-                if offer.name not in names:
-                    for n in new:
-                        effects[n] = effects.get(n, 0.0) + chance / len(new)
-        return made
+        others = [*offers[:k], *offers[k + 1 :]]
+        for n, whole in enumerate(self.bank.offers):
+            named = self.things[n].terms[0].searched and whole.name != offers[k].name
+            rest = [o for o in others if not named or o.name != whole.name]
+            offer = whole.beside(frozenset(key for o in rest for key in o.keys))
+            if offer is None:
+                continue
+            places = list(offer.places)
+            paid = np.log1p(self.bank.gram[places, places] * max(offer.sizes) ** 2).sum() / 2
+            if len(offer.keys) == 1 or offer.fixed:
+                paid = 0.0
+            if self.bank.evidence([*rest, offer]) + paid >= least:
+                yield n, offer, rest
+
+    def _worth(self, offers: list[Offer], k: int) -> float:
+        """Log Bayes factor of one of some offers on top of the others."""
+        rest = [*offers[:k], *offers[k + 1 :]]
+        odds = self.bank.evidence(offers) - self.bank.evidence(rest)
+        return odds - offers[k].log_prior + NONE
 
     def _located(self, chosen: Sequence[Offer]) -> list[Offer]:
-        """The best offers without the places that bring nothing.
+        """The best offers without the places that bring nothing."""
+        offers = list(chosen)
+        for k in range(len(offers)):
+            offers[k] = self._needed(offers, k)
+        return offers
+
+    def _needed(self, offers: list[Offer], k: int) -> Offer:
+        """One of some offers without the places that bring nothing.
 
         One place more costs as much as the choice among as many places.
         """
-        offers = list(chosen)
-        for k, offer in enumerate(offers):
-            price = math.log(max(len(offer.keys), 1))
-            while len(offers[k].keys) > 1:
-                here = self.bank.evidence(offers)
-                fewer = [_less(offers[k], key) for key in offers[k].keys]
-                tried = [self.bank.evidence([*offers[:k], o, *offers[k + 1 :]]) for o in fewer]
-                least = int(np.argmax(tried))
-                if here - tried[least] >= price:
-                    break
-                offers[k] = fewer[least]
-        return offers
+        offers = list(offers)
+        price = math.log(max(len(offers[k].keys), 1))
+        while len(offers[k].keys) > 1:
+            here = self.bank.evidence(offers)
+            fewer = [_less(offers[k], key) for key in offers[k].keys]
+            tried = [self.bank.evidence([*offers[:k], o, *offers[k + 1 :]]) for o in fewer]
+            least = int(np.argmax(tried))
+            if here - tried[least] >= price:
+                break
+            offers[k] = fewer[least]
+        return offers[k]
 
-    def _found(
-        self,
-        effect: SingleEffect,
-        offers: list[Offer],
-        k: int,
-        values: np.ndarray,
-        instead: Mapping[int, float],
-    ) -> FoundEffect:
-        offer = offers[k]
-        held = {t.key: t for t in self.things[effect.best].terms}
+    def _terms(
+        self, number: int, offer: Offer, values: np.ndarray | None = None
+    ) -> tuple[Term, ...]:
+        """The terms of an offer, or of what is left of it, at some coefficients."""
+        held = {t.key: t for t in self.things[number].terms}
+        if values is None:
+            return tuple(held[key] for key in offer.keys)  # type: ignore[index]
         terms, start = [], 0
         for key, columns in zip(offer.keys, offer.columns, strict=True):
             term = held[key]  # type: ignore[index]
@@ -163,55 +220,17 @@ class OfferedEffects:
             slots = [] if offer.fixed else slots_of(self.fitted.model.arm, [term])
             names = [s.parameter.name for s in slots]
             terms.append(term.with_values(dict(zip(names, amount, strict=True))) if names else term)
-        there = max(effect.there, 1e-300)
-        names_: dict[str, float] = {}
-        places: dict[tuple[str, ...], float] = {}
-        best_of: dict[str, int] = {}
-        q = effect.q * (1.0 - sum(instead.values())) / there
-        for number, chance in instead.items():
-            q[number] += chance
-        for number in np.flatnonzero(q > 1e-6).tolist():
-            thing, chance = self.things[number], float(q[number])
-            names_[thing.name] = names_.get(thing.name, 0.0) + chance
-            if q[number] >= q[best_of.setdefault(thing.name, number)]:
-                best_of[thing.name] = number
-            if thing.name == terms[0].name:
-                places[thing.where] = places.get(thing.where, 0.0) + chance
-        shared = self._shared(names_, terms)
-        own = self.bank.evidence(offers) - self.bank.evidence([*offers[:k], *offers[k + 1 :]])
-        own -= offer.log_prior - NONE
-        rivals = []
-        for name, chance in _falling(shared):
-            if name == terms[0].name or chance < LOOKED_AT:
-                continue
-            number = best_of.get(name, self._first[name])
-            log_odds = math.log(max(q[number], 1e-300) / max(q[effect.best], 1e-300))
-            prior = self.bank.offers[number].log_prior - self.bank.offers[effect.best].log_prior
-            alike = 0.0 if name not in best_of else log_odds - prior
-            rivals.append((self.things[number], own + alike))
-        return FoundEffect(
-            tuple(terms),
-            effect.there,
-            tuple(sorted(shared.items(), key=lambda c: (c[0] != terms[0].name, -c[1]))),
-            _falling(places),
-            own,
-            tuple(rivals),
-        )
+        return tuple(terms)
 
-    def _shared(self, names: Mapping[str, float], terms: Sequence[Term]) -> dict[str, float]:
-        """Probabilities of names; those that no measurement distinguishes share theirs evenly.
+    def _alike(self, found: FoundEffect) -> tuple[str, ...]:
+        """Names that no measurement distinguishes from an effect's.
 
-        So do functions of a joint that stood at few positions: each can take any values there.
+        Among these are functions of a joint that stood at few positions: each takes any values.
         """
-        made: dict[str, float] = {}
-        levels = max((self._levels(t) for t in terms), default=0)
+        levels = max((self._levels(t) for t in found.terms), default=0)
         free = {n for n, k in self._first.items() if self.things[k].terms[0].free_levels >= levels}
-        for name, chance in names.items():
-            few = free - {name} if levels and name == terms[0].name else set()
-            alike = [name, *self._aliases.get(name, set()) | few]
-            for other in alike:
-                made[other] = made.get(other, 0.0) + chance / len(alike)
-        return made
+        few = free if levels else set()
+        return tuple(sorted((self._aliases.get(found.name, set()) | few) - {found.name}))
 
     def _levels(self, term: Term) -> int:
         """At how many positions the joint stood that a function of joints is at; 0 for others."""
@@ -242,14 +261,6 @@ class OfferedEffects:
                     made.setdefault(name, set()).add(other)
                     made.setdefault(other, set()).add(name)
         return made
-
-
-K = TypeVar("K")
-
-
-def _falling(chances: Mapping[K, float]) -> tuple[tuple[K, float], ...]:
-    """The most probable first."""
-    return tuple(sorted(chances.items(), key=lambda c: -c[1]))
 
 
 def _less(offer: Offer, key: object) -> Offer:

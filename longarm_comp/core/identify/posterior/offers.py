@@ -7,6 +7,7 @@ what its form may leave: no effect's form is right to better than a tenth (`TOLE
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -155,7 +156,8 @@ def tolerances(
 ) -> np.ndarray | None:
     """(m, k) whitened: by how much the shift of each effect in the model may differ from its form.
 
-    It varies with every joint, smoothly.
+    It varies with every joint, smoothly.  A row so near to a threshold that the threshold's own
+    tolerance decides its side says nothing of that side.
     """
     if not found:
         return None
@@ -169,7 +171,24 @@ def tolerances(
         if terms:
             shift = shift_of(fitted, columns, terms)
             made.append(shift[:, :, None] * ways[:, None, :])
+            made += [_undecided(fitted, columns, t, tolerance) for t in terms if t.scales()]
     return fitted.whitened(np.concatenate(made, axis=-1)) if made else None
+
+
+def _undecided(fitted: ModelFit, columns: FitColumns, term: Term, tolerance: float) -> np.ndarray:
+    """(N, d, k) what a form's tolerance changes at single rows: more than its share of all."""
+    largest = np.abs(shift_of(fitted, columns, [term])).max()
+    made = []
+    for field, (low, high) in term.scales().items():
+        value = getattr(term, field)
+        ends = (min(value * (1 + tolerance), high), max(value * (1 - tolerance), low))
+        up, down = (dataclasses.replace(term, **{field: end}) for end in ends)
+        change = (shift_of(fitted, columns, [up]) - shift_of(fitted, columns, [down])) / 2
+        rows = np.flatnonzero(np.abs(change).max(axis=1) > tolerance * largest)
+        alone = np.zeros((*change.shape, len(rows)))
+        alone[rows, :, np.arange(len(rows))] = change[rows]
+        made.append(alone)
+    return np.concatenate(made, axis=-1)
 
 
 def _columns(

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -184,13 +184,10 @@ class OfferBank:
         t = t - self.gram[np.ix_(places, whole)].sum(1)
         mean = np.zeros(0)
         if places:
-            widest = np.concatenate([np.full(len(o.places), max(o.sizes)) for o in free])
-            scale, chance = _sized(free, _solved(s, t, widest)[0])
-            mean, sd, factor = _solved(s, t, scale)
             lower, upper = self.lower[places], self.upper[places]
-            inside = log_mass((lower - mean) / sd, (upper - mean) / sd)
-            inside = inside - log_mass(lower / scale, upper / scale)
-            total += factor + chance + float(inside.sum())
+            found = (_marginal(free, s, t, start, lower, upper) for start in (min, max))
+            factor, mean = max(found, key=lambda each: each[0])
+            total += factor
             mean = np.clip(mean, lower, upper)
         values, start = [], 0
         for offer in chosen:
@@ -199,6 +196,27 @@ class OfferBank:
             values.append(own)
             start += count
         return float(total), values
+
+
+def _marginal(
+    free: Sequence[Offer],
+    s: np.ndarray,
+    t: np.ndarray,
+    start: Callable[[Sequence[float]], float],
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> tuple[float, np.ndarray]:
+    """Log evidence and mode of some offers' coefficients, of the sizes that they have so.
+
+    Sizes are chosen at the coefficients that the smallest, or the largest, would give: where the
+    data hardly tell two apart, the largest lets them grow against each other.
+    """
+    begun = np.concatenate([np.full(len(o.places), start(o.sizes)) for o in free])
+    scale, chance = _sized(free, _solved(s, t, begun)[0])
+    mean, sd, factor = _solved(s, t, scale)
+    inside = log_mass((lower - mean) / sd, (upper - mean) / sd)
+    inside = inside - log_mass(lower / scale, upper / scale)
+    return factor + chance + float(inside.sum()), mean
 
 
 def _solved(
