@@ -149,7 +149,7 @@ class OfferedEffects:
             tuple((n, p / total) for n, p in ordered),
             own,
             tuple(sorted(rivals, key=lambda r: -names[r[0].name])),
-            smallest_set(where),
+            smallest_set(dict(sorted(where.items(), key=lambda w: -w[1]))),
             alike,
         )
 
