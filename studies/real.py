@@ -2,8 +2,9 @@
 
 DLR Agile Justin (two arms on one torso, fitted together), Barrett WAM, UR5.  The ladder is rigid
 first (beams of these arms are not declared), then torsion of the joints, then lateral elasticity of
-their seats on top, as Tenhumberg and Baeuml (HUMANOIDS 2020, 2021) have it; ``best`` is what the
-*training* rows ask for (`selection`).  "Frames only" is the base and tool placement alone.
+their seats on top, as Tenhumberg and Baeuml (HUMANOIDS 2020, 2021) have it; ``diagnosed`` is what
+`diagnose` writes of the training rows, each arm by itself.  "Frames only" is the base and tool
+placement alone.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ from longarm_comp.core.identify.calibrate import (
     geometry,
     warm,
 )
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.fit import fit_together
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.model.model import Slot
 from studies.interval import mean_ci95
 from studies.real_sessions import Measured, justin, laser_tracked
-from studies.selection import select
 
 Terms = tuple[Effect | Bias, ...]
 Progress = Callable[[str], None]
@@ -82,7 +83,7 @@ def study(folder: Path, progress: Progress | None = None) -> dict[str, list[Line
 
 
 def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[Line]:
-    """The ladder of one robot: frames only, joint zeros, rigid, and what bends; then the best."""
+    """The ladder of one robot: frames only, joint zeros, rigid, and what bends; then diagnosed."""
     say = progress or (lambda _: None)
 
     def every(make: Callable[[Measured], Terms]) -> list[Terms]:
@@ -102,19 +103,16 @@ def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[
     }
     lines: list[Line] = []
     fits: list[ModelFit] | None = None
-    known: dict[str, list[ModelFit]] = {}
     for name, terms in rungs.items():
         say(name)
         fits = _fitted(parts, terms, fits)
-        known[name] = fits
         lines.append(_line(name, parts, fits))
-    say("selection on the training rows")
-
-    def refit(added: Sequence[Terms]) -> list[ModelFit]:
-        return _fitted(parts, [(*r, *a) for r, a in zip(rigid, added, strict=True)], known["rigid"])
-
-    _, best = select(known["rigid"], refit, say)
-    return [*lines, _line("best", parts, best)]
+    say("diagnosed")
+    found = [
+        diagnose(p.arm, p.train, test=p.test, model=declared_model(p.arm, deflection=False)).fit
+        for p in parts
+    ]
+    return [*lines, _line("diagnosed", parts, found)]
 
 
 def _fitted(

@@ -14,8 +14,8 @@ _STEPS = 24  # fits in all, roughly: for the bar only
 def command(data: Path, show: shape.Show) -> shape.Figures:
     """Held-out errors on real arms: DLR Agile Justin, Barrett WAM, UR5.
 
-    "best" holds the effects that are selected on the training rows. "frames_only" fits only the
-    placement of base and tool, which is often a large part of a published "before".
+    "diagnosed" is the model that a diagnosis of the training rows writes. "frames_only" fits only
+    the placement of base and tool, which is often a large part of a published "before".
 
     \b
     Example:
@@ -43,9 +43,9 @@ def command(data: Path, show: shape.Show) -> shape.Figures:
             for row, ci95, line in zip(errors, ends, lines, strict=True)
         ]
         tables[f"{robot}: errors on the test rows"] = errors
-        best = ", ".join(lines[-1].effects) or "nothing beyond geometry"
+        held = ", ".join(lines[-1].effects) or "nothing beyond geometry"
         notes += [
-            f"{robot}: 95 % of the best mean {ends[-1][0]:.3f} to {ends[-1][1]:.3f} mm",
-            f"{robot}: best holds {best}",
+            f"{robot}: 95 % of the diagnosed mean {ends[-1][0]:.3f} to {ends[-1][1]:.3f} mm",
+            f"{robot}: diagnosed as {held}",
         ]
     return shape.Figures(record, tables, notes)
