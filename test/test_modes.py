@@ -61,6 +61,29 @@ def test_a_ring_that_was_seen_is_printed_and_corrects(shell: Shell) -> None:
     assert "12 or more" in shell.refused("modes", shell.folder / "arm.yaml", "--ring", at)
 
 
+def test_a_ring_of_joint_readings_is_printed_with_what_encoders_cannot_see(shell: Shell) -> None:
+    times, arm = np.arange(0.0, 4.0, 0.02), Arm.load(ARM)
+    wave = np.exp(-0.02 * 30.0 * times) * np.cos(30.0 * times)
+    at, size = shell.folder / "joints.csv", np.array([2e-3, 1e-3, 0, 0, 0, 0, 0])
+
+    def told(step: float) -> list[dict[str, object]]:
+        readings = step * np.round((arm.lower + np.outer(wave, size)) / step)
+        rows = [",".join(map(str, (t, *p))) for t, p in zip(times, readings, strict=True)]
+        names = [f"read_q{k}" for k in range(1, 8)]
+        at.write_text("\n".join([",".join(["t_s", *names]), *rows]) + "\n")
+        printed = shell.json("modes", shell.folder / "arm.yaml", "--ring", at)
+        assert "encoder sees what gives before it" in shell.err
+        return printed["seen"]
+
+    seen, *_ = told(1e-5)
+    assert seen["hz"] == pytest.approx(30.0 / (2 * np.pi), rel=0.01)
+    np.testing.assert_allclose(seen["size_rad_m"], size, atol=2e-4)
+    assert "than a step" not in shell.err
+    assert told(1e-2) == [] and "than a step" in shell.err
+    at.write_text("t_s,read_q1\n0,1\n")
+    assert "read_q2" in shell.refused("modes", shell.folder / "arm.yaml", "--ring", at)
+
+
 def test_bad_input_is_refused_in_words(shell: Shell) -> None:
     arm = shell.folder / "arm.yaml"
     assert "damping" in shell.refused("modes", arm, "--damping", 0)

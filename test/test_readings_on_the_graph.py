@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.action import ActionClient
 
@@ -20,6 +21,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp, running
+from longarm_comp.nodes.health import RING_SAID
 from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
 
@@ -100,6 +102,15 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
         assert np.linalg.norm(off) < 3e-4
     else:
         assert np.linalg.norm(off) > 2e-3
+    rings: list[str] = []
+    client.node.create_subscription(
+        DiagnosticArray,
+        "/diagnostics",
+        lambda m: rings.extend(s.message for s in m.status if s.name.endswith(f": {RING_SAID}")),
+        20,
+    )
+    client.until(lambda: rings and "the tip swings by" in rings[-1], 30.0, "the ring")
+    assert "mm at most" in rings[-1] and "Hz; within 0.1 mm after" in rings[-1]
     shell = Shell(tmp_path, capsys)
     client.until(lambda: shell("status") == 0 and TIP_STANDS in shell.out, 60.0, shell.out)
     verified = shell("verify", demo_arm_path, "-n", 4, "--by", "readings", "--move", 0.2, "--json")

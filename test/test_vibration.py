@@ -17,9 +17,10 @@ from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.vibration.after_move import ring_after
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import along, straight
-from longarm_comp.core.vibration.seen import SeenWave, corrected, waves
+from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
 from longarm_comp.core.vibration.shaper import shaper_of, way_modes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads
@@ -201,6 +202,43 @@ def test_noise_is_no_wave_and_slow_cameras_are_refused() -> None:
         waves(times[:11], np.zeros((11, 3)))
     with pytest.raises(InputError, match="one after the other"):
         waves(times[::-1], np.zeros((100, 3)))
+
+
+def test_encoders_at_the_joints_see_the_ring_and_those_at_motors_or_too_coarse_do_not() -> None:
+    way, took = straight(ARM.mid, ARM.mid + 0.1 * (ARM.upper - ARM.lower), 0.5), 0.5
+    end, since = way(np.array([took]))[0], np.arange(0.0, 3.0, 0.01)
+    true = TrueArm(ARM, [loads.JointCompliance(SOFT)])
+    read = end + after(true, way, took).turned(since)
+    slowest = vibration(true, end).omega[:2] / (2.0 * np.pi)
+    fine, coarse = (step * np.round(read / step) for step in (2e-5, 5e-2))
+    found = waves(since, fine)
+    np.testing.assert_allclose(sorted(wave.hz for wave in found), slowest, rtol=0.01)
+    np.testing.assert_allclose([wave.damping for wave in found], 0.01, rtol=0.1)
+    assert (found[0].size[SOFT == 0.0] < 1e-5).all() and found[0].size.max() > 1e-4
+    assert waves(since, coarse) == []
+    np.testing.assert_allclose(steps(fine)[SOFT > 0.0], 2e-5)
+    model, other = declared_model(ARM), ARM.lower
+    tips = as_tips(found, modes(model, end))
+    told = corrected(modes(model, other), modes(model, end), tips).hz[0]
+    stiff, soft = modes(model, other).hz[0], modes(SOFT_ARM, other).hz[0]
+    assert abs(told - soft) < 0.5 * abs(stiff - soft)  # its frequency is carried to other postures
+    assert not after(TrueArm(ARM), way, took).turned(since).any()  # what bends is behind them
+
+
+def test_a_move_tells_what_ring_it_leaves_in_numbers_and_words() -> None:
+    start, end, took = ARM.mid + 0.1 * (ARM.upper - ARM.lower), ARM.mid, 0.4
+    points, times = np.stack([start, end]), np.array([0.0, took])
+    found = ring_after(SOFT_ARM, Context(), start, points, times)
+    own = along(modes(SOFT_ARM, end), straight(start, end, took), took, 0.01)
+    assert found is not None and found.hz == pytest.approx(modes(SOFT_ARM, end).hz[0])
+    assert found.size_m == pytest.approx(own.size_m(), rel=1e-6)
+    assert found.settle_s == pytest.approx(own.settle_s(), rel=1e-5)
+    assert f"{found.settle_s:.1f} s" in found.said() and "assumed" in found.said()
+    slow = ring_after(SOFT_ARM, Context(), start, points[1:], np.array([5.0]))
+    assert slow is not None and slow.size_m < 0.1 * found.size_m
+    stays = ring_after(SOFT_ARM, Context(), end, end[None], np.zeros(1))
+    assert stays is not None and stays.size_m == stays.settle_s == 0.0
+    assert ring_after(Model(ONE), Context(), np.zeros(1), np.ones((1, 1)), np.ones(1)) is None
 
 
 def test_a_ring_tells_what_weight_does_not() -> None:

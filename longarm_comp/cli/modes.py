@@ -19,7 +19,9 @@ from longarm_comp.cli.output import note, print_json, print_rows
     "--damping", type=float, metavar="SHARE",
     help="Share of critical damping; default: that of arm.yaml, else 0.01.",
 )  # fmt: skip
-@options.path_option("--ring", "Sightings after a move to the first posture: CSV t_s,x,y,z.")
+@options.path_option(
+    "--ring", "After a move to the first posture: CSV t_s and the tip's x,y,z, or read_q1..qn."
+)
 @options.effects
 @options.as_json
 def command(
@@ -46,7 +48,7 @@ def command(
 
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.vibration.dwell import ring_of_moves
-    from longarm_comp.core.vibration.seen import SeenWave, corrected, waves
+    from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
     from longarm_comp.core.vibration.shaper import USUAL_DAMPING
     from longarm_comp.sessions.poses import read_poses
     from longarm_comp.sessions.ring import read_ring
@@ -60,11 +62,20 @@ def command(
     found = ring_of_moves(known, joints, move, chosen)
     seen: list[SeenWave] = []
     if ring is not None:
-        seen = waves(*read_ring(ring))
-        here = found[0][0]
+        heard = read_ring(ring, declared)
+        seen, here = waves(heard.times, heard.seen), found[0][0]
+        tips = as_tips(seen, here) if heard.of_joints and len(here.omega) else seen
+        found = [(corrected(each, here, tips), left) for each, left in found]
         if not seen:
             note(f"{ring}: nothing rings above the noise")
-        found = [(corrected(each, here, seen), left) for each, left in found]
+        if heard.of_joints:
+            smallest, largest = (
+                steps(heard.seen),
+                np.max([w.size for w in seen] or np.zeros((1, 1)), axis=0),
+            )
+            if (largest <= smallest).all():
+                note(f"no joint rings by more than a step of its encoder, {_listed(smallest)}")
+            note("an encoder sees what gives before it: one at a motor hardly sees a beam ring")
     rows = [
         {
             "posture": row, "mode": k + 1, "hz": float(hz),
@@ -74,8 +85,10 @@ def command(
         for row, (each, left) in enumerate(found)
         for k, (hz, way) in enumerate(zip(each.hz, _directions(each.tip), strict=True))
     ]  # fmt: skip
+    size = "size_rad_m" if ring is not None and heard.of_joints else "size_mm"
+    scale = 1e3 if size == "size_mm" else 1.0
     told = [{"hz": w.hz, "hz_sd": w.hz_sd, "damping": w.damping, "damping_sd": w.damping_sd,
-             "size_mm": (1e3 * w.size).tolist()} for w in seen]  # fmt: skip
+             size: (scale * w.size).tolist()} for w in seen]  # fmt: skip
     if as_json:
         print_json({"damping": chosen, "rows": rows, "seen": told})
         return
@@ -94,3 +107,7 @@ def _directions(tip):  # type: ignore[no-untyped-def]
     import numpy as np
 
     return tip / np.maximum(np.linalg.norm(tip, axis=1, keepdims=True), 1e-30)
+
+
+def _listed(values):  # type: ignore[no-untyped-def]
+    return " ".join(f"{value:.2g}" for value in values.tolist()) + " rad or m"

@@ -51,7 +51,7 @@ class Accepted:
     Attributes:
         start: (n,) set-point that it starts from, in the order of the configuration (rad, m).
         points: (k, n) its way-points, also of the joints that it does not name.
-        times: (k,) s from now at which they are asked for.
+        times: (k,) s from now at which they are passed.
         replaces: whether another one was under way.
     """
 

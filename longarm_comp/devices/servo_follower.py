@@ -114,11 +114,12 @@ class TrajectoryFollower:
                 start, path.end[None], np.zeros(1), self._state is FollowerState.TRACKING
             )
         else:
-            accepted = Accepted(
-                start, wanted.positions, wanted.times, self._state is FollowerState.TRACKING
-            )
             path = plan_path(
                 start, wanted.times, wanted.positions, wanted.velocities, self._max_velocity
+            )
+            passed = path.times[-len(wanted.times) :]
+            accepted = Accepted(
+                start, wanted.positions, passed, self._state is FollowerState.TRACKING
             )
             self._check_inside(path)
         # Points of a move: its run-up and its end. More are a path, which is not trimmed

@@ -135,7 +135,8 @@ class BringUp:
             | {"servos": servos}
             | _path("model", self.model)
             | _paths("effects", self.effects)
-            | ({"trimmed": True} if (trim if said is None else said) else {}),
+            | ({"trimmed": True} if (trim if said is None else said) else {})
+            | ({"shaped": True} if self.shaping else {}),
             "error_predictor": arm
             | _path("model", self.model)
             | _path("predictor", self.predictor),

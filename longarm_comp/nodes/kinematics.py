@@ -20,11 +20,12 @@ from longarm_comp.nodes import (
     monitoring,
     payload,
     reach,
+    ringing,
     targets,
 )
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
-from longarm_comp.nodes.health import ERROR, OK, PERIOD, TIP_SAID, WARN, Report, Twins
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, RING_SAID, TIP_SAID, WARN, Report, Twins
 from longarm_comp.nodes.interfaces import BEST_EFFORT
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
@@ -43,6 +44,7 @@ PARAMS = (
     *learning.PARAMS,
     *drawing.PARAMS,
     *payload.PARAMS,
+    Param("shaped", False, "the driver sends moves in parts that cancel their ring"),
     Param("trimmed", False, "the driver trims: what encoders see is not compensated again"),
     PERIOD,
 )
@@ -64,6 +66,7 @@ class Kinematics(ArmNode):
         drawing.ArmFrames(state)
         inlet = targets.TargetInlet(state, compute, self._monitor, self._markers)
         tips = monitoring.ReadingsTeller(state)
+        self._ringing = ringing.RingTeller(state, p["shaped"])
         self._reach = reach.ReachServer(state, inlet, self._monitor, tips)
         graph.TIP_MEASURED.subscription(self, self._on_tip)
         state.moved, state.driver.commanded = self._on_joints, self._on_command
@@ -86,6 +89,7 @@ class Kinematics(ArmNode):
             "servos": self._monitor.servo_report,
             "payload": self._weigher.report,
             TIP_SAID: tips.report,
+            RING_SAID: self._ringing.report,
         }
         if self._learning.learner is not None:
             self.health.parts[LEARNED_SAID] = self._learning.report
@@ -118,6 +122,7 @@ class Kinematics(ArmNode):
 
     def _on_told(self, motion: Motion) -> None:
         self._reach.told(motion)
+        self._ringing.told(motion)
         if motion.event != Motion.REACHED:
             return
         self._monitor.on_reached()

@@ -7,6 +7,7 @@ answers as the hidden effects do beyond their play.  Vibration is small: about t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,7 @@ class _Vibration:
         omega: (k,) rad/s. shape: (3 P, k) of all masses. mass: (3 P,) kg. tip: (3, k).
         carried: (3 P, n) motion of all masses by a unit of each joint, the springs held.
         driven: (k, n) by a unit of each joint's acceleration.
+        turned: (n, k) what gives at each joint's own bearing: an encoder behind it sees that.
     """
 
     omega: Array
@@ -41,6 +43,7 @@ class _Vibration:
     tip: Array
     carried: Array
     driven: Array
+    turned: Array
 
 
 class _Build:
@@ -53,6 +56,7 @@ class _Build:
         self.springs: list[tuple[Array, Array]] = []  # where, and root of its compliance
         self.masses: list[tuple[Array, float, int]] = []  # where, kg, springs before it
         self.moved: list[tuple[Array, Array | None, Array, int]] = []  # rows that move
+        self.bearings: dict[int, tuple[int, Array]] = {}  # spring and axis, by joint
         self._turn, self._at = rpy_matrix(self._walk._base[3:]), self._walk._base[:3]
         self.tip = (self._at, 0)
         self._yields(Place("base", 0))
@@ -107,7 +111,10 @@ class _Build:
                 place = None if slides else self._at.copy()
                 self.moved.append((axis, place, weights, len(self.springs)))
             motor = self.arm.commanded.index(row) if row in self.arm.commanded else None
+            springs = len(self.springs)
             self._yields(Place("bearing", row, motor, slides))
+            if motor is not None and not slides and len(self.springs) > springs:
+                self.bearings[motor] = springs, axis
             self._run(row, "d", rows[D])
         self._yields(Place("frame", row))
         self._frame(row)
@@ -171,9 +178,13 @@ def vibration(true: TrueArm, q: Array, context: TrueContext | None = None) -> _V
     chosen = np.flatnonzero(values > 1e-12 * max(values.max(initial=0.0), 1e-30))[::-1][:MODES]
     omega = 1.0 / np.sqrt(values[chosen])
     shape = heavy @ axes[:, chosen] * omega
+    turned = np.zeros((true.arm.n, len(chosen)))
+    for joint, (spring, axis) in built.bearings.items():
+        parts = axes[3 * spring : 3 * spring + 3, chosen]
+        turned[joint] = axis @ root[spring] @ parts * omega
     return _Vibration(
         omega, shape, mass, gives[-3:] @ axes[:, chosen] * omega, hang,
-        -shape.T @ (mass[:, None] * hang),
+        -shape.T @ (mass[:, None] * hang), turned,
     )  # fmt: skip
 
 
@@ -209,10 +220,17 @@ class Ringing:
 
     def left(self, since_s: Array) -> Array:
         """(N, 3) m: the tip's displacement some times later, if the joints stay where they are."""
+        return self._later(since_s, lambda modes: modes.tip)
+
+    def turned(self, since_s: Array) -> Array:
+        """(N, n) rad, m: likewise what encoders at the joints, not at the motors, see of it."""
+        return self._later(since_s, lambda modes: modes.turned)
+
+    def _later(self, since_s: Array, part: Callable[[_Vibration], Array]) -> Array:
         assert self._about is not None
         modes = self._about[1]
         rate = modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
-        return np.real(self._wave * np.exp(np.multiply.outer(since_s, rate))) @ modes.tip.T
+        return np.real(self._wave * np.exp(np.multiply.outer(since_s, rate))) @ part(modes).T
 
     def _modes(self, q: Array) -> _Vibration:
         """Those of the posture; a wave goes on in them with the motion that the masses have."""

@@ -19,6 +19,7 @@ from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
+from longarm_comp.nodes.health import RING_SAID
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
 from longarm_comp.view.state import (
@@ -105,6 +106,8 @@ class Listener:
                 self._heard(evidence=_number(facts[EVIDENCE]))
             if part == LEARNED_SAID:
                 self._heard(learned=status.message)
+            if part == RING_SAID:
+                self._heard(ring=status.message)
             parts.append(Part(part, ord(status.level), status.message))
         if parts:
             self.state = self.state.with_report(node, tuple(parts), now)

@@ -91,7 +91,7 @@ class Panel:
             self._said, [_line(said.text, _GOOD if said.well else _BAD)] if said.text else []
         )
         told = [words.tip_at_target(state, now), words.tip_as_predicted(state, now)]
-        known = (*told, words.drift(state), words.learned(state))
+        known = (*told, words.ring(state), words.drift(state), words.learned(state))
         self._write(self._tip, [_line(text) for text in known if text])
         factor = self.exaggeration
         scale = words.exaggeration(factor.deflection, factor.error)

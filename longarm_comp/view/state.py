@@ -100,7 +100,7 @@ class PageState:
         moved: when a joint moved last by more than `JOINT_REST`.
         driver: state of the driver in a word, and its reason; empty before the first.
         evidence: of drift, share of what warns; NaN where nothing judges.
-        learned: at work, in words.
+        learned: at work, in words. ring: of the tip after the last move, likewise.
         seed: reading that later ones are compared with for `moved`.
     """
 
@@ -116,6 +116,7 @@ class PageState:
     progress: CollectProgress | None = None
     evidence: float = math.nan
     learned: str = ""
+    ring: str = ""
     seed: Mapping[str, float] = field(default_factory=dict)
 
     def with_joints(self, joints: Mapping[str, float], now: float) -> PageState:

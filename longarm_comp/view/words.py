@@ -37,7 +37,7 @@ def headline(state: PageState, now: float, namespace: str) -> str:
 def in_lines(state: PageState, now: float, namespace: str, said: str) -> list[str]:
     """All that the panel says, as lines; ``said``: what came of the last press of a button."""
     lines = [said, headline(state, now, namespace), target(state), tip_at_target(state, now),
-             tip_as_predicted(state, now), drift(state), learned(state)]  # fmt: skip
+             tip_as_predicted(state, now), ring(state), drift(state), learned(state)]  # fmt: skip
     if state.progress is not None:
         lines.append(progress(state.progress, now))
     lines += [line for name in sorted(state.nodes) for line in health(state.nodes[name], now)]
@@ -126,6 +126,11 @@ def progress(job: CollectProgress, now: float) -> str:
 def learned(state: PageState) -> str:
     """What was learned at work."""
     return f"At work: {state.learned}." if state.learned else ""
+
+
+def ring(state: PageState) -> str:
+    """How the tip rings after the last move."""
+    return f"After the last move: {state.ring}." if state.ring else ""
 
 
 def health(node: NodeHealth, now: float) -> list[str]:

@@ -86,8 +86,6 @@ def modes_along(
 
     Between these masses and flexibility go along cubics.
     """
-    from scipy.interpolate import CubicSpline
-
     # Of all beams together, at least; twice as many change the first frequencies by less than 1 %
     each = -(-12 // max(1, len(model.arm.links)))
     fine = replace(model, elements_per_beam=max(each, model.elements_per_beam))
@@ -98,6 +96,8 @@ def modes_along(
     bends = flexibility(fine, posture, points, known)
     carried = np.concatenate([_carried(posture, p, known) for p in points], axis=1)
     if known > 1:
+        from scipy.interpolate import CubicSpline
+
         asked, given = np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, known)
         mass, bends, carried = (CubicSpline(given, x)(asked) for x in (mass, bends, carried))
     return [_modes(*row) for row in zip(np.maximum(mass, 0.0), bends, carried, strict=True)]

@@ -9,6 +9,7 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.vibration.modes import Modes
+from longarm_comp.math.cubic_path import CubicPath
 from longarm_comp.math.shaper import Way
 
 SMALL_M = 1e-4
@@ -41,13 +42,14 @@ class Ring:
 
     def settle_s(self, limit_m: float = SMALL_M) -> float:
         """Time until it stays below a size, s."""
-        from scipy.optimize import brentq
-
         if self.size_m() <= limit_m:
             return 0.0
         slowest = float(-self.rate.real.max())
-        late = np.log(self.size_m() / limit_m) / slowest
-        return float(brentq(lambda t: np.log(self.size_m(t) / limit_m), 0.0, late + 1e-9))
+        early, late = 0.0, float(np.log(self.size_m() / limit_m)) / slowest
+        while late - early > 1e-6 * late:
+            middle = 0.5 * (early + late)
+            early, late = (middle, late) if self.size_m(middle) > limit_m else (early, middle)
+        return late
 
 
 def amplitudes(
@@ -125,7 +127,4 @@ def along(modes: Modes, way: Way, seconds: float, damping: float) -> Ring:
 
 def straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:
     """One move from rest to rest, as the driver makes it: a cubic in time."""
-    from longarm_comp.core.compensation.retime import Timed
-
-    timed = Timed(np.array([0.0, seconds]), np.stack([start, end]), np.zeros((2, len(start))))
-    return lambda times: timed.at(np.clip(times, 0.0, seconds))
+    return CubicPath(np.array([0.0, seconds]), np.stack([start, end]), np.zeros((2, len(start)))).at

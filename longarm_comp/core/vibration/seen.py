@@ -1,4 +1,4 @@
-"""Frequency and damping of a ring that was seen: damped waves fitted to sightings after a move.
+"""Frequency and damping of a ring: damped waves fitted to sightings, or readings, after a move.
 
 The amplitudes are linear and eliminated (variable projection); waves are added one after the other
 while each takes off far more than noise would.
@@ -24,11 +24,11 @@ _FIRST = 0.01
 
 @dataclass(frozen=True, eq=False)
 class SeenWave:
-    """One damped wave of the tip.
+    """One damped wave of the tip, or of the joints.
 
     Attributes:
         hz: undamped frequency, and its standard deviation. damping: likewise, share of critical.
-        size: (3,) m at the first sighting, along the base's axes.
+        size: (3,) m at the first sighting, along the base's axes; of joints (n,) rad and m.
     """
 
     hz: float
@@ -38,14 +38,14 @@ class SeenWave:
     size: np.ndarray
 
 
-def waves(times: np.ndarray, xyz: np.ndarray, most: int = 2) -> list[SeenWave]:
-    """The waves in sightings (N, 3) m at times (N,) s, the largest first; none if all is noise.
+def waves(times: np.ndarray, seen: np.ndarray, most: int = 2) -> list[SeenWave]:
+    """The waves in sightings (N, D) at times (N,) s, the largest first; none if all is noise.
 
     The arm has to stand: its joints do not move any more.
 
     Raises:
         InputError: too few sightings, or they are not in order.
-        JobError: the cameras are too slow for a ring that may be there.
+        JobError: they are too slow for a ring that may be there.
     """
     if len(times) < LEAST or (np.diff(times) <= 0.0).any():
         raise InputError("ring", "sightings", len(times), f"{LEAST} or more, one after the other")
@@ -55,29 +55,33 @@ def waves(times: np.ndarray, xyz: np.ndarray, most: int = 2) -> list[SeenWave]:
     slowest = 1.0 / float(t[-1])
     if fastest <= slowest:
         raise JobError("too few sightings in a second for any ring", sightings=len(t))
+    wide = seen.shape[1]
+    more = 2 + 2 * wide  # parameters of a wave
     found: list[float] = []  # omega, damping, omega, damping, ...
-    left = _left(np.array(found), t, xyz)
+    left = _left(np.array(found), t, seen)
     for _ in range(most):
         tried = 2.0 * np.pi * np.arange(slowest, fastest, 0.1 * slowest)
-        sizes = [float((_left(np.array([*found, w, _FIRST]), t, xyz) ** 2).sum()) for w in tried]
+        sizes = [float((_left(np.array([*found, w, _FIRST]), t, seen) ** 2).sum()) for w in tried]
         begin = np.array([*found, tried[int(np.argmin(sizes))], _FIRST])
         bounds = (np.tile([0.0, 1e-5], len(begin) // 2), np.tile([np.inf, 0.5], len(begin) // 2))
-        fit = least_squares(lambda p: _left(p, t, xyz).ravel(), begin, bounds=bounds, x_scale=begin)
-        now = _left(fit.x, t, xyz)
-        free = now.size - 3 * (1 + len(begin)) - len(begin)
+        fit = least_squares(
+            lambda p: _left(p, t, seen).ravel(), begin, bounds=bounds, x_scale=begin
+        )
+        now = _left(fit.x, t, seen)
+        free = now.size - wide * (1 + len(begin)) - len(begin)
         if free < 1:
             break
-        gain = ((left**2).sum() - (now**2).sum()) / 8.0
+        gain = ((left**2).sum() - (now**2).sum()) / more
         noise = (now**2).sum() / free
         # Chance at which noise alone would be taken for a wave
-        if f_distribution.sf(gain / max(noise, 1e-30), 8, free) > 1e-6:
+        if f_distribution.sf(gain / max(noise, 1e-30), more, free) > 1e-6:
             break
         found, left, last = fit.x.tolist(), now, fit
     if not found:
         return []
-    noise = (left**2).sum() / (left.size - 3 * (1 + len(found)) - len(found))
+    noise = (left**2).sum() / (left.size - wide * (1 + len(found)) - len(found))
     sd = np.sqrt(np.diag(noise * np.linalg.pinv(last.jac.T @ last.jac)))
-    parts = np.linalg.lstsq(_basis(np.array(found), t), xyz, rcond=None)[0][1:]
+    parts = np.linalg.lstsq(_basis(np.array(found), t), seen, rcond=None)[0][1:]
     made = [
         SeenWave(
             w / (2.0 * np.pi), sd[2 * k] / (2.0 * np.pi), z, sd[2 * k + 1],
@@ -101,6 +105,22 @@ def _basis(parameters: np.ndarray, t: np.ndarray) -> np.ndarray:
 def _left(parameters: np.ndarray, t: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     basis, _ = np.linalg.qr(_basis(parameters, t))
     return np.asarray(xyz - basis @ (basis.T @ xyz))
+
+
+def as_tips(heard: Sequence[SeenWave], at_ring: Modes) -> list[SeenWave]:
+    """Waves of joints (n,) as waves of the tip: each is the mode of the model next to it in
+    frequency, as joints do not say how the tip swings."""
+    return [
+        replace(wave, size=at_ring.tip[np.argmin(np.abs(np.log(at_ring.hz / wave.hz)))])
+        for wave in heard
+    ]
+
+
+def steps(readings: np.ndarray) -> np.ndarray:
+    """(n,) smallest change of readings (N, n) one after the other: a ring below it hides in it."""
+    changes = np.abs(np.diff(readings, axis=0))
+    changes = np.where(changes > 0.0, changes, np.inf).min(axis=0)
+    return np.where(np.isfinite(changes), changes, 0.0)
 
 
 def corrected(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
