@@ -101,7 +101,7 @@ def test_a_hand_guides_the_arm_while_touches_are_taken(
     ways = iter([{"shoulder": 0.1, "boom": 0.04}, {"shoulder": -0.2, "boom": 0.06}])
     guided: list[dict[str, float]] = []
 
-    def asked(prompt: str) -> str:
+    def asked(prompt: str, *_: object) -> str:
         assert rig.free()
         to = next(ways, None)
         if to is None:
