@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 from pathlib import Path
@@ -45,6 +46,8 @@ def command(
       make soak
       make soak SOAK_ARGS='--hours 0.02 --fault-every 5 --json'
     """
+    # Two soaks on one machine must not hear each other: their graphs have the same names
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     with (
         tempfile.TemporaryDirectory(prefix="longarm_soak_") as scratch,
         stop_on_signals() as stop,
