@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 
 from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.identify.linear import solve
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.structure import SIGNIFICANT, Structure, smallest
 
@@ -20,8 +21,9 @@ OFF = 0.5
 def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure:
     """The structure, also where only the held-out poses show it.
 
-    Half of them should err by more than the median that noise and parameters give (chi); a few
-    gross errors among them change nothing.
+    What the parameters may err by moves all poses together, so it is taken off first. Of what is
+    left half should be more than the median that noise gives (chi); a few gross errors among them
+    change nothing.
 
     Args:
         structure: as it shows in the fitted rows.
@@ -32,18 +34,20 @@ def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure
     known = dict(zip(fit.session.channels, fit.sigma, strict=True))
     sigma = np.array([known.get(name, np.inf) for name in rows.channels])
     held = rows.measured & np.isfinite(sigma)
-    own = np.einsum("nip,pq,niq->ni", found.columns, fit.covariance, found.columns, optimize=True)
     noise = np.where(np.isfinite(sigma), sigma, 1.0) * fit.uneven(rows)[:, None]
-    spread = np.sqrt(noise**2 + own)
     some = held.any(axis=1)
     if structure.flag or not some.any():
         return structure
-    size = np.linalg.norm(found.residual * held / spread, axis=1)[some]
+    size, ways = np.linalg.eigh(fit.covariance)
+    moved = found.columns @ (ways * np.sqrt(np.maximum(size, 0.0)))
+    a = (moved * (held / noise)[..., None])[some]
+    left, leverage = _beyond(a.reshape(-1, a.shape[-1]), (found.residual * held / noise)[some])
+    size = np.linalg.norm(left / np.sqrt(np.maximum(1.0 - leverage, 1e-12)), axis=1)
     ratio = size / np.sqrt(2.0 * gammaincinv(held.sum(axis=1)[some] / 2, 0.5))
     count = max(round(len(ratio) * (1.0 - fit.rho) / (1.0 + fit.rho)), 1)  # rows that count
     above = round(float((ratio > 1.0).mean()) * count)
     p = float(binomtest(above, count, alternative="greater").pvalue)
-    expected = np.sqrt(((spread * metres(fit.model, rows)) ** 2 * held).sum(1)[some].mean())
+    expected = np.sqrt(((noise * metres(fit.model, rows)) ** 2 * held).sum(1)[some].mean())
     excess = float(expected * np.sqrt(max(np.median(ratio) ** 2 - 1.0, 0.0)))
     if p > SIGNIFICANT or excess < max(OFF * expected, smallest(fit)):
         return structure
@@ -55,3 +59,10 @@ def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure
         size_m=excess,
         sign="shows in the held-out poses",
     )
+
+
+def _beyond(a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What unit normal parameters of columns (N d, p) leave of data (N, d), and their leverage."""
+    found = solve(a, y.ravel())
+    leverage = np.einsum("mp,pq,mq->m", a, found.covariance, a, optimize=True)
+    return (y.ravel() - a @ found.u).reshape(y.shape), leverage.reshape(y.shape)
