@@ -20,7 +20,7 @@ from studies import day
 from studies.commands.day import command
 
 KINDS = (JointGain, GearEccentricity, FrictionHysteresis, ThermalGrowth)
-SETTING = day.DaySetting(ARM, moves=5, rows=120, again=80, warming_k=60.0, kinds=KINDS)
+SETTING = day.DaySetting(ARM, moves=5, rows=200, again=80, warming_k=60.0, kinds=KINDS)
 
 
 @pytest.fixture(scope="module")

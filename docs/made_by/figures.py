@@ -209,8 +209,8 @@ SUMMARY: dict[str, tuple[str, Callable[[Any], float]]] = {
         for title, robot, model, known in (
             ("DLR Justin", "dlr_justin", "rigid", 10.5),
             ("DLR Justin", "dlr_justin", "joint_compliance", 5.64),
-            ("DLR Justin", "dlr_justin", "lateral_compliance", 3.12),
-            ("Barrett WAM", "wam", "best", 2.92),
+            ("DLR Justin", "dlr_justin", "diagnosed", 3.12),
+            ("Barrett WAM", "wam", "diagnosed", 2.92),
             ("UR5", "ur5", "rigid", 0.155),
         )
     },

@@ -140,9 +140,12 @@ class _Search:
             state = self._repeated(state, say, propositions)
         state, doubtful, changed = self._compared(state)
         if changed:
-            held = self.propositions
-            state = self._repeated(state, say, lambda *_: held)
-            state, doubtful, _ = self._compared(state)
+            offered_last = self.propositions
+            state = self._repeated(state, say, lambda *_: offered_last)
+            state, again, _ = self._compared(state)
+            held = {t.key for f in (*state.found, *again) for t in f.terms}
+            left = (f for f in doubtful if held.isdisjoint(t.key for t in f.terms))
+            doubtful = (*again, *left)
         return ExplainedSession(
             state.fit,
             state.found,

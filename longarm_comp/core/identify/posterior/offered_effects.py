@@ -136,7 +136,8 @@ class OfferedEffects:
                 likeliest[offer.name] = odds, n, offer, rest
         names = dict.fromkeys((found.name, *alike), 1.0 / (1 + len(alike)))
         names |= {name: math.exp(min(rival[0], OVERFLOW)) for name, rival in likeliest.items()}
-        rivals = [(self.things[self._first[n]], own) for n in alike]
+        where_now = tuple(dict.fromkeys(t.where for t in found.terms))
+        rivals = [(self._named(n, where_now), own) for n in alike]
         for odds, n, offer, rest in likeliest.values():
             terms = self._terms(n, offer, self.bank.joint([*rest, offer])[1][-1])
             factor = own + odds - offer.log_prior + offers[k].log_prior
@@ -239,6 +240,11 @@ class OfferedEffects:
         commanded = self.fitted.model.arm.commanded
         stood = [self.fitted.session.q[:, commanded.index(j)] for j in term.joints]
         return max((levels_of(q) for q in stood), default=0)
+
+    def _named(self, name: str, where: tuple[str, ...]) -> Candidate:
+        """What is on offer by a name at some places; the first where it is not offered there."""
+        named = (c for c in self.things if c.name == name and c.where == where)
+        return next(named, self.things[self._first[name]])
 
     @cached_property
     def _first(self) -> dict[str, int]:
