@@ -38,3 +38,10 @@ def test_an_error_beyond_these_is(few: tuple[ModelFit, Session]) -> None:
     assert found.flag and found.sign == "shows in the held-out poses"
     assert found.size_m == pytest.approx(3e-3 * np.sqrt(3.0), rel=0.2)
     assert found.p_value < 1e-6
+
+
+def test_gross_errors_among_them_change_nothing() -> None:
+    fitted, rows = calibrated(ARM, measured(ARM, (), 30, 5)), measured(ARM, (), 100, 6)
+    gross = np.where(np.arange(len(rows)) % 10 == 0, 0.05, 0.0)
+    off = dataclasses.replace(rows, xyz=rows.xyz + gross[:, None])
+    assert not with_unseen(NOTHING, fitted, off).flag

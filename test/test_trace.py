@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from longarm_comp.core.ik import newton
 from longarm_comp.core.ik.codegen import llvm as emit_llvm
 from longarm_comp.core.ik.codegen import python as emit
 from longarm_comp.core.ik.codegen.symbolic import Graph, Symbol
-from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of, tip_and_jacobian
+from longarm_comp.core.ik.kernel import MOST_KERNELS, Kernel, Layout, kernel_of, tip_and_jacobian
 from longarm_comp.core.model.model import Model
 
 N = 12
@@ -203,6 +205,27 @@ def test_a_kernel_is_kept_by_content(arm):
     assert kernel_of(one.plus(JointZero(1)), layout) is not kernel_of(one, layout)
     finer = dataclasses.replace(one, elements_per_beam=one.elements_per_beam + 1)
     assert kernel_of(finer, layout) is not kernel_of(one, layout)
+
+
+def test_few_kernels_are_kept_and_a_compiled_one_holds_no_graphs(arm):
+    """A node that learns serves a new model every few minutes: memory must not grow with them."""
+    q, context = situation(arm)
+    layout = Layout.of(context)
+    model = everything(arm)
+    kernel = kernel_of(model, layout)
+    graph, old = weakref.ref(kernel.programs["tip"][0]), weakref.ref(kernel)
+    assert kernel.code is not None
+    gc.collect()
+    assert graph() is None
+    rows = layout.pack(context, N)
+    found = evaluated(kernel, on_arrays(kernel), q, rows)  # graphs are traced again
+    np.testing.assert_allclose(found, by_the_model(model, q, context), rtol=0, atol=1e-12)
+    del kernel
+    for k in range(MOST_KERNELS):
+        kernel_of(model.plus(JointZero(1, 1e-4 * k)), layout)
+    del model
+    gc.collect()
+    assert old() is None
 
 
 def test_every_operation_in_every_language():

@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.linear import solve
+from longarm_comp.core.identify.linear import inliers, solve
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.structure import SIGNIFICANT, Structure, smallest
 
@@ -41,8 +41,7 @@ def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure
     size, ways = np.linalg.eigh(fit.covariance)
     moved = found.columns @ (ways * np.sqrt(np.maximum(size, 0.0)))
     a = (moved * (held / noise)[..., None])[some]
-    left, leverage = _beyond(a.reshape(-1, a.shape[-1]), (found.residual * held / noise)[some])
-    size = np.linalg.norm(left / np.sqrt(np.maximum(1.0 - leverage, 1e-12)), axis=1)
+    size = _beyond(a, (found.residual * held / noise)[some], held[some])
     ratio = size / np.sqrt(2.0 * gammaincinv(held.sum(axis=1)[some] / 2, 0.5))
     count = max(round(len(ratio) * (1.0 - fit.rho) / (1.0 + fit.rho)), 1)  # rows that count
     above = round(float((ratio > 1.0).mean()) * count)
@@ -61,8 +60,14 @@ def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure
     )
 
 
-def _beyond(a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What unit normal parameters of columns (N d, p) leave of data (N, d), and their leverage."""
-    found = solve(a, y.ravel())
-    leverage = np.einsum("mp,pq,mq->m", a, found.covariance, a, optimize=True)
-    return (y.ravel() - a @ found.u).reshape(y.shape), leverage.reshape(y.shape)
+def _beyond(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """(N,) sizes of what unit normal parameters of columns (N, d, p) leave of data (N, d).
+
+    Gross errors say nothing of the parameters, as in every fit.
+    """
+    kept = inliers(y, measured=measured)[:, None]
+    shared = (kept[..., None] * a).reshape(-1, a.shape[-1])
+    found = solve(shared, (kept * y).ravel())
+    leverage = np.einsum("nip,pq,niq->ni", a, found.covariance, a, optimize=True)
+    variance = np.where(kept > 0, np.maximum(1.0 - leverage, 1e-12), 1.0 + leverage)
+    return np.linalg.norm((y - a @ found.u) / np.sqrt(variance), axis=1)

@@ -77,6 +77,10 @@ class _Traced(Mapping[str, _Program]):
     def __len__(self) -> int:
         return len(self._works)
 
+    def forget(self) -> None:
+        """Free the graphs; they are traced again where they are asked for."""
+        self._made.clear()
+
     def __getitem__(self, name: str) -> _Program:
         if name not in self._made:
             graph = Graph()
@@ -184,6 +188,7 @@ class Kernel:
 
         width = machine_code.lanes()
         text = emit_llvm.module(self.programs, self.flows, self.place, width)
+        self.programs.forget()
         return machine_code.compile_module(text, width)
 
 
@@ -242,6 +247,9 @@ def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, _Slots]:
     return fixed, slot
 
 
+MOST_KERNELS = 8
+"""Kernels kept, the last used: of the model at work, the rigid one, the one before and the one that
+is learned, each with what is known of two kinds of targets.  A compiled one takes some 10 MB."""
 _kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()
 
 
@@ -253,8 +261,7 @@ def kernel_of(model: Model, layout: Layout) -> Kernel:
         if key not in _kernels:
             _kernels[key] = Kernel(model, layout)
         _kernels.move_to_end(key)
-        # number of kernels kept, the most recently used
-        while len(_kernels) > 32:
+        while len(_kernels) > MOST_KERNELS:
             _kernels.popitem(last=False)
         held[layout] = _kernels[key]
     return held[layout]
