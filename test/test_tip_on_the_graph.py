@@ -44,7 +44,7 @@ from longarm_interfaces.srv import Compensate
 
 SEED = 3
 MODEL_M = 3e-5
-"""What model, search and rods differ by (`docs/simulated_arm.md`), and the servos' settling."""
+"""What model, search and rods differ by (`docs/physics.md`), and the servos' settling."""
 TRIED = 200
 """Targets that are drawn; a tenth of them would do."""
 
