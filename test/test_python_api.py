@@ -124,7 +124,7 @@ def test_the_page_says_what_runs(
     assert isinstance(commands, Commands)
     assert commands.success.all()
     for name in set(la.__all__) - {"Context", "LongarmError", "Model", "Session", "write_poses"}:
-        assert re.search(rf"^(\| `{name}\b|.*`{name}`)", page, re.MULTILINE), name
+        assert re.search(rf"^(- `{name}\b|.*`{name}`)", page, re.MULTILINE), name
 
 
 # ------------------------------------------------------------------ the same as the commands
