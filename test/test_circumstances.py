@@ -159,6 +159,7 @@ def test_taking_rows_keeps_every_field() -> None:
     whole, one = context.layout, context.take(2)
     assert one.layout == whole
     np.testing.assert_array_equal(whole.pack(one, 1)[0], whole.pack(context, N)[2])
+    assert [each == context.take(k) for k, each in enumerate(context.each(N))] == [True] * N
     back = whole.unpack(list(whole.pack(context, N).T))
     np.testing.assert_array_equal(whole.pack(back, N), whole.pack(context, N))
     for f in dataclasses.fields(Context):
@@ -311,7 +312,8 @@ def test_what_is_not_known_shrinks_with_the_leg_that_is() -> None:
     model = Model(ARM, (FrictionHysteresis(2, far=radius, width=width, outer=width),))
 
     def sigma(leg: float) -> float:
-        found, reason = unknown_history(model, ARM.mid, Context((1.0,) * 4, legs=one_leg(leg)))
+        context = Context((1.0,) * 4, legs=one_leg(leg))
+        found, (reason,) = unknown_history(model, ARM.mid[None], context)
         assert ("earlier moves" in reason) == (leg < 2 * radius)
         return float(np.linalg.norm(found))
 

@@ -11,8 +11,10 @@ from small_arm import ARM as SMALL
 from test_circumstances import ENGINES, circumstances
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.result import Method, Status
+from longarm_comp.core.compensation.unknown import outside_data
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.shapes import SHAPES
@@ -184,6 +186,7 @@ def test_outside_its_data_it_stands_still_and_the_command_says_so() -> None:
         found = compensate(model, None, model.tip(row), seed=row, method=Method.DEFLECTION)
         assert found.status is Status.SUCCESS
         assert ("outside the data of what was found: q2 0.9" in found.reason) == said
+    assert [bool(each) for each in outside_data(model, q, Context.empty())] == [False, True]
 
 
 def test_a_command_without_the_column_that_drives_it_is_stale() -> None:

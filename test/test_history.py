@@ -93,13 +93,13 @@ def test_what_is_not_known_counts_as_its_middle_and_slides_wind_up_in_a_tenth() 
 def test_a_doubtful_joint_may_be_wound_up_either_way() -> None:
     model = Model(ARM, (FrictionHysteresis(2, far=0.1, width=0.01, outer=0.01),))
     context = Context(**History.unknown(ARM.n).after(sweep(ARM, ARM.mid), ARM.mid).fields())
-    sure, why = unknown_history(model, ARM.mid, context)
+    sure, (why,) = unknown_history(model, ARM.mid[None], context)
     assert np.linalg.norm(sure) == 0.0 and why == ""
     doubtful = np.array([False, True, False, False])
-    unsure, why = unknown_history(model, ARM.mid, context, doubtful)
+    unsure, (why,) = unknown_history(model, ARM.mid[None], context, doubtful)
     assert "earlier moves" in why
     blank = Context(context.approach)
-    whole, _ = unknown_history(model, ARM.mid, blank)
+    whole, _ = unknown_history(model, ARM.mid[None], blank)
     np.testing.assert_allclose(unsure, whole, rtol=1e-9)
 
 

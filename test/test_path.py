@@ -183,7 +183,10 @@ def test_a_path_that_begins_against_its_play_takes_it_up_first_and_gently(arm: A
 def test_a_path_of_many_way_points_says_what_single_targets_say(arm: Arm, model: Model) -> None:
     plan = plan_of(arm, 7)
     found = follow(model, plan)
-    history = History.unknown(arm.n)
+    answers, history = (
+        found.answers.each(model, Method.DEFLECTION, plan.targets),
+        History.unknown(arm.n),
+    )
     for row in range(1, 7):
         before, now = found.timed.joints[row - 1 : row + 1]
         history = history.after(now[None], before)
@@ -191,7 +194,7 @@ def test_a_path_of_many_way_points_says_what_single_targets_say(arm: Arm, model:
             model, None, plan.targets[row], context=Context(**history.fields()), seed=now,
             method=Method.DEFLECTION, starts=1,
         )  # fmt: skip
-        answer = found.answers.at(row, model, Method.DEFLECTION, plan.targets[row])
+        answer = answers[row]
         np.testing.assert_allclose(answer.command, alone.command, atol=1e-6)
         assert answer.expected_m == pytest.approx(alone.expected_m, rel=1e-3)
         assert answer.reason == alone.reason and answer.status is alone.status

@@ -67,7 +67,7 @@ def test_a_base_that_was_moved_is_named_by_its_group() -> None:
     with pytest.raises(la.InputError, match="group"):
         la.compensate(model, target, frame="base")
     for name, x in (("a", 1.0), ("b", -1.0)):
-        found = placement(model, target, "base", name)
+        found = placement(model, target[None], "base", name)
         np.testing.assert_allclose(found.carried(target), target + np.array([x, 0, 0]), atol=1e-9)
         context = Context(labels={"group": np.array([name])})
         assert la.compensate(model, target, frame="base", context=context).success.all()

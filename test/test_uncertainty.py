@@ -11,10 +11,13 @@ import yaml
 from hidden_arm import SIGMA, at, session, tip
 from small_arm import ARM
 
-from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import Method, Status, compensate
+from longarm_comp.core.arm.context import LEGS, Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.compensate import Method, Status, compensate, judged
 from longarm_comp.core.compensation.expected import expected_miss, of_tolerances
+from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.joint_gain import JointGain as Gain
 from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.errors import InputError
@@ -178,6 +181,32 @@ def test_far_from_the_rows_the_error_grows() -> None:
         expected_miss(model, joints, Context.empty(), model.tip(joints)).expected_m for joints in q
     )
     assert there > 1.5 * here
+
+
+@pytest.mark.parametrize("learned", [False, True])
+def test_many_commands_are_judged_as_each_alone(learned: bool) -> None:
+    fitted = with_uncertainty(calibrated(session([ZEROS], n=60)))
+    model = fitted.plus(FrictionHysteresis(2, far=0.1, width=0.01, outer=0.01), TipPayload(0.1))
+    model = dataclasses.replace(model, uncertainty=fitted.uncertainty)
+    q, side = fresh(4, seed=3)
+    way = History(np.tile(side[:, None], ARM.n), np.zeros((4, ARM.n, LEGS)))
+    way.legs[2:, 1, 0] = 0.05, 1.0  # not known, little of it, all of it
+    told = {SD: np.array([0.0, 0.05, 0.0, 0.1]), "payload_kg": np.array([0.1, 0.2, 0.3, 0.4])}
+    context = Context(**way.fields(), columns=told)
+    pseudo = model.tip(q, context) + 1e-3 * side[:, None]
+    sigma = 1e-3 * (1.0 + q[:, :3] ** 2) if learned else None
+    whole, inside, doubts = judged(model, Method.BOTH, q, context, pseudo, sigma)
+    for k in range(4):
+        alone, its, (doubt,) = judged(
+            model, Method.BOTH, q[k], context.take(k), pseudo[k],
+            None if sigma is None else sigma[k],
+        )  # fmt: skip
+        assert doubts[k] == doubt and inside[k] == its
+        np.testing.assert_allclose(whole.mean[k], alone.mean, atol=1e-9)
+        np.testing.assert_allclose(whole.covariance[k], alone.covariance, rtol=1e-6, atol=1e-15)
+        assert whole.sizes[1][k] == pytest.approx(alone.p90_m, rel=1e-6)
+    assert [("payload" in doubt) for doubt in doubts] == [False, True, False, True]
+    assert [("earlier moves" in doubt) for doubt in doubts] == [True, True, True, False]
 
 
 def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:

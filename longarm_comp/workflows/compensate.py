@@ -242,10 +242,15 @@ def placements_of(
     if other:
         raise InputError(where, "frame", other, f"{frame}, as asked for, or none")
     said = own or ("",) * len(goals)
-    return tuple(
-        placement(model, goal, name or frame, str(context.labels.get("group", "")), where)
-        for goal, context, name in zip(goals, contexts, said, strict=True)
-    )
+    alike: dict[tuple[str, str], list[np.ndarray]] = {}
+    keys = [
+        (name or frame, str(context.labels.get("group", "")))
+        for name, context in zip(said, contexts, strict=True)
+    ]
+    for key, goal in zip(keys, goals, strict=True):
+        alike.setdefault(key, []).append(goal if goal.ndim == 1 else goal[:3, 3])
+    found = {k: placement(model, np.array(points), *k, where) for k, points in alike.items()}
+    return tuple(found[key] for key in keys)
 
 
 def after(given: Context, arrived: History) -> Context:
@@ -295,7 +300,7 @@ def goals_of(
             xyz if np.isnan(turn[0]) else quaternion.pose(xyz, turn)
             for xyz, turn in zip(targets.xyz, targets.quaternion, strict=True)
         ]
-        return goals, [all_contexts.take(row) for row in range(len(targets))], targets.index
+        return goals, all_contexts.each(len(targets)), targets.index
     try:
         given = np.asarray(targets, dtype=float)
     except (TypeError, ValueError) as error:
@@ -305,7 +310,7 @@ def goals_of(
         allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"
         raise InputError("compensate", "targets", f"shape {given.shape}", allowed)
     all_contexts = context or Context.empty()
-    return list(given), [all_contexts.take(row) for row in range(len(given))], np.arange(len(given))
+    return list(given), all_contexts.each(len(given)), np.arange(len(given))
 
 
 def _line(index: int, arrival: Arrival, placed: Placement | None) -> dict[str, Any]:

@@ -105,21 +105,21 @@ def compensate_path(
                     _each(max_acceleration, n, "max_acceleration"))  # fmt: skip
     start, came = (None, History.unknown(n)) if history is None else points.last(history, model)
     first = start if seed is None else np.asarray(seed, float)
-    given = path.context(n) if isinstance(path, Targets) else context or Context.empty()
+    told = path.context(n) if isinstance(path, Targets) else context or Context.empty()
     found = solve_path(
         model, predictor,
         PlannedPath(carried, None if times is None else np.asarray(times, float)),
         start=start, history=came, seed=first,
-        context_at=lambda arrived: points.after(given, arrived),
+        context_at=lambda arrived: points.after(told, arrived),
         limits=limits, max_correction_m=max_correction_m, max_longer=max_longer,
         position_only=position_only,
         options=CompensationOptions(chosen, Settling(**settling), tuple(locked)),
     )  # fmt: skip
     before, arrivals = start, []
-    for row, target in enumerate(carried):
-        outcome = found.answers.at(row, model, chosen, target)
+    outcomes = found.answers.each(model, chosen, carried)
+    for outcome, context in zip(outcomes, found.answers.context.each(len(carried)), strict=True):
         move = plan_move(model.arm, before, outcome.command, np.zeros(n))
-        arrivals.append(Arrival(outcome, move, found.answers.context.take(row), found.history))
+        arrivals.append(Arrival(outcome, move, context, found.history))
         before = outcome.command
     return PathCommands(
         numbers, tuple(arrivals), placements,

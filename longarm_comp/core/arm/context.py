@@ -10,7 +10,7 @@ an effect stays a pure function of a posture.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -99,7 +99,7 @@ class Context:
         """The context of some of N postures; what is one scalar for all stays so."""
 
         def of(value: Any) -> Any:
-            return value if isinstance(value, float) or not np.ndim(value) else value[rows]
+            return value[rows] if isinstance(value, np.ndarray) and value.ndim else value
 
         taken: dict[str, Any] = {}
         for f in dataclasses.fields(self):
@@ -110,6 +110,26 @@ class Context:
                 else {name: of(v) for name, v in held.items()}
             )
         return Context(**taken)
+
+    def each(self, count: int) -> list[Context]:
+        """The contexts of all of N postures, as `take` gives them one by one."""
+
+        def rows(held: Iterable[Any]) -> Iterable[tuple[Any, ...]]:
+            lists = [
+                v[:count].tolist() if isinstance(v, np.ndarray) and v.ndim else [v] * count
+                for v in held
+            ]
+            return zip(*lists, strict=True) if lists else [()] * count
+
+        fields: dict[str, Iterable[Any]] = {}
+        for f in dataclasses.fields(self):
+            held = getattr(self, f.name)
+            if f.name in PER_JOINT:
+                fields[f.name] = list(rows(held))
+            else:
+                fields[f.name] = [dict(zip(held, row, strict=True)) for row in rows(held.values())]
+        made = zip(*fields.values(), strict=True)
+        return [Context(**dict(zip(fields, values, strict=True))) for values in made]
 
     @cached_property
     def layout(self) -> Layout:

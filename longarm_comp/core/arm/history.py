@@ -84,6 +84,8 @@ def play(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
         radius: of the operator, in the same unit.
     """
     low, high = -radius, radius
+    while len(legs) > 1 and isinstance(legs[-1], np.ndarray) and not np.count_nonzero(legs[-1]):
+        legs = legs[:-1]  # of N postures none has made so many
     for leg in reversed(legs):
         low = spatial.minimum(spatial.maximum(low + leg, -radius), radius)
         high = spatial.minimum(spatial.maximum(high + leg, -radius), radius)

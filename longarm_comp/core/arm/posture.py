@@ -209,6 +209,11 @@ class Posture:
         """The declared arm."""
         return self.chain.arm
 
+    @property
+    def count(self) -> int:
+        """Number of postures."""
+        return int(np.size(self.q[0]))
+
     @cached_property
     def values(self) -> list[Scalar]:
         """Joint value of every row, passive joints included."""

@@ -134,7 +134,7 @@ class Learner:
         known = self.known or _begun(self.model, context)
         point, columns = known.space.columns(self.model, q, context)
         at = _values(known.space, self.model)
-        spread, _ = unknown_history(self.model, q, context)
+        (spread,), _ = unknown_history(self.model, q[None], context)
         noise = np.maximum(self.record.noise, np.diag(variance)) + np.diag(spread**2)
         noise = noise + self.record.structure
         value = tip - point + columns @ at

@@ -138,24 +138,28 @@ def judged(
     pseudo: np.ndarray,
     sigma: np.ndarray | None,
     doubtful: np.ndarray | None = None,
-) -> tuple[ExpectedMiss, bool, tuple[str, ...]]:
-    """How far off a command may be, by all that the model knows, and what it cannot know.
+) -> tuple[ExpectedMiss, np.ndarray, list[str]]:
+    """How far off a command may be, or each of M, by all that the model knows; what it cannot know.
 
     Args:
-        command: (n,) joints. pseudo: (3,) m, where the physics should bring the tip.
-        sigma: (3,) m of the learned error that was taken off; None: none was.
+        command: (n,) or (M, n) joints. pseudo: (..., 3) m, where the physics should bring the tip.
+        sigma: (..., 3) m of the learned error that was taken off; None: none was.
         doubtful: as in `compensate`.
 
     Returns:
-        Second, whether the model's own error is one that its fitted rows have too.
+        Second, whether the model's own error is one that its fitted rows have too, (...); third,
+        the doubts of each command, in words.
     """
     physics = physics_of(model, method)
     whole = sigma is None and not missing_column(model, context)
     miss = expected_miss(model if whole else physics, command, context, pseudo, sigma)
-    spread, why = unknown_history(physics, command, context, doubtful)
-    sag, doubt = uncertain_payload(physics, command, context)
-    doubts = why, doubt, outside_data(physics, command, context)
-    return miss.beside(spread**2 + sag**2), inside_data(model, miss), doubts
+    rows = np.atleast_2d(command)
+    spread, why = unknown_history(physics, rows, context, doubtful)
+    sag, doubt = uncertain_payload(physics, rows, context)
+    further = (spread**2 + sag**2).reshape(miss.mean.shape)
+    said = zip(why, doubt, outside_data(physics, rows, context), strict=True)
+    doubts = ["; ".join(filter(None, each)) for each in said]
+    return miss.beside(further), inside_data(model, miss), doubts
 
 
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:

@@ -17,17 +17,18 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.model.model import Model, slots_of
+from longarm_comp.core.model.model import Model, slots_of, unstack
+from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, sizes
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedMiss:
-    """How far the tip may come to rest from its target.
+    """How far the tip may come to rest from its target, or from each of several.
 
     Attributes:
-        mean: (3,) m, the part that is known.
-        covariance: (3, 3) m^2, of the part that is not; NaN where nothing says it.
+        mean: (..., 3) m, the part that is known.
+        covariance: (..., 3, 3) m^2, of the part that is not; NaN where nothing says it.
     """
 
     mean: np.ndarray
@@ -35,23 +36,34 @@ class ExpectedMiss:
 
     @property
     def sigma(self) -> np.ndarray:
-        """(3,) m, standard deviation along each axis."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+        """(..., 3) m, standard deviation along each axis."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1)))
+
+    @property
+    def sizes(self) -> tuple[np.ndarray, np.ndarray]:
+        """(...) m each: `expected_m` and `p90_m`."""
+        return sizes(self.covariance, self.mean)
 
     @property
     def expected_m(self) -> float:
-        """Expected distance from the target, m; NaN where nothing says it."""
-        return float(sizes(self.covariance, self.mean)[0])
+        """Expected distance from the one target, m; NaN where nothing says it."""
+        return float(self.sizes[0])
 
     @property
     def p90_m(self) -> float:
         """Distance that 90 of 100 such commands stay below, m; NaN where nothing says it."""
-        return float(sizes(self.covariance, self.mean)[1])
+        return float(self.sizes[1])
 
     def beside(self, variance: np.ndarray) -> ExpectedMiss:
-        """With a further independent error of a variance (3,) along each axis, m^2."""
-        whole = np.nan_to_num(self.covariance) + np.diag(variance)
-        return self if not variance.any() else ExpectedMiss(self.mean, whole)
+        """With a further independent error of a variance (..., 3) along each axis, m^2."""
+        further = (variance != 0.0).any(axis=-1, keepdims=True)[..., None]
+        whole = np.nan_to_num(self.covariance) + _diagonal(variance)
+        return ExpectedMiss(self.mean, np.where(further, whole, self.covariance))
+
+
+def _diagonal(of: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) with (..., 3) on the diagonal."""
+    return np.asarray(of[..., None] * np.eye(3))
 
 
 UNKNOWN = ExpectedMiss(np.zeros(3), np.full((3, 3), np.nan))
@@ -64,31 +76,32 @@ def expected_miss(
     pseudo: np.ndarray,
     learned: np.ndarray | None = None,
 ) -> ExpectedMiss:
-    """How far the tip may come to rest from a target, at the commanded joints.
+    """How far the tip may come to rest from a target, or from each of M, at the commanded joints.
 
     Args:
-        q: (n,) commanded joints, rad and m.
-        pseudo: (3,) m, the target less the learned error.
-        learned: (3,) m, its sigma (of a measurement), if a predictor is used.
+        q: (n,) or (M, n) commanded joints, rad and m.
+        pseudo: (3,) or (M, 3) m, the target less the learned error.
+        learned: of the same shape, m, its sigma (of a measurement), if a predictor is used.
     """
-    at = model.posture(tuple(q.tolist()), context)
-    mean = np.array(model.tip_frame(at).p) - pseudo
+    at = model.posture(unstack(q), context)
+    mean = stack(model.tip_frame(at).p) - pseudo
     known = model.uncertainty or of_tolerances(model)
     if learned is not None and model.uncertainty is None:
-        return ExpectedMiss(mean, np.diag(learned**2))
+        return ExpectedMiss(mean, _diagonal(learned**2))
     if known is None:
-        return ExpectedMiss(mean, UNKNOWN.covariance)
-    carried = _carried(known, model, at)
+        return ExpectedMiss(mean, np.broadcast_to(UNKNOWN.covariance, (*mean.shape, 3)))
+    carried = _carried(known, model, at).reshape(*mean.shape, 3)
     if learned is None:
         return ExpectedMiss(mean, carried + known.structure)
     seen = learned**2 - np.diag(known.noise)
-    return ExpectedMiss(mean, np.diag(np.maximum(seen, np.diag(carried))))
+    least = np.diagonal(carried, axis1=-2, axis2=-1)
+    return ExpectedMiss(mean, _diagonal(np.maximum(seen, least)))
 
 
-def inside_data(model: Model, miss: ExpectedMiss) -> bool:
-    """Whether a model's own error at some joints is one that its fitted rows have too."""
+def inside_data(model: Model, miss: ExpectedMiss) -> np.ndarray:
+    """(...) whether a model's own error is one that its fitted rows have too."""
     known = model.uncertainty
-    return known is not None and miss.expected_m <= known.largest_m
+    return miss.sizes[0] <= (-np.inf if known is None else known.largest_m)
 
 
 def of_tolerances(model: Model) -> ModelUncertainty | None:
@@ -117,9 +130,9 @@ def geometry_of(arm: Arm) -> list[Effect]:
 
 
 def _carried(known: ModelUncertainty, model: Model, at: Posture) -> np.ndarray:
-    """(3, 3) m^2 that the parameters bring to the tip at a posture."""
+    """(N, 3, 3) m^2 that the parameters bring to the tip at N postures."""
     names = set(known.slots)
     terms = model.effects if model.uncertainty is known else geometry_of(model.arm)
     slots = [slot for slot in slots_of(model.arm, terms) if slot.identity in names]
-    columns = model.columns(at, slots)[1].reshape(1, 3, -1)
-    return known.carried(columns, [slot.identity for slot in slots])[0]
+    columns = model.columns(at, slots)[1].reshape(-1, 3, len(slots))
+    return known.carried(columns, [slot.identity for slot in slots])

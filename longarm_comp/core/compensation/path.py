@@ -73,18 +73,30 @@ class PathAnswers:
     context: Context
     passes: int
 
-    def at(self, row: int, model: Model, method: Method, target: np.ndarray) -> Compensation:
-        """The answer at a way-point, with how good it is expected to be."""
-        command, error, sigma = self.command[row], self.error[row], self.sigma[row]
-        learned, pseudo = bool(np.isfinite(sigma).all()), shifted(target, error)
-        place = pseudo if pseudo.ndim == 1 else pseudo[:3, 3]
-        miss, _, doubts = judged(
-            model, method, command, self.context.take(row), place, sigma if learned else None
-        )
-        return Compensation(
-            target, self.ideal[row], error, miss.sigma, learned, pseudo, command, self.passes,
-            Status.SUCCESS, "; ".join(filter(None, doubts)), None, miss.expected_m, miss.p90_m,
-        )  # fmt: skip
+    def each(self, model: Model, method: Method, targets: np.ndarray) -> list[Compensation]:
+        """The answers at way-points, with how good each is expected to be.
+
+        Args:
+            targets: (k, 3) or (k, 4, 4) of the plan.
+        """
+        pseudo = shifted(targets, self.error)
+        place = pseudo if pseudo.ndim == 2 else pseudo[:, :3, 3]
+        learned = np.isfinite(self.sigma).all(axis=1)
+        made: dict[int, Compensation] = {}
+        for with_it in (True, False):
+            if not len(rows := np.flatnonzero(learned == with_it)):
+                continue
+            miss, _, doubts = judged(
+                model, method, self.command[rows], self.context.take(rows), place[rows],
+                self.sigma[rows] if with_it else None,
+            )  # fmt: skip
+            said = (miss.sigma, doubts, *(size.tolist() for size in miss.sizes))
+            for k, sigma, doubt, expected, p90 in zip(rows.tolist(), *said, strict=True):
+                made[k] = Compensation(
+                    targets[k], self.ideal[k], self.error[k], sigma, with_it, pseudo[k],
+                    self.command[k], self.passes, Status.SUCCESS, doubt, None, expected, p90,
+                )  # fmt: skip
+        return [made[k] for k in range(len(targets))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,17 +248,14 @@ class _Way:
 
     def doubts(self, answers: PathAnswers) -> tuple[str, ...]:
         """What is not known where the path begins, and what lies beyond the data."""
-        rows = range(int(self.begun), len(answers.command))
+        first = slice(int(self.begun), int(self.begun) + 1)
+        begins = self.physics, answers.command[first], answers.context.take(first)
+        rows = slice(first.start, None)
         found = [
-            doubt(self.physics, answers.command[k], answers.context.take(k))[1]
-            for k in rows[:1]
-            for doubt in (unknown_history, uncertain_payload)
+            *unknown_history(*begins)[1],
+            *uncertain_payload(*begins)[1],
+            *outside_data(self.physics, answers.command[rows], answers.context.take(rows)),
         ]
-        if any(effect.bounded for effect in self.physics.effects):
-            found += [
-                outside_data(self.physics, answers.command[k], answers.context.take(k))
-                for k in rows
-            ]
         return tuple(dict.fromkeys(filter(None, found)))
 
     @property
@@ -286,13 +295,13 @@ class _Way:
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
             return self._standing(np.clip(plan.joints, arm.lower, arm.upper))
-        context = self._context(self._held)
+        each, physics = self._context(self._held).each(len(plan.targets)), self.physics
         made: list[np.ndarray] = []
         first = self.start if seed is None else seed
-        for row, target in enumerate(plan.targets):
+        for row, (target, context) in enumerate(zip(plan.targets, each, strict=True)):
             found = ik.solve(
-                self.physics, target, seed=made[-1] if made else first,
-                context=context.take(row), position_only=self.free, locked=self.options.locked,
+                physics, target, seed=made[-1] if made else first,
+                context=context, position_only=self.free, locked=self.options.locked,
                 max_starts=1 if made else self.options.starts,
             )  # fmt: skip
             self._refuse(row, found)
@@ -346,7 +355,7 @@ def _corrections(
 ) -> np.ndarray:
     """(k,) m: how far the declared arm's tip is moved; refused where that is too far."""
     wanted = plan.targets if plan.targets.ndim == 2 else plan.targets[:, :3, 3]
-    moved = np.linalg.norm(Model(arm).tip(joints) - wanted, axis=1)
+    moved = np.linalg.norm(Model(arm, elements_per_beam=1).tip(joints) - wanted, axis=1)
     row = first + int(np.argmax(moved[first:])) if first < len(moved) else 0
     if first < len(moved) and moved[row] > most_m:
         raise PathRefused(

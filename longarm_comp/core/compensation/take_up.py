@@ -58,10 +58,13 @@ class TakeUp:
         behind, arm = np.zeros_like(q), self.model.arm
         if not self.joints:
             return behind
-        posture = self.model.unsagged(unstack(q), context)
-        for effect in self.model.effects:
-            twists = effect.twists(posture) if effect.history_joints(arm) else {}
-            for joint in effect.history_joints(arm):
+        held = [(effect, effect.history_joints(arm)) for effect in self.model.effects]
+        held = [(effect, joints) for effect, joints in held if joints]
+        loaded = any(effect.loaded for effect, _ in held)
+        posture = (self.model.unsagged if loaded else self.model.unplaced)(unstack(q), context)
+        for effect, joints in held:
+            twists = effect.twists(posture)
+            for joint in joints:
                 row = arm.commanded[joint]
                 if twist := twists.get(posture.bearing(row)):
                     behind[:, joint] -= twist[2 if arm.joints[row - 1].type == "prismatic" else 5]

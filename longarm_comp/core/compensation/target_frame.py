@@ -65,14 +65,14 @@ class Placement:
 
 
 def placement(
-    model: Model, target: np.ndarray, frame: str = "", group: str = "", where: str = "targets"
+    model: Model, points: np.ndarray, frame: str = "", group: str = "", where: str = "targets"
 ) -> Placement:
-    """Where a target lies for a model.
+    """Where targets of one frame and group lie for a model.
 
     Args:
-        target: (3,) m or (4, 4).
+        points: (k, 3) m, their positions.
         frame: ``base``, ``measured``, or nothing where nobody said it.
-        group: rows of the measurements that the target belongs to, where the base was moved.
+        group: rows of the measurements that they belong to, where the base was moved.
     """
     if frame not in ("", *FRAMES):
         raise InputError(where, "frame", frame, " or ".join(FRAMES))
@@ -94,13 +94,13 @@ def placement(
         return Placement(MEASURED, still, base, bool(found))
     if frame == BASE:
         return Placement(BASE, motion, base, bool(found))
-    point = target[:3, 3] if target.ndim == 2 else target
-    away = float(np.linalg.norm(motion[:3, :3] @ point + motion[:3, 3] - point))
+    shifts = points @ (motion[:3, :3] - still[:3, :3]).T + motion[:3, 3]
+    away = float(np.linalg.norm(shifts, axis=1).max())
     if away > (usual := _usual(model.arm)):
         allowed = (
             f"{BASE} (the arm's own) or {MEASURED} (that of the measurements), by a column frame "
             f"or --frame: the calibration found the base elsewhere, {1e3 * away:.4g} mm apart at "
-            f"this target; up to {1e3 * usual:.3g} mm would be an error of setting up"
+            f"a target; up to {1e3 * usual:.3g} mm would be an error of setting up"
         )
         raise InputError(where, "frame", "not said", allowed)
     return Placement(MEASURED if found else BASE, still, base, bool(found))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import compress
+from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
+from longarm_comp.core.arm.context import PER_JOINT, Context
+from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.ik.forward import tip_poses
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import Model, unstack
 
 _LEAST_M = 1e-5
 """A tip that moves by less, whatever the joints did before, does not depend on it."""
@@ -25,17 +28,23 @@ def missing_column(model: Model, context: Context) -> str:
     return ""
 
 
-def outside_data(model: Model, q: np.ndarray, context: Context) -> str:
+def outside_data(model: Model, q: np.ndarray, context: Context) -> list[str]:
     """Which effects stand outside the data that they were found in, and in what; or "".
 
     They count there as at the end of the data.
+
+    Args:
+        q: (M, n) commanded joints, rad and m.
+        context: circumstances at them.
     """
-    bounded = [e for e in model.effects if e.bounded]
-    if not bounded:
-        return ""
-    posture = model.posture(tuple(q.tolist()), context)
-    beyond = {part for effect in bounded for part in effect.outside(posture)}
-    return f"outside the data of what was found: {', '.join(sorted(beyond))}" if beyond else ""
+    beyond: list[set[str]] = [set() for _ in q]
+    if bounded := [e for e in model.effects if e.bounded]:
+        posture = model.posture(unstack(q), context)
+        for effect in bounded:
+            for row, parts in zip(beyond, effect.outside(posture), strict=True):
+                row.update(parts)
+    text = "outside the data of what was found"
+    return [f"{text}: {', '.join(sorted(row))}" if row else "" for row in beyond]
 
 
 def history_joints(model: Model) -> dict[str, tuple[int, ...]]:
@@ -50,79 +59,98 @@ def history_joints(model: Model) -> dict[str, tuple[int, ...]]:
 
 def unknown_history(
     model: Model, q: np.ndarray, context: Context, doubtful: np.ndarray | None = None
-) -> tuple[np.ndarray, str]:
+) -> tuple[np.ndarray, list[str]]:
     """How far the tip depends on what is not known of the joints' history.
 
     Args:
-        q: (n,) commanded joints, rad and m.
-        context: circumstances at q.
+        q: (M, n) commanded joints, rad and m.
+        context: circumstances at them.
         doubtful: (n,) joints whose side of arrival is told but not certain.
 
     Returns:
-        Standard deviation (3,) in m, and which fields of which joints in one sentence; zeros and
-        "" where everything that matters is known.
+        Standard deviations (M, 3) in m, and which fields of which joints in one sentence each;
+        zeros and "" where everything that matters is known.
     """
-    n = model.arm.n
+    m, n = q.shape
     unsure = np.zeros(n, bool) if doubtful is None else doubtful
-    known = {name: np.reshape(context.of_all(name, n), (n, -1)) for name in PER_JOINT}
+    held = {name: _rows(context.of_all(name, n), m).reshape(m, n, -1) for name in PER_JOINT}
     open_ = [
         (name, joint, extremes)
         for name, joints in history_joints(model).items()
         for joint in joints
-        if (extremes := _EXTREMES[name](known[name][joint], bool(unsure[joint]))) is not None
+        if (extremes := _EXTREMES[name](held[name][:, joint], bool(unsure[joint]))) is not None
     ]
     if not open_:
-        return np.zeros(3), ""
-    trials = {name: np.repeat(held[None], 2 * len(open_), axis=0) for name, held in known.items()}
+        return np.zeros((m, 3)), [""] * m
+    times = 2 * len(open_)
+    trials = {name: np.repeat(rows[None], times, axis=0) for name, rows in held.items()}
     for k, (name, joint, extremes) in enumerate(open_):
-        trials[name][2 * k : 2 * k + 2, joint] = extremes
-    columns = {name: np.full(2 * len(open_), value) for name, value in context.columns.items()}
-    history = {name: tuple(rows.reshape(len(rows), -1).T) for name, rows in trials.items()}
-    supposed = Context(**history, columns=columns, labels=context.labels)
-    tip = tip_poses(model, np.tile(q, (2 * len(open_), 1)), supposed)[:, :3, 3]
-    half = 0.5 * (tip[0::2] - tip[1::2])
-    size = np.linalg.norm(half, axis=1)
-    if not (size > _LEAST_M).any():
-        return np.zeros(3), ""
-    spread = np.sqrt((half**2).sum(axis=0))
-    names = model.arm.joint_names
-    parts = [
-        f"{_WORDS[name]} of {names[joint]}"
-        for (name, joint, _), moved in zip(open_, size, strict=True)
-        if moved > _LEAST_M
+        trials[name][2 * k : 2 * k + 2, :, joint] = extremes
+    fields: dict[str, Any] = {
+        name: tuple(rows.reshape(times * m, -1).T) for name, rows in trials.items()
+    }
+    for name in ("columns", "labels"):
+        fields[name] = {k: _repeated(v, times) for k, v in getattr(context, name).items()}
+    tip = tip_poses(model, np.tile(q, (times, 1)), Context(**fields))[:, :3, 3].reshape(-1, 2, m, 3)
+    half = 0.5 * (tip[:, 0] - tip[:, 1])
+    size = np.linalg.norm(half, axis=2)
+    spread = np.where((size > _LEAST_M).any(axis=0)[:, None], np.sqrt((half**2).sum(axis=0)), 0.0)
+    parts = [f"{_WORDS[name]} of {model.arm.joint_names[joint]}" for name, joint, _ in open_]
+    text = "the tip depends on what is not known"
+    why = [
+        f"{text}: {', '.join(compress(parts, of))} (sigma {sigma:.2f} mm)" if sigma else ""
+        for of, sigma in zip((size > _LEAST_M).T, 1e3 * np.linalg.norm(spread, axis=1), strict=True)
     ]
-    sigma_mm = 1e3 * float(np.linalg.norm(spread))
-    why = f"the tip depends on what is not known: {', '.join(parts)} (sigma {sigma_mm:.2f} mm)"
     return spread, why
 
 
-def uncertain_payload(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, str]:
+def uncertain_payload(
+    model: Model, q: np.ndarray, context: Context
+) -> tuple[np.ndarray, list[str]]:
     """How far the tip depends on a payload that is known to `SD` only: as `unknown_history`."""
-    sd = float(context.column(SD, 0.0))  # type: ignore[arg-type]
-    if not sd:
-        return np.zeros(3), ""
-    kg = context.payload_kg(0.0) + sd * np.array([1.0, -1.0])
-    told = dataclasses.replace(context, columns={**context.columns, "payload_kg": kg})
-    tips = [model.tip(q, told.take(k)) for k in range(2)]
+    sd = np.broadcast_to(np.asarray(context.column(SD, 0.0)), len(q))
+    if not sd.any():
+        return np.zeros((len(q), 3)), [""] * len(q)
+    columns, kg = context.columns, context.payload_kg(0.0)
+    tips = [
+        model.tip(q, dataclasses.replace(context, columns={**columns, "payload_kg": kg + by}))
+        for by in (sd, -sd)
+    ]
     half = np.abs(tips[0] - tips[1]) / 2.0
-    mm = 1e3 * float(np.linalg.norm(half))
-    return half, f"the payload is known to {sd:.3f} kg only (sigma {mm:.2f} mm)"
+    return half, [
+        f"the payload is known to {by:.3f} kg only (sigma {mm:.2f} mm)" if by else ""
+        for by, mm in zip(sd, 1e3 * np.linalg.norm(half, axis=1), strict=True)
+    ]
+
+
+def _rows(values: Sequence[Scalar], m: int) -> np.ndarray:
+    """(m, k) of k scalars, each a float or (m,)."""
+    made = np.empty((m, len(values)))
+    for k, value in enumerate(values):
+        made[:, k] = value
+    return made
+
+
+def _repeated(value: Any, times: int) -> Any:
+    """What is one value for all postures stays so."""
+    return np.tile(value, times) if np.ndim(value) else value
 
 
 def _either_side(side: np.ndarray, unsure: bool) -> np.ndarray | None:
-    """Both sides (2, 1), where the side is not known."""
-    return np.array([[1.0], [-1.0]]) if unsure or side[0] == 0.0 else None
+    """Both sides (2, M, 1) where the side (M, 1) is not known, the side where it is."""
+    unknown = (side == 0.0) | unsure
+    return np.where(unknown, [[[1.0]], [[-1.0]]], side) if unknown.any() else None
 
 
 def _any_way_before(legs: np.ndarray, unsure: bool) -> np.ndarray:
-    """The known legs (LEGS,) after a long way up and after one down, (2, LEGS).
+    """The known legs (M, LEGS) after a long way up and after one down, (2, M, LEGS).
 
     Between the two lies every state that play of any radius can have.
     """
-    after = np.zeros(0) if unsure else legs[legs != 0.0]
-    made = np.zeros((2, LEGS))
-    made[:, : len(after)] = after
-    made[:, len(after)] = _FAR, -_FAR
+    first = np.argsort(legs == 0.0, axis=1, kind="stable")
+    after = np.zeros_like(legs) if unsure else np.take_along_axis(legs, first, axis=1)
+    made = np.stack([after, after])
+    made[:, np.arange(len(legs)), (after != 0.0).sum(axis=1)] = [[_FAR], [-_FAR]]
     return made
 
 
@@ -132,4 +160,4 @@ _EXTREMES: Mapping[str, Callable[[np.ndarray, bool], np.ndarray | None]] = {
     "approach": _either_side,
     "legs": _any_way_before,
 }
-"""By field of the history, the two extremes of what it may be at a joint; None: it is known."""
+"""By field of the history, the two extremes of what it may be at a joint; None: all are known."""

@@ -123,15 +123,17 @@ class Discovered(_OfFunction, Effect):
         """Its function must be one of what this arm has."""
         _check(self.name, self, arm, where, OfPosture)
 
-    def outside(self, posture: Posture) -> tuple[str, ...]:
-        """Which quantities of one posture lie outside the data, and so count as at their end."""
-        made = []
+    def outside(self, posture: Posture) -> list[tuple[str, ...]]:
+        """Which quantities of N postures lie outside the data, and so count as at their end."""
+        made: list[tuple[str, ...]] = [()] * posture.count
         for factor in {f.of: f for f in self.of.factors}.values():
-            x = float(factor.quantity.read(posture))  # type: ignore[attr-defined]
+            read = factor.quantity.read(posture)  # type: ignore[attr-defined]
             slack = _SLACK * (factor.high - factor.low)
-            if not factor.low - slack <= x <= factor.high + slack:
-                made.append(f"{factor.of} {x:.4g} ({factor.low:.4g}..{factor.high:.4g})")
-        return tuple(made)
+            for row, x in enumerate(np.broadcast_to(read, posture.count).tolist()):
+                if not factor.low - slack <= x <= factor.high + slack:
+                    text = f"{factor.of} {x:.4g} ({factor.low:.4g}..{factor.high:.4g})"
+                    made[row] = (*made[row], text)
+        return made
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Amount times function of its component."""

@@ -324,9 +324,9 @@ class Effect(_Term, ABC):
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
 
-    def outside(self, posture: Posture) -> tuple[str, ...]:
-        """What of one posture (floats) lies outside the data that it was found in, in words."""
-        return ()
+    def outside(self, posture: Posture) -> Sequence[tuple[str, ...]]:
+        """What of each of N postures lies outside the data that it was found in, in words."""
+        return [()] * posture.count
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         """Masses that this effect adds to the arm (kg at a point of a station)."""

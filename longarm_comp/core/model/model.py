@@ -199,9 +199,13 @@ class Model:
         """The arm at q as its base stands, before any other effect: where the load passes begin."""
         return self.loaded(q, context, self._standing(context))
 
+    def unplaced(self, q: Sequence[Scalar], context: Context) -> Posture:
+        """The joints at q without frames and loads, for effects that depend on neither."""
+        return Posture(self.chain, tuple(q), context, [], [], self.arm.gravity_mps2)
+
     def _standing(self, context: Context) -> Twists:
         """Twists of the placement alone."""
-        bare = Posture(self.chain, (), context, [], [], self.arm.gravity_mps2)
+        bare = self.unplaced((), context)
         return summed(effect.twists(bare) for effect in self.effects if effect.seen_only)
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
