@@ -249,7 +249,7 @@ def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, _Slots]:
 
 MOST_KERNELS = 8
 """Kernels kept, the last used: of the model at work, the rigid one, the one before and the one that
-is learned, each with what is known of two kinds of targets.  A compiled one takes some 10 MB."""
+is learned, each with what is known of two kinds of targets.  A compiled one takes some 2 MB."""
 _kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()
 
 

@@ -56,7 +56,10 @@ def compile_module(text: str, width: int) -> _Code:
         opt=1,
         jit=True,
     )
-    engine = llvm.create_mcjit_compiler(module, machine)
+    code = llvm.ObjectFileRef.from_data(machine.emit_object(module))
+    # The engine keeps its module: a third of the memory where that is empty.
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(code)
     engine.finalize_object()
     Compiled.programs += 1
     return _Code(engine, width)
