@@ -7,16 +7,25 @@ ros2 launch longarm_comp longarm.launch.py arm:=arm.yaml sim:=true rviz:=true
 import atexit
 import os
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, RegisterEventHandler, Shutdown
-from launch.event_handlers import OnProcessExit
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    OpaqueFunction,
+    RegisterEventHandler,
+    Shutdown,
+)
+from launch.event_handlers import OnProcessExit, OnShutdown
+from launch.events.process import SignalProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.nodes.supervisor import GUARD
 from longarm_comp.share import folder
 
 ARGUMENTS = (
@@ -56,6 +65,12 @@ def end_on_bad_input(event, context):
     return [Shutdown(reason=event.process_name)] if event.returncode == BAD_INPUT else None
 
 
+def interrupt(made):
+    """Send nodes a SIGINT: launch leaves that to its terminal, and there may be none."""
+    mine = SignalProcess(signal_number=signal.SIGINT, process_matcher=lambda action: action in made)
+    return EmitEvent(event=mine)
+
+
 def nodes(context):
     """One launch_ros Node for each of the graph."""
     given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in ARGUMENTS}
@@ -87,6 +102,7 @@ def nodes(context):
             output="screen",
             respawn=True,
             respawn_delay=1.0,
+            additional_env={GUARD: str(os.getpid())},  # they end when launch was killed
         )
         for name in graph.nodes
     ]
@@ -96,7 +112,8 @@ def nodes(context):
         made.append(
             Node(package="rviz2", executable="rviz2", namespace=graph.namespace, arguments=view)
         )
-    return [*made, RegisterEventHandler(OnProcessExit(on_exit=end_on_bad_input))]
+    handlers = OnProcessExit(on_exit=end_on_bad_input), OnShutdown(on_shutdown=[interrupt(made)])
+    return [*made, *map(RegisterEventHandler, handlers)]
 
 
 def generate_launch_description():

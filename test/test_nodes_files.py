@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import os
+import signal
 import sys
 import types
 from dataclasses import replace
@@ -23,6 +24,7 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import SIMULATED, BringUp
 from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.supervisor import GUARD
 from longarm_comp.share import folder
 
 ROOT = Path(__file__).parents[1]
@@ -150,6 +152,7 @@ def launched(file: Path, monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     for name in (
         *("launch", "launch.actions", "launch.event_handlers", "launch.substitutions"),
         *("launch.launch_description_sources", "launch_ros", "launch_ros.actions"),
+        *("launch.events", "launch.events.process"),
     ):
         monkeypatch.setitem(sys.modules, name, MagicMock(name=name))
     module = types.ModuleType(file.stem)
@@ -176,12 +179,17 @@ def test_a_launch_starts_every_node_with_what_it_takes(monkeypatch: pytest.Monke
         perform=lambda context: given[name]
     )
     made = module.nodes(None)
-    assert len(made) == len(SIMULATED) + 2
+    assert len(made) == len(SIMULATED) + 3
+    (signalled,) = module.SignalProcess.call_args_list  # as launch sends none on SIGINT
+    assert signalled.kwargs["signal_number"] == signal.SIGINT
+    assert signalled.kwargs["process_matcher"](module.Node.return_value)
+    assert not signalled.kwargs["process_matcher"]("of another launch file")
     calls = [call.kwargs for call in module.Node.call_args_list][: len(SIMULATED)]
     assert [call["executable"] for call in calls] == list(SIMULATED)
     passed = {}
     for call in calls:
         assert call["name"] == call["executable"]
+        assert call["additional_env"] == {GUARD: str(os.getpid())}  # it ends when launch was killed
         *listed, written = call["parameters"]
         for file, (node, values) in zip(listed, read_yaml(Path(written)).items(), strict=True):
             passed[node.removeprefix("/**/")] = [file, values["ros__parameters"]]
