@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,11 +19,14 @@ from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.kind_of_arm import KindOfArm
+from longarm_comp.core.identify.linear import CHANCES, SIZES, sized
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.standing import frames, standing, with_frames
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
+SIZED = 4
+"""Times that tolerances are judged by what is fitted with them; they settle at once or twice."""
 WORST = 5
 """Rows that are named as the worst."""
 
@@ -161,8 +165,29 @@ def stages(
         if kind is not None and name == "geometry":
             whole, usual, start = kind.applied(whole), kind.noise, placed
         fitted = fit(warm(whole, start), session, usual=usual)
+        if name == "geometry":
+            fitted = _as_made(fitted, session, usual)
         start = fitted.model
         yield name, fitted
+
+
+def _as_made(fitted: ModelFit, session: Session, usual: Mapping[str, float] | None) -> ModelFit:
+    """Fitted with the tolerances that hold: some parts are beyond what their drawing allows.
+
+    What lies far beyond pays for that once.  Else any effect that moves the tip as the part does
+    would be worth what the part's prior costs.
+    """
+    for _ in range(SIZED):
+        bare = dataclasses.replace(fitted.model, beyond=())
+        slots = [s for s in bare.slots if not s.parameter.unknown]
+        told = np.array([getattr(s.owner, s.parameter.name) / s.parameter.width for s in slots])
+        every = np.ones((len(slots), 1))
+        sizes = sized(told, every * SIZES, every * CHANCES)[0].tolist()
+        beyond = tuple((s.identity, f) for s, f in zip(slots, sizes, strict=True) if f != 1.0)
+        if beyond == fitted.model.beyond:
+            break
+        fitted = fit(dataclasses.replace(bare, beyond=beyond), session, usual=usual)
+    return fitted
 
 
 def ladder(

@@ -64,7 +64,8 @@ class KindOfArm:
             raise InputError("kind of arm", "models", len(models), f"at least {LEAST}, of one kind")
         for model, source in zip(models, sources, strict=True):
             _check_table(arm, model.arm, source)
-        held = [{s.identity: s for s in m.slots if _shared(s)} for m in models]
+        drawn = [dataclasses.replace(m, tolerances=1.0, beyond=()) for m in models]
+        held = [{s.identity: s for s in m.slots if _shared(s)} for m in drawn]
         every = {key: slot for slots in held for key, slot in slots.items()}
         values = np.zeros((len(held), len(every)))
         for row, slots in zip(values, held, strict=True):

@@ -6,6 +6,7 @@ deviations, so that the prior is the unit normal.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -183,6 +184,28 @@ def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     low, high = np.where(flip, -upper, lower), np.where(flip, -lower, upper)
     mass = log_ndtr(high)
     return np.asarray(mass + np.log1p(-np.exp(np.minimum(log_ndtr(low) - mass, -1e-300))))
+
+
+SIZES = (1.0, 4.0, 16.0)
+"""Prior standard deviations of what may be wrong, in its own prior's: few arms are so ill, and few
+parts so far from their drawing, but some are."""
+CHANCES = tuple(math.log(p) for p in (0.8, 0.15, 0.05))
+
+
+def sized(mean: np.ndarray, sizes: np.ndarray, chances: np.ndarray) -> tuple[np.ndarray, float]:
+    """(k,) the most probable size of each of (k,) coefficients, and the log chance of these.
+
+    One place may be far worse than the next, and a base that sinks need not tilt, so each
+    coefficient has a size of its own.
+
+    Args:
+        mean: the coefficients.
+        sizes, chances: (k, s) prior standard deviations, and their log probabilities.
+    """
+    tried = chances - 0.5 * (mean[:, None] / sizes) ** 2 - np.log(sizes)
+    best = tried.argmax(axis=1)
+    each = np.arange(len(mean))
+    return sizes[each, best], float(chances[each, best].sum())
 
 
 OUTLIER = 4.2

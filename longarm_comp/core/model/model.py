@@ -69,6 +69,7 @@ class Model:
             from below (+1); empty if not recorded.
         tolerances: share of the drawing's tolerances that geometry may be off by; less than 1
             beside what other arms of the kind tell.
+        beyond: (parameter, factor) of geometry whose tolerance does not hold: times wider.
         uncertainty: how far off its tip may be; None where that is not known.
     """
 
@@ -79,6 +80,7 @@ class Model:
     elements_per_beam: int = 2
     arrivals: tuple[tuple[int, int], ...] = ()
     tolerances: float = 1.0
+    beyond: tuple[tuple[tuple[object, ...], float], ...] = ()
     uncertainty: ModelUncertainty | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
@@ -111,10 +113,12 @@ class Model:
     def _within(self, slot: Slot) -> Slot:
         """The parameter with the prior that this model gives it."""
         p, owner = slot.parameter, slot.owner
-        if self.tolerances == 1.0 or p.unknown or not owner.geometry or owner.passing:
+        share = dict(self.beyond).get(slot.identity, 1.0)
+        if owner.geometry and not owner.passing and not p.unknown:
+            share *= self.tolerances
+        if share == 1.0:
             return slot
-        narrowed = dataclasses.replace(p, prior=p.prior * self.tolerances)
-        return dataclasses.replace(slot, parameter=narrowed)
+        return dataclasses.replace(slot, parameter=dataclasses.replace(p, prior=p.prior * share))
 
     @cached_property
     def values(self) -> np.ndarray:
@@ -380,14 +384,11 @@ class Model:
 
     def _reseen(self, slot: Slot, by: float) -> Model:
         """The model with a parameter of the measuring side moved."""
-        position = slot.term - len(self.effects)
-        biases = list(self.biases)
         changed = self._moved(slot, by)
-        if 0 <= position < len(biases) and biases[position] is slot.owner:
-            biases[position] = changed
-        else:
-            biases.append(changed)
-        return dataclasses.replace(self, biases=tuple(biases))
+        biases = tuple(changed if b is slot.owner else b for b in self.biases)
+        if not any(b is changed for b in biases):
+            biases = (*biases, changed)
+        return dataclasses.replace(self, biases=biases)
 
 
 def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
@@ -398,7 +399,5 @@ def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
 
 def unstack(q: np.ndarray) -> tuple[Scalar, ...]:
     """(n,) -> n floats; (N, n) -> n arrays of (N,)."""
-    q = np.asarray(q, dtype=float)
-    if q.ndim == 1:
-        return tuple(float(v) for v in q)
-    return tuple(np.ascontiguousarray(q[..., j]) for j in range(q.shape[-1]))
+    joints = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    return tuple(np.ascontiguousarray(v) if v.ndim else float(v) for v in joints)

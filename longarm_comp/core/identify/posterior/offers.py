@@ -16,7 +16,7 @@ import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.evidence import FitColumns, FitMarginal, shift_of
-from longarm_comp.core.identify.linear import Products
+from longarm_comp.core.identify.linear import CHANCES, SIZES, Products
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
@@ -28,11 +28,6 @@ from longarm_comp.core.model.model import slots_of
 TOLERANCES = (0.01, 0.03, 0.1)
 """Shares of its own shift by which an effect's form may err, equally likely beforehand: play,
 friction and stiffness of real joints differ by a tenth from place to place along their way."""
-SIZES = (1.0, 4.0, 16.0)
-"""Prior standard deviations of an effect, in its own prior's: few arms are so ill, but some are."""
-CHANCES = tuple(math.log(p) for p in (0.8, 0.15, 0.05))
-
-
 AMPLITUDES = (3.0, 30.0, 300.0)
 """Of a function without a name: prior standard deviations of its shift, in units of the noise."""
 

@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from longarm_comp.core.identify.linear import log_mass
+from longarm_comp.core.identify.linear import log_mass, sized
 
 NONE = math.log(20.0)
 """Log odds for no further effect, before the data: one finding in twenty may be wrong."""
@@ -212,7 +212,9 @@ def _marginal(
     data hardly tell two apart, the largest lets them grow against each other.
     """
     begun = np.concatenate([np.full(len(o.places), start(o.sizes)) for o in free])
-    scale, chance = _sized(free, _solved(s, t, begun)[0])
+    sizes = np.array([o.sizes for o in free for _ in o.places])
+    chances = np.array([o.chances for o in free for _ in o.places])
+    scale, chance = sized(_solved(s, t, begun)[0], sizes, chances)
     mean, sd, factor = _solved(s, t, scale)
     inside = log_mass((lower - mean) / sd, (upper - mean) / sd)
     inside = inside - log_mass(lower / scale, upper / scale)
@@ -228,20 +230,6 @@ def _solved(
     mean = inverse @ (scale * t)
     evidence = float(scale * t @ mean / 2 - np.log(np.diag(factor[0])).sum())
     return scale * mean, scale * np.sqrt(np.diag(inverse)), evidence
-
-
-def _sized(chosen: Sequence[Offer], mean: np.ndarray) -> tuple[np.ndarray, float]:
-    """(k,) the most probable size of each coefficient, and the log chance of these.
-
-    One place may be far worse than the next, and a base that sinks need not tilt, so each
-    coefficient has a size of its own.
-    """
-    sizes = np.array([o.sizes for o in chosen for _ in o.places])
-    chances = np.array([o.chances for o in chosen for _ in o.places])
-    tried = chances - 0.5 * (mean[:, None] / sizes) ** 2 - np.log(sizes)
-    best = tried.argmax(axis=1)
-    each = np.arange(len(mean))
-    return sizes[each, best], float(chances[each, best].sum())
 
 
 class _Stack:
