@@ -18,6 +18,7 @@ from longarm_comp.core.compensation.online import Readings, compensate_now
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
@@ -101,6 +102,21 @@ def test_a_doubtful_joint_may_be_wound_up_either_way() -> None:
     blank = Context(context.approach)
     whole, _ = unknown_history(model, ARM.mid[None], blank)
     np.testing.assert_allclose(unsure, whole, rtol=1e-9)
+
+
+def test_a_doubt_is_of_its_own_row_and_its_circumstances() -> None:
+    model = Model(ARM, (ThermalGrowth(1e-3), FrictionHysteresis(2, far=0.1, width=0.01)))
+    q = np.stack([ARM.mid, ARM.mid + 0.2, ARM.mid - 0.1])
+    warm = np.array([20.0, 40.0, 60.0])
+
+    def doubt(rows: slice, warm: np.ndarray) -> np.ndarray:
+        return unknown_history(model, q[rows], Context(columns={"temperature_c": warm}))[0]
+
+    together = doubt(slice(None), warm)
+    for row in range(3):
+        own = slice(row, row + 1)
+        np.testing.assert_allclose(together[own], doubt(own, warm[own]), rtol=1e-9, atol=1e-15)
+    assert np.abs(doubt(slice(None), warm[::-1]) - together).max() > 1e-3 * together.max()
 
 
 def test_a_joint_that_was_moved_by_nobody_knows_what_has_no_legs() -> None:

@@ -20,7 +20,7 @@ import numpy as np
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.posture import PLACEMENT, Chain, Lumped, Posture, Twists
+from longarm_comp.core.arm.posture import PLACEMENT, Chain, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter
 from longarm_comp.core.model.encoders import Parts
@@ -184,9 +184,7 @@ class Model:
         """A posture's frames under this model's gravity and masses."""
         gravity = self._gravity(posture.context)
         bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
-        extra: tuple[Lumped, ...] = ()
-        for effect in self.effects:
-            extra += effect.masses(bare)
+        extra = tuple(mass for effect in self.effects for mass in effect.masses(bare))
         return dataclasses.replace(bare, extra=extra, _cache={})
 
     def _passed(self, posture: Posture, passes: int) -> Posture:
@@ -217,9 +215,7 @@ class Model:
         frames, lengths = self.chain.place(q, twists)
         gravity = self._gravity(context)
         posture = Posture(self.chain, tuple(q), context, frames, lengths, gravity)
-        extra: tuple[Lumped, ...] = ()
-        for effect in self.effects:
-            extra += effect.masses(posture)
+        extra = tuple(mass for effect in self.effects for mass in effect.masses(posture))
         return dataclasses.replace(posture, extra=extra, _cache={}) if extra else posture
 
     def _gravity(self, context: Context) -> Vec:
