@@ -1,6 +1,6 @@
 # Everything runs from .venv, which `make setup` builds from nothing out of the package registry.
 PYTHON ?= python3
-PYTEST_ARGS ?= -m 'not long' -n 3 --dist loadfile --no-loadscope-reorder
+PYTEST_ARGS ?= -m 'not long' -n 2 --dist loadfile --no-loadscope-reorder
 
 VENV := .venv
 BIN := $(VENV)/bin

@@ -320,6 +320,7 @@ def test_shaped_moves_arrive_and_shaping_needs_an_arm(rig: Rig, tmp_path: Path) 
     arm.write_text(yaml.safe_dump(text | {"links": [beam]}))
     rig.process.send_signal(signal.SIGINT)
     assert rig.process.wait(timeout=10) == 0
+    rig.stage.spin(lambda: rig.trajectories.get_subscription_count() == 0)
     command = ["-m", "longarm_comp.nodes.servo_driver", "--ros-args"]
     command += ["--params-file", str(rig.file), "-p", "shaping:=true"]
     without = rig.stage.python(command)
@@ -328,5 +329,5 @@ def test_shaped_moves_arrive_and_shaping_needs_an_arm(rig: Rig, tmp_path: Path) 
     del rig.states[:], rig.said[:]
     rig.process = rig.stage.python([*command, "-p", f"arm:={arm}"])
     rig.is_idle()
-    rig.stage.spin(lambda: rig.trajectories.get_subscription_count() == 1)  # the first one is gone
+    rig.stage.spin(lambda: rig.trajectories.get_subscription_count() == 1)
     rig.goes(shoulder=0.3, boom=0.05)

@@ -69,7 +69,8 @@ class Model:
             from below (+1); empty if not recorded.
         tolerances: share of the drawing's tolerances that geometry may be off by; less than 1
             beside what other arms of the kind tell.
-        beyond: (parameter, factor) of geometry whose tolerance does not hold: times wider.
+        beyond: (parameter, factor) of geometry whose tolerance does not hold: times wider. Each
+            calibration judges it anew; no file holds it.
         uncertainty: how far off its tip may be; None where that is not known.
     """
 
@@ -80,7 +81,7 @@ class Model:
     elements_per_beam: int = 2
     arrivals: tuple[tuple[int, int], ...] = ()
     tolerances: float = 1.0
-    beyond: tuple[tuple[tuple[object, ...], float], ...] = ()
+    beyond: tuple[tuple[tuple[object, ...], float], ...] = field(default=(), compare=False)
     uncertainty: ModelUncertainty | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
