@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pytest
@@ -29,6 +29,7 @@ from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.ik.engines import compiler_at_hand
 from longarm_comp.core.ik.solver import Engine, solve_many
@@ -357,3 +358,17 @@ def test_a_joint_that_no_move_brings_from_one_side_counts_as_unknown() -> None:
     else:
         assert context.approach[0] == 0.0
         assert f"approach of {ARM.joint_names[0]}" in found.reason
+
+
+def test_a_list_is_a_value_of_each_posture() -> None:
+    context = Context(columns={"payload_kg": [0.1, 0.2], "temperature_c": 30.0})
+    each = context.each(2)
+    assert [one.columns["payload_kg"] for one in each] == [0.1, 0.2]
+    assert [one.columns["temperature_c"] for one in each] == [30.0, 30.0]
+    assert context.take(1).columns["payload_kg"] == 0.2
+
+
+@pytest.mark.parametrize("values", [[0.1], [0.1, 0.2, 0.3], np.zeros(3)])
+def test_values_of_other_postures_are_refused(values: Sequence[float]) -> None:
+    with pytest.raises(InputError, match=r"payload_kg: \d values \(allowed: .*2: one of each"):
+        Context(columns={"payload_kg": values}).each(2)

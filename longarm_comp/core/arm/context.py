@@ -99,7 +99,7 @@ class Context:
         """The context of some of N postures; what is one scalar for all stays so."""
 
         def of(value: Any) -> Any:
-            return value[rows] if isinstance(value, np.ndarray) and value.ndim else value
+            return np.asarray(value)[rows] if _of_each(value) else value
 
         taken: dict[str, Any] = {}
         for f in dataclasses.fields(self):
@@ -112,22 +112,29 @@ class Context:
         return Context(**taken)
 
     def each(self, count: int) -> list[Context]:
-        """The contexts of all of N postures, as `take` gives them one by one."""
+        """The contexts of all of N postures, as `take` gives them one by one.
 
-        def rows(held: Iterable[Any]) -> Iterable[tuple[Any, ...]]:
-            lists = [
-                v[:count].tolist() if isinstance(v, np.ndarray) and v.ndim else [v] * count
-                for v in held
-            ]
-            return zip(*lists, strict=True) if lists else [()] * count
+        Raises:
+            InputError: a quantity has values of more or fewer postures.
+        """
+
+        def rows(name: str, value: Any) -> list[Any]:
+            if not _of_each(value):
+                return [value] * count
+            if len(value) != count:
+                allowed = f"one for all, or {count}: one of each"
+                raise InputError("context", name, f"{len(value)} values", allowed)
+            every: list[Any] = np.asarray(value).tolist()
+            return every
 
         fields: dict[str, Iterable[Any]] = {}
         for f in dataclasses.fields(self):
             held = getattr(self, f.name)
-            if f.name in PER_JOINT:
-                fields[f.name] = list(rows(held))
-            else:
-                fields[f.name] = [dict(zip(held, row, strict=True)) for row in rows(held.values())]
+            named = f.name not in PER_JOINT
+            items = held.items() if named else ((f.name, value) for value in held)
+            lists = [rows(name, value) for name, value in items]
+            each = zip(*lists, strict=True) if lists else [()] * count
+            fields[f.name] = [dict(zip(held, row, strict=True)) for row in each] if named else each
         made = zip(*fields.values(), strict=True)
         return [Context(**dict(zip(fields, values, strict=True))) for values in made]
 
@@ -149,6 +156,11 @@ def stacked(contexts: Sequence[Context]) -> Context:
         for name in PER_JOINT
     }
     return dataclasses.replace(contexts[0], **history)
+
+
+def _of_each(value: Any) -> bool:
+    """Whether a quantity has a value for each of N postures; not one for all."""
+    return not isinstance(value, (float, str)) and np.ndim(value) > 0
 
 
 def _of_kind(kind: str) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ a predictor is used, its own sigma does.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -39,7 +40,7 @@ class ExpectedMiss:
         """(..., 3) m, standard deviation along each axis."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1)))
 
-    @property
+    @cached_property
     def sizes(self) -> tuple[np.ndarray, np.ndarray]:
         """(...) m each: `expected_m` and `p90_m`."""
         return sizes(self.covariance, self.mean)

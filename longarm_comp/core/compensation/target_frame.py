@@ -94,7 +94,7 @@ def placement(
         return Placement(MEASURED, still, base, bool(found))
     if frame == BASE:
         return Placement(BASE, motion, base, bool(found))
-    shifts = points @ (motion[:3, :3] - still[:3, :3]).T + motion[:3, 3]
+    shifts = points @ motion[:3, :3].T + motion[:3, 3] - points
     away = float(np.linalg.norm(shifts, axis=1).max())
     if away > (usual := _usual(model.arm)):
         allowed = (

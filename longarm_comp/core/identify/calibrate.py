@@ -25,8 +25,6 @@ from longarm_comp.core.identify.standing import frames, standing, with_frames
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
-SIZED = 4
-"""Times that tolerances are judged by what is fitted with them; they settle at once or twice."""
 WORST = 5
 """Rows that are named as the worst."""
 
@@ -175,19 +173,24 @@ def _as_made(fitted: ModelFit, session: Session, usual: Mapping[str, float] | No
     """Fitted with the tolerances that hold: some parts are beyond what their drawing allows.
 
     What lies far beyond pays for that once.  Else any effect that moves the tip as the part does
-    would be worth what the part's prior costs.
+    would be worth what the part's prior costs.  Tolerances are judged by what is fitted with them,
+    until they come again.
     """
-    for _ in range(SIZED):
-        bare = dataclasses.replace(fitted.model, beyond=())
-        slots = [s for s in bare.slots if not s.parameter.unknown]
-        told = np.array([getattr(s.owner, s.parameter.name) / s.parameter.width for s in slots])
-        every = np.ones((len(slots), 1))
-        sizes = sized(told, every * SIZES, every * CHANCES)[0].tolist()
-        beyond = tuple((s.identity, f) for s, f in zip(slots, sizes, strict=True) if f != 1.0)
-        if beyond == fitted.model.beyond:
-            break
-        fitted = fit(dataclasses.replace(bare, beyond=beyond), session, usual=usual)
+    known = [fitted.model.beyond]
+    while (beyond := _beyond(fitted.model)) not in known:
+        known.append(beyond)
+        fitted = fit(dataclasses.replace(fitted.model, beyond=beyond), session, usual=usual)
     return fitted
+
+
+def _beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
+    """As `Model.beyond`, by the model's values."""
+    bare = dataclasses.replace(model, beyond=())
+    slots = [s for s in bare.slots if not s.parameter.unknown]
+    told = np.array([getattr(s.owner, s.parameter.name) / s.parameter.width for s in slots])
+    every = np.ones((len(slots), 1))
+    sizes = sized(told, every * SIZES, every * CHANCES)[0].tolist()
+    return tuple((s.identity, f) for s, f in zip(slots, sizes, strict=True) if f != 1.0)
 
 
 def ladder(
