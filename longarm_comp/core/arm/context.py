@@ -122,8 +122,8 @@ class Context:
             if not _of_each(value):
                 return [value] * count
             if len(value) != count:
-                allowed = f"one for all, or {count}: one of each"
-                raise InputError("context", name, f"{len(value)} values", allowed)
+                allowed = f"{count}: one of each posture"
+                raise InputError("context", f"number of {name}", len(value), allowed)
             every: list[Any] = np.asarray(value).tolist()
             return every
 
