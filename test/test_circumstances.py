@@ -370,5 +370,5 @@ def test_a_list_is_a_value_of_each_posture() -> None:
 
 @pytest.mark.parametrize("values", [[0.1], [0.1, 0.2, 0.3], np.zeros(3)])
 def test_values_of_other_postures_are_refused(values: Sequence[float]) -> None:
-    with pytest.raises(InputError, match="number of payload_kg: .; allowed: 2: one of each"):
+    with pytest.raises(InputError, match="number of payload_kg"):
         Context(columns={"payload_kg": values}).each(2)
