@@ -112,7 +112,9 @@ def test_play_is_taken_up_while_its_joint_stands_near_its_turn(arm: Arm) -> None
 
 
 def test_a_path_slows_down_where_a_joint_turns_so_that_its_play_costs_no_jerk(arm: Arm) -> None:
-    model, unit = declared_model(arm).plus(FrictionHysteresis(joint=1, width=4e-3)), np.ones(arm.n)
+    model, unit = declared_model(arm), arm.upper - arm.lower
+    for joint in (1, 2, 3):  # that turn together: each alone would jerk no more
+        model = model.plus(FrictionHysteresis(joint=joint, width=4e-3))
     plan = plan_of(arm, 201)
     assert plan.times is not None and plan.joints is not None
     own = CubicPath(plan.times, plan.joints, smooth_slopes(plan.times, plan.joints))
@@ -126,9 +128,9 @@ def test_a_path_slows_down_where_a_joint_turns_so_that_its_play_costs_no_jerk(ar
         k: path.mean_square_jerk(unit) / own.mean_square_jerk(unit) for k, path in paths.items()
     }
     assert jerk[0.0] > 100.0 * jerk[1.0] and jerk[0.0] > 2.0 * jerk[0.1] > 2.0 * jerk[1.0]
-    assert jerk[1.0] < 1.3**2  # all joints turn there
+    assert jerk[1.0] < 1.03
     assert 1.1 < paths[1.0].stretch < 2.0  # all that it takes
-    assert 1.03 < paths[0.1].stretch <= 1.1 + 1e-9
+    assert 1.07 < paths[0.1].stretch <= 1.1 + 1e-9
     lasts = np.diff(paths[1.0].times) / np.diff(plan.times)
     assert np.argmax(lasts) in range(95, 106) and lasts[:40].max() < 1.01 > lasts[-40:].max()
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from longarm_comp.core.compensation.result import (
     outside,
     shifted,
 )
-from longarm_comp.core.compensation.retime import MotionLimits, Timed, fastest, planned_times
+from longarm_comp.core.compensation.retime import MotionLimits, Timed, as_planned, fastest, retimed
 from longarm_comp.core.compensation.slow_down import slowed
 from longarm_comp.core.compensation.take_up import TakeUp, Turn, taken_up
 from longarm_comp.core.compensation.unknown import (
@@ -45,7 +46,7 @@ from longarm_comp.core.model.link_frames import reach
 from longarm_comp.core.model.model import Model
 
 ContextAt = Callable[[History], Context]
-"""Circumstances at all way-points, given the histories (k, n) there."""
+"""Circumstances at all way-points, given the histories (k, n) there, or one (n,) for all."""
 
 
 class PathRefused(JobError):  # noqa: N818
@@ -104,7 +105,7 @@ class CompensatedPath:
     """A path to send.
 
     Attributes:
-        timed: joints, velocities and times, as `planned_times`.
+        timed: joints, velocities and times, as `as_planned`.
         answers: of all way-points; of one where the arm stood already nothing holds.
         correction_m: (k,) m, by how much the declared arm's tip is moved.
         history: of the joints at the end.
@@ -148,7 +149,8 @@ def compensate_path(
     Args:
         start: (n,) where the joints stand; None: not known. A plan that has begun begins there.
         history: of the joints at ``start``.
-        context_at: the circumstances at all way-points, given the histories (k, n) there.
+        context_at: the circumstances at all way-points, given the histories (k, n) there,
+            or one (n,) for all.
         seed: (n,) start of the first search, where no joints were planned; ``start`` by default.
         max_correction_m: most that the declared arm's tip may be moved, m.
         turn_m: how far the tip may leave the path where a joint turns, so that its play is taken
@@ -207,7 +209,7 @@ class _Way:
     free: bool
     options: CompensationOptions
 
-    @property
+    @cached_property
     def physics(self) -> Model:
         return physics_of(self.model, self.options.method)
 
@@ -217,7 +219,7 @@ class _Way:
         learned = self.predictor is not None and self.options.method.learned
         take, seeds = TakeUp(self.physics, self.turn_m), self._seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
-        context = self._context(self._held)  # as if no joint turned: so the way of each is known
+        context = self._context(self.history)  # as if no joint turned: so the way of each is known
         lag = take.lag(seeds, context)
         q = self._reached(seeds + lag, error, context)
         bare = q - lag
@@ -258,29 +260,29 @@ class _Way:
         ]
         return tuple(dict.fromkeys(filter(None, found)))
 
-    @property
-    def _held(self) -> History:
-        """Of way-points, as if the joints did not move on the way."""
-        parts = (self.history.approach, self.history.legs)
-        return History(*(np.repeat(x[None], len(self.plan.targets), axis=0) for x in parts))
-
     def _timed(self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: list[Turn]) -> Timed:
         """Commands of parts (k, n) as `taken_up` has them, and when they are due."""
         plan, arm = self.plan, self.model.arm
         planned = np.arange(float(len(way))) if plan.times is None else plan.times
-        ways = way if plan.joints is None else plan.joints
-        first = ways[:2] - ways[:1]
-        begins = np.diff(self._standing(way + off + lag)[:2] - first, axis=0).sum(axis=0)
-        times = slowed(planned, ways, arm.upper - arm.lower, begins, turns, self.max_longer)
-        stands, lag = taken_up(way, off, lag, turns, times)
-        begun = self._standing(stands + lag)[0]
-        stands[0] = stands[len(first) - 1] - first[-1]  # what is beyond is gone first
-        lag[0] = begun - stands[0]
+        begun = self._standing(way + off + lag)[:2]
+        first = np.diff((way if plan.joints is None else plan.joints)[:2], axis=0).sum(axis=0)
+        begins = np.diff(begun, axis=0).sum(axis=0) - first
+        second = min(1, len(way) - 1)
+        box = arm.lower, arm.upper
+
+        def commands(times: np.ndarray) -> Timed:
+            stands, beyond = taken_up(way, off, lag, turns, times)
+            stands[0] = stands[second] - first  # what is beyond is gone first
+            beyond[0] = begun[0] - stands[0]
+            return as_planned(plan, planned, times, stands, beyond, box)
+
+        bare = np.vstack([way[second] - first, way[1:]])
+        times = slowed(planned, bare, arm.upper - arm.lower, begins, turns, self.max_longer,
+                       commands)  # fmt: skip
         try:
             if plan.times is None and self.limits.bounded and len(way) > 1:
-                return fastest(stands + lag, self.limits)
-            box = arm.lower, arm.upper
-            return planned_times(plan, planned, times, stands, lag, self.limits, box)
+                return fastest(commands(times).joints, self.limits)
+            return retimed(commands(times), self.limits)
         except JobError as error:
             raise PathRefused(Status.NOT_CONVERGED, 0, str(error)) from None
 
@@ -295,7 +297,7 @@ class _Way:
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
             return self._standing(np.clip(plan.joints, arm.lower, arm.upper))
-        each, physics = self._context(self._held).each(len(plan.targets)), self.physics
+        each, physics = self._context(self.history).each(len(plan.targets)), self.physics
         made: list[np.ndarray] = []
         first = self.start if seed is None else seed
         for row, (target, context) in enumerate(zip(plan.targets, each, strict=True)):

@@ -57,10 +57,12 @@ class Timed(CubicPath):
 
 
 def retimed(path: Timed, limits: MotionLimits) -> Timed:
-    """The path within limits, at the same way-points and nowhere faster. It begins at time 0."""
+    """The path within limits, at the same way-points and nowhere faster."""
     if path.excess(limits) <= 1.0 + _ROUNDING:
         return path
-    return _found(path, limits)
+    begins = path.times[0]
+    made = _found(replace(path, times=path.times - begins), limits)
+    return replace(made, times=made.times + begins)
 
 
 def fastest(joints: np.ndarray, limits: MotionLimits) -> Timed:
@@ -75,16 +77,15 @@ def fastest(joints: np.ndarray, limits: MotionLimits) -> Timed:
     return replace(_found(path, limits), stretch=1.0)
 
 
-def planned_times(
+def as_planned(
     plan: PlannedPath,
     planned: np.ndarray,
     times: np.ndarray,
     stands: np.ndarray,
     beyond: np.ndarray,
-    limits: MotionLimits,
     box: tuple[np.ndarray, np.ndarray],
 ) -> Timed:
-    """Commands at times (k,), or later where limits demand it.
+    """Commands at times (k,), smooth between.
 
     Args:
         planned: (k,) s, the plan's own times.
@@ -104,9 +105,7 @@ def planned_times(
     low, high = Timed(times, joints, slopes).extremes()
     out = (low < box[0]) | (high > box[1])
     slopes[:, out] = monotone_slopes(times, joints[:, out])
-    stretch = float(np.ptp(times) / np.ptp(planned))
-    made = retimed(Timed(times - times[0], joints, slopes, stretch), limits)
-    return replace(made, times=made.times + times[0])
+    return Timed(times, joints, slopes, float(np.ptp(times) / np.ptp(planned)))
 
 
 def _found(path: Timed, limits: MotionLimits) -> Timed:

@@ -8,11 +8,14 @@ until a second more would save as little:
   T^6 = 720 w^2 / j^2.  Its mean squared jerk is the plan's.
 - Slowing down from a speed v by a share c of it and up again, each in a time t by a cubic speed,
   has 24 (c v)^2 / t^3 and takes c t longer, so t^4 = 14.4 c v^2 / j^2.
+
+Where these meet each other and the plan's own jerk, they jerk more together than each by itself.
+Then time has a lower price, so that the whole path jerks no more than it would without play.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -23,36 +26,51 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 def slowed(
     times: np.ndarray, ways: np.ndarray, unit: np.ndarray,
     begins: np.ndarray, turns: Sequence[Turn], most: float,
+    made: Callable[[np.ndarray], CubicPath],
 ) -> np.ndarray:  # fmt: skip
     """(k,) s: planned times (k,) made later where joints turn.
 
     Args:
-        ways: (k, n) joints as planned. unit: (n,) in which jerks and speeds of joints add up.
+        ways: (k, n) joints as if none turned.
+        unit: (n,) in which jerks and speeds of joints add up.
         begins: (n,) what joints go on the first way besides.
         turns: what joints cross where they turn.
         most: share by which the path may take longer.  Where that is less than it takes, time has
             a higher price.
+        made: the path to be sent, at times (k,).
     """
     plan = CubicPath(times, ways, smooth_slopes(times, ways))
-    jerk2, allowed_s = plan.mean_square_jerk(unit), most * float(np.ptp(times))
+    planned2, allowed_s = plan.mean_square_jerk(unit), most * float(np.ptp(times))
+    jerk2 = planned2
     first2 = float(((begins / unit) ** 2).sum())
     if not ((turns or first2) and jerk2 and allowed_s):
         return times
     steps = np.diff(times)[:, None]
     speed2 = ((np.diff(ways, axis=0) / unit / steps) ** 2).sum(axis=1)
+    enough = True
     for _ in range(_ROUNDS):
         later = _later(times, speed2, unit, turns, jerk2)
         lasts = (720.0 * first2 / jerk2) ** (1.0 / 6.0)
         later[0] += max(0.0, lasts - float(steps[0, 0]))
+        if not later.any():
+            return times
         over = float(later.sum()) / allowed_s
-        if over <= 1.0:
+        slow = np.append(times[0], times[1:] + np.cumsum(later / max(over, 1.0)))
+        enough &= over <= 1.0
+        if over > 1.0:
+            jerk2 *= over**_STEEP
+        elif enough and (more := made(slow).mean_square_jerk(unit) / planned2) > 1.0 + _NEAR:
+            jerk2 /= more**_ALONE
+        else:
             break
-        jerk2 *= over**_STEEP
-    return np.append(times[0], times[1:] + np.cumsum(later / max(over, 1.0)))
+    return slow
 
 
-_ROUNDS, _STEEP = 4, 5.0
-"""Time goes with the fourth to sixth root of its price: so few rounds find it."""
+_ROUNDS, _STEEP = 4, 4.0
+"""Time goes with the fourth to sixth root of its price: few rounds find it, from above."""
+_ALONE, _NEAR = 2.0, 0.02
+"""The squared jerk of what is slowed down goes with its price; as much again is the plan's own.
+A hundredth of the jerk is not looked for."""
 
 
 def _later(

@@ -84,12 +84,15 @@ class TakeUp:
         last = np.where(np.abs(moves) >= SAME_POSE, np.arange(len(moves))[:, None], 0)
         last = np.maximum.accumulate(last, axis=0)
         sides = np.sign(np.take_along_axis(moves, last, axis=0))
-        sides, legs = np.where(last > 0, sides, came.approach[0]), came.legs
-        for joint in self.joints:
-            turned = int(np.argmax(sides[:, joint] != sides[0, joint]))
-            if (np.abs(stands[:turned, joint] - stands[0, joint]) <= self.near[joint]).all():
-                sides[1:turned, joint] = sides[turned, joint]
-                legs[1:turned, joint] = legs[turned, joint]
+        sides, each = np.where(last > 0, sides, came.approach[0]), np.arange(sides.shape[1])
+        turned = np.argmax(sides != sides[0], axis=0)
+        before = np.arange(len(sides))[:, None] < turned
+        at_once = (~before | (np.abs(stands - stands[0]) <= self.near)).all(axis=0)
+        at_once &= np.isin(each, self.joints)
+        before[0] = False
+        then = before & at_once
+        sides = np.where(then, sides[turned, each], sides)
+        legs = np.where(then[..., None], came.legs[turned, each], came.legs)
         return History(sides, legs)
 
     def turns(self, stands: np.ndarray, lag: np.ndarray, sides: np.ndarray) -> list[Turn]:
