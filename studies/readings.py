@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,16 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.joint_compliance import JointCompliance as SoftJoint
 from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.posterior.found import FoundEffect
+from longarm_comp.core.identify.posterior.offers import TOLERANCES, offered
+from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.strict_yaml import read_yaml
@@ -36,6 +43,8 @@ from longarm_comp.sim.servo_emulator import MotorSpec, read_arm
 SIZE_MM = 8.0
 """Shift of the tip, as in the demonstration."""
 PLANTED = (("servo_droop",), ("joint_compliance",), ("servo_droop", "joint_compliance"))
+PAYLOADS_KG = (0.0, 0.5)
+"""That the sessions carry by turns: of one load, a soft joint moves the tip as bent links do."""
 JOINTS = (2, 4, 5)
 """That a load turns and the cameras see, of the demonstration arm."""
 
@@ -65,14 +74,57 @@ def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator
         }
 
 
+def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
+    """A row a soft joint and session: how sure its name is on average over the noise.
+
+    `name` is its probability among all names, `rival` the next, both with their priors.
+    """
+    sessions = [(120, PAYLOADS_KG[1]), (480, PAYLOADS_KG[1]), (480, 4 * PAYLOADS_KG[1])]
+    for joint, (rows, load_kg) in itertools.product(JOINTS, sessions):
+        rng = np.random.default_rng([26, joint])
+        hidden = _at(joint, "joint_compliance", arm, share * SIZE_MM, rng)
+        assert isinstance(hidden, JointCompliance)
+        session = measured(arm, [hidden], rng, rows, load_kg)
+        soft = SoftJoint(joint, compliance=float(hidden.compliance[arm.commanded.index(joint)]))
+        fitted = fit(declared_model(arm).plus(soft, *geometry(arm, session)), session)
+        kinds = library(arm, session.context()).testable
+        there = (FoundEffect((soft,), 1.0, (), 0.0),)
+        of = offered(fitted, columns_at(fitted), kinds, (), there, TOLERANCES[0])
+        bank, own = of.bank, of.bank.offers[of.known[0]]
+        (k,) = own.places
+        seen = bank.gram[:, k] * (soft.compliance / of.widths[k])
+        clean = OfferBank(bank.offers, bank.gram, seen, bank.lower, bank.upper, bank.like)
+        worth: dict[str, float] = {}
+        for offer in bank.offers:
+            worth[offer.name] = max(worth.get(offer.name, -np.inf), clean.evidence([offer]))
+        worth.pop("servo_droop", None)  # the readings say
+        top = worth["joint_compliance"]
+        odds = {name: float(np.exp(min(value - top, 50.0))) for name, value in worth.items()}
+        rival = max((name for name in odds if name != own.name), key=lambda name: odds[name])
+        yield {
+            "joint": joint,
+            "rows": rows,
+            "payloads_kg": f"0, {load_kg:g}",
+            "name": round(1.0 / sum(odds.values()), 3),
+            "rival": f"{rival} {odds[rival] / sum(odds.values()):.3f}",
+        }
+
+
 def measured(
-    arm: Arm, effects: Sequence[HiddenEffect], rng: np.random.Generator, rows: int
+    arm: Arm,
+    effects: Sequence[HiddenEffect],
+    rng: np.random.Generator,
+    rows: int,
+    load_kg: float = PAYLOADS_KG[1],
 ) -> Session:
-    """A session of a simulated arm with wrong geometry too, its motors read."""
+    """A session of a simulated arm with wrong geometry too, empty and loaded, its motors read."""
     true = TrueArm(arm, [*effects, *_misbuilt(arm, rng)], steps=4)
     zero = rng.normal(0.0, 1e-3, arm.n)
     q = sobol(arm, rows, rng).q
-    made = measure_session(true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders(zero=zero))
+    made = measure_session(
+        true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders(zero=zero),
+        payload_kg=rng.choice([PAYLOADS_KG[0], load_kg], rows),
+    )  # fmt: skip
     return session_of(made.columns, arm.n)
 
 

@@ -20,6 +20,7 @@ from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Effect, parameter
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
+from longarm_comp.core.effects.gravity_direction import GravityDirection
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.joint_term import joint_load, typical_loads
@@ -119,8 +120,8 @@ def test_a_form_may_err_by_a_share_of_its_own_shift() -> None:
     """RMS of the tolerance's columns together: the share, of every effect's own shift."""
     fitted, found = planted()
     columns = columns_at(fitted)
-    assert tolerances(fitted, columns, (), 0.1) is None
-    small, large = (tolerances(fitted, columns, (found,), t) for t in (0.01, 0.1))
+    assert tolerances(fitted, columns, (), (), 0.1) is None
+    small, large = (tolerances(fitted, columns, (), (found,), t) for t in (0.01, 0.1))
     assert small is not None and large is not None
     np.testing.assert_allclose(large, 10.0 * small)
     (k,) = (i for i, s in enumerate(fitted.slots) if isinstance(s.owner, JointGain))
@@ -129,6 +130,21 @@ def test_a_form_may_err_by_a_share_of_its_own_shift() -> None:
     ratio = np.sqrt((large**2).sum() / (white**2).sum())
     assert ratio == pytest.approx(0.1, rel=0.5)
     assert np.linalg.norm(large[np.abs(white) < 1e-12]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_every_arm_has_is_there_and_no_finding() -> None:
+    """A lean of 5 mrad about each axis, on top of which one of 30 must explain something."""
+    fitted, _ = planted()
+    columns, leaning = columns_at(fitted), Candidate("gravity_direction", (GravityDirection(),))
+    usual = tolerances(fitted, columns, [leaning], (), 0.1)
+    assert usual is not None
+    slots = leaning.slots(DEMO)
+    np.testing.assert_allclose(usual, fitted.whitened(columns.unscaled(slots) * 5e-3), atol=1e-9)
+    bank = offered(fitted, columns, [leaning], (), (), 0.1)
+    assert bank.base == pytest.approx(columns.without((), usual).evidence)
+    assert (
+        bank.bank.gram[0, 0] < 0.9 * (fitted.whitened(columns.of(leaning.terms))[:, 0] ** 2).sum()
+    )
 
 
 def test_what_its_own_form_may_leave_has_less_evidence() -> None:
@@ -228,7 +244,7 @@ def test_a_row_at_a_threshold_says_nothing_of_its_side() -> None:
     play = Backlash(4, gate=0.1, blend=0.01, width=0.02)
     rows = session_of(DEMO, 2, play)
     fitted, found = explained_by(rows, play)
-    every = tolerances(fitted, columns_at(fitted), found, 0.05)
+    every = tolerances(fitted, columns_at(fitted), (), found, 0.05)
     assert every is not None
     touched = (every.reshape(len(rows), 3, -1) != 0).any(axis=1)
     free = touched[:, touched.sum(axis=0) == 1]

@@ -16,12 +16,14 @@ from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.parameters import ALIKE
 from longarm_comp.core.effects.quantities import Span
 from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.shapes import Cosine, FunctionError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.discover.inputs import arm_inputs
+from longarm_comp.core.identify.linear import sized
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
@@ -103,6 +105,37 @@ def test_the_joint_evidence_is_that_of_the_integral_with_priors_paid(across: np.
     assert values[0] == [1.0]
     assert values[1][0] <= 0.8
     assert values[3][0] > 25.0  # one of the size of its prior would be 3
+
+
+def test_coefficients_that_are_like_each_other_have_the_evidence_of_their_prior(
+    across: np.ndarray,
+) -> None:
+    """Against the plain normal law; in bounds, less the mass of what both priors allow."""
+    x, n = across[:, 1:3], len(across)
+    y = x @ [1.0, 1.4] + np.random.default_rng(8).standard_normal(n)
+    offer = Offer("seat", ("seat",), ((0, 1),), 0.0)
+    likeness = np.array([[1.0, ALIKE], [ALIKE, 1.0]])
+
+    def of(lower: float) -> OfferBank:
+        bounds = np.full(2, lower), UNBOUND[:2]
+        return OfferBank([offer], x.T @ x, x.T @ y, *bounds, like=np.zeros(2, dtype=int))
+
+    spread = np.eye(n) + x @ likeness @ x.T
+    plain = 0.5 * (y @ y - y @ np.linalg.solve(spread, y) - np.linalg.slogdet(spread)[1]) - NONE
+    assert of(-np.inf).evidence([offer]) == pytest.approx(plain, abs=1e-6)
+    assert of(-np.inf).scores == pytest.approx([plain], abs=1e-6)
+    both = math.log(0.25 + math.asin(ALIKE) / (2.0 * math.pi))
+    assert of(0.0).evidence([offer]) == pytest.approx(plain - both, abs=0.02)
+    assert of(0.0).scores == pytest.approx([plain - both], abs=0.02)
+
+
+def test_what_is_alike_has_one_size() -> None:
+    mean, sizes = np.array([6.0, 0.5, 0.5]), np.ones((3, 1)) * (1.0, 4.0)
+    chances = np.ones((3, 1)) * np.log((0.8, 0.2))
+    alone, cost = sized(mean, sizes, chances)
+    assert (alone.tolist(), cost) == ([4.0, 1.0, 1.0], pytest.approx(math.log(0.2 * 0.8 * 0.8)))
+    paired, cost = sized(mean, sizes, chances, np.array([0, 0, 2]))
+    assert (paired.tolist(), cost) == ([4.0, 4.0, 1.0], pytest.approx(math.log(0.2 * 0.8)))
 
 
 def test_what_is_there_whole_is_taken_off_before_the_rest(across: np.ndarray) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -131,6 +133,13 @@ def test_a_drift_is_told_from_a_bent_guide() -> None:
     rows = Session.record(q, seen, columns={"t_s": t})
     found = diagnose(arm(), rows, seed=1, kinds=(CameraDrift, GuideCurvature))
     assert [f.names for f in found.findings] == [("camera_drift",)]
+
+
+def test_any_link_may_bend_and_the_declared_ones_take_their_share(demo_arm_path: Path) -> None:
+    demo = Arm.load(demo_arm_path)
+    (bracket,) = LinkBending.for_arm(demo)
+    assert bracket.price(demo) == pytest.approx(math.log(6.0))
+    assert LinkBending(1).price(arm()) == 0.0
 
 
 def test_links_that_bend_and_are_not_declared_are_named() -> None:

@@ -28,14 +28,23 @@ def command(cases: int, moves: int, show: shape.Show) -> shape.Figures:
     tip = readings.tip(arm)
     with tempfile.TemporaryDirectory() as scratch:
         trim = [readings.trimmed(config, Path(scratch), moves, on) for on in (False, True)]
-    named = list(readings.names(arm, cases))
+    named, soft = list(readings.names(arm, cases)), list(readings.softness(arm))
     right, servos, held = (sum(r[key] for r in named) for key in ("right", "servo", "held"))
     said = f"{right} of {cases} right and alone; the servos' in {servos}; true in a set in {held}"
     return shape.Figures(
-        {"tip": tip, "trim": trim, "names": named, "right": right, "servo": servos, "held": held},
+        {
+            "tip": tip,
+            "trim": trim,
+            "names": named,
+            "right": right,
+            "servo": servos,
+            "held": held,
+            "softness": soft,
+        },
         {
             "The tip of servos that droop and stick": [tip],
             "Servos that droop by 8 mm": trim,
             f"Names: {said}": named,
+            "How sure the name of a soft joint can be": soft,
         },
     )

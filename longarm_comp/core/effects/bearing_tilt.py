@@ -29,8 +29,12 @@ class BearingTilt(JointTerm):
     action: ClassVar[str] = "Check seat and preload of the bearing; replace it if it rocks by hand."
     loaded: ClassVar[bool] = True
 
-    about_x: float = parameter("rad/(N m)", "tilt about x_{i-1} per moment", prior=2e-3, lower=0.0)
-    about_y: float = parameter("rad/(N m)", "tilt about y' per moment", prior=2e-3, lower=0.0)
+    about_x: float = parameter(
+        "rad/(N m)", "tilt about x_{i-1} per moment", prior=2e-3, lower=0.0, like="seat"
+    )
+    about_y: float = parameter(
+        "rad/(N m)", "tilt about y' per moment", prior=2e-3, lower=0.0, like="seat"
+    )
 
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:

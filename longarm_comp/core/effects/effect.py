@@ -56,6 +56,8 @@ def parameter(
     upper: float = math.inf,
     default: float = 0.0,
     unknown: bool = False,
+    like: str = "",
+    usual: float = 0.0,
 ) -> Any:
     """Declare a field as a fitted parameter.
 
@@ -66,9 +68,10 @@ def parameter(
         lower, upper: physical bounds.
         default: value of an arm without this error.
         unknown: whether nothing is known beforehand, so that the prior must not pull.
+        like, usual: as in `Parameter`.
     """
     meta = {"unit": unit, "meaning": meaning, "prior": prior, "lower": lower, "upper": upper}
-    meta["unknown"] = unknown
+    meta |= {"unknown": unknown, "like": like, "usual": usual}
     return dataclasses.field(default=default, metadata={_PARAMETER: meta})
 
 

@@ -15,7 +15,8 @@ from longarm_comp.core.effects.effect import Effect, parameter
 class GravityDirection(Effect):
     """Gravity turned by two small angles about the base's x and y.
 
-    It has no twist of its own: it acts through every elastic effect of the model.
+    It has no twist of its own: it acts through every elastic effect of the model.  Who levels a
+    base by eye or by a bubble leaves some 5 mrad, which is no finding.
     """
 
     name: ClassVar[str] = "gravity_direction"
@@ -24,8 +25,8 @@ class GravityDirection(Effect):
     action: ClassVar[str] = "Level the base, or declare the direction of gravity."
     loaded: ClassVar[bool] = True
 
-    about_x: float = parameter("rad", "lean of gravity about base x", prior=0.03)
-    about_y: float = parameter("rad", "lean of gravity about base y", prior=0.03)
+    about_x: float = parameter("rad", "lean of gravity about base x", prior=0.03, usual=5e-3)
+    about_y: float = parameter("rad", "lean of gravity about base y", prior=0.03, usual=5e-3)
 
     def gravity(self, gravity: Vec) -> Vec:
         """The turned gravity (first order)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -42,6 +43,11 @@ class LinkBending(Effect):
         """Every row with a length and without a declared beam."""
         declared = {beam.row for beam in arm.links}
         return [{"row": j.id} for j in arm.joints if j.id not in declared and _long(j)]
+
+    def price(self, arm: Arm) -> float:
+        """Any link may bend as likely as any other, those too whose beams are declared."""
+        every = sum(map(_long, arm.joints))
+        return math.log(every / len(self.sites(arm)))
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: 10 mrad over a quarter of the reach under the arm's typical torque."""

@@ -8,6 +8,11 @@ from dataclasses import dataclass
 _FLAT = 1000.0
 """Width of a prior that knows nothing, in ordinary sizes: 50 m and 50 rad for a base."""
 
+ALIKE = 0.95
+"""Correlation, beforehand, of parameters that are like each other: they differ by a third of their
+size. Of seven seats of first joints that were fitted to real arms, five are as soft along as across
+within a factor of 1.6."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -16,6 +21,9 @@ class Parameter:
     Attributes:
         prior: standard deviation of plausible values; 0 means fixed at its value.
         unknown: nothing is known beforehand: the fit's prior is too wide to pull (`FLAT`).
+        like: shared by parameters of one effect that are nearly equal beforehand (`ALIKE`). It
+            counts where explanations are compared; a fit takes each by itself.
+        usual: standard deviation of what every arm has of it: no finding, and never fitted.
     """
 
     name: str
@@ -25,6 +33,8 @@ class Parameter:
     lower: float = -math.inf
     upper: float = math.inf
     unknown: bool = False
+    like: str = ""
+    usual: float = 0.0
 
     @property
     def width(self) -> float:

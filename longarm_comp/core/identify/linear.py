@@ -14,7 +14,9 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, logsumexp, ndtri
+
+from longarm_comp.core.effects.parameters import ALIKE
 
 
 @dataclass(frozen=True)
@@ -186,26 +188,60 @@ def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     return np.asarray(mass + np.log1p(-np.exp(np.minimum(log_ndtr(low) - mass, -1e-300))))
 
 
+def root_of(like: np.ndarray) -> np.ndarray:
+    """(..., k, k) R of coefficients R w with a unit normal w, of those of one number `ALIKE`.
+
+    Args:
+        like: (..., k) numbers that coefficients share that are like each other.
+    """
+    return np.linalg.cholesky(np.where(np.eye(like.shape[-1]) > 0, 1.0, ALIKE * _same(like)))
+
+
+def log_prior_mass(lower: np.ndarray, upper: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """(...) log of the mass of such coefficients between bounds (..., k)."""
+    same = _same(like)
+    mates = same.sum(-1)
+    alone = log_mass(lower, upper)
+    if (mates == 1).all():
+        return np.asarray(alone.sum(-1))
+    shared, rest = math.sqrt(ALIKE) * _FACTOR, math.sqrt(1.0 - ALIKE)
+    each = log_mass((lower[..., None] - shared) / rest, (upper[..., None] - shared) / rest)
+    together = logsumexp(same @ each, axis=-1) - math.log(len(_FACTOR))
+    return np.asarray((np.where(mates > 1, together, alone) / mates).sum(-1))
+
+
+def _same(like: np.ndarray) -> np.ndarray:
+    return np.asarray(like[..., :, None] == like[..., None, :])
+
+
+_FACTOR = ndtri((np.arange(64) + 0.5) / 64)
+"""A unit normal: what coefficients that are like each other have in common."""
 SIZES = (1.0, 4.0, 16.0)
 """Prior standard deviations of what may be wrong, in its own prior's: few arms are so ill, and few
 parts so far from their drawing, but some are."""
 CHANCES = tuple(math.log(p) for p in (0.8, 0.15, 0.05))
 
 
-def sized(mean: np.ndarray, sizes: np.ndarray, chances: np.ndarray) -> tuple[np.ndarray, float]:
+def sized(
+    mean: np.ndarray, sizes: np.ndarray, chances: np.ndarray, like: np.ndarray | None = None
+) -> tuple[np.ndarray, float]:
     """(k,) the most probable size of each of (k,) coefficients, and the log chance of these.
 
     One place may be far worse than the next, and a base that sinks need not tilt, so each
-    coefficient has a size of its own.
+    coefficient has a size of its own, but for those that are like each other: they share one.
 
     Args:
         mean: the coefficients.
         sizes, chances: (k, s) prior standard deviations, and their log probabilities.
+        like: as of `root_of`; all alone where None.
     """
-    tried = chances - 0.5 * (mean[:, None] / sizes) ** 2 - np.log(sizes)
-    best = tried.argmax(axis=1)
     each = np.arange(len(mean))
-    return sizes[each, best], float(chances[each, best].sum())
+    like = each if like is None else like
+    white = np.linalg.solve(root_of(like), mean)
+    share = chances / _same(like).sum(1)[:, None]
+    tried = _same(like) @ (share - 0.5 * (white[:, None] / sizes) ** 2 - np.log(sizes))
+    best = tried.argmax(axis=1)
+    return sizes[each, best], float(share[each, best].sum())
 
 
 OUTLIER = 4.2

@@ -31,7 +31,7 @@ from longarm_comp.core.identify.posterior.found import (
     instead,
 )
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
-from longarm_comp.core.identify.posterior.offers import TOLERANCES, offered
+from longarm_comp.core.identify.posterior.offers import TOLERANCES, offered, tolerances
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.identify.step_scan import UnknownStep, scan
@@ -207,7 +207,8 @@ class _Search:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
         columns, library = columns_at(fitted), self.candidates
         if not found:
-            return columns.without(()).evidence, TOLERANCES[0]
+            beside = tolerances(fitted, columns, library, (), TOLERANCES[0])
+            return columns.without((), beside).evidence, TOLERANCES[0]
         every = (
             offered(fitted, columns, library, self.propositions, found, t, others=False)
             for t in TOLERANCES

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from longarm_comp.core.identify.candidates import Candidate, Term
+from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import FitColumns, FitMarginal, shift_of
 from longarm_comp.core.identify.linear import CHANCES, SIZES, Products
 from longarm_comp.core.identify.model_fit import ModelFit
@@ -77,7 +77,7 @@ def offered(
         kept = {tuple(t.variant for t in f.terms) for f in found}
         listed = [entry for entry in listed if tuple(t.variant for t in entry[0].terms) in kept]
     held = {t.key for f in found for t in f.terms}
-    beside = tolerances(fitted, columns, found, tolerance)
+    beside = tolerances(fitted, columns, library, found, tolerance)
     marginal = columns.without(held, beside)
     moving, bank, widths = _banked(fitted, marginal, columns, listed)
     things = [listed[n][0] for n in moving]
@@ -104,7 +104,7 @@ def _banked(
     """Which candidates move a row; these as a bank; units of its columns."""
     arm = fitted.model.arm
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
-    products, where, lower, upper, widths = _columns(fitted, columns, terms)
+    products, where, lower, upper, widths, like = _columns(fitted, columns, terms)
     (gram, along), *_ = marginal.of([products])
     offers, kept = [], []
     for n, (candidate, prior, sizes, chances) in enumerate(listed):
@@ -122,7 +122,7 @@ def _banked(
             sizes, chances = (1.0,), (0.0,)
         offers.append(Offer(candidate.name, keys, own, prior, sizes, chances, fixed))
         kept.append(n)
-    return kept, OfferBank(offers, gram, along, lower, upper), widths
+    return kept, OfferBank(offers, gram, along, lower, upper, like), widths
 
 
 def evidence_of_each(
@@ -147,19 +147,25 @@ def evidence_of_each(
 
 
 def tolerances(
-    fitted: ModelFit, columns: FitColumns, found: Sequence[FoundEffect], tolerance: float
+    fitted: ModelFit,
+    columns: FitColumns,
+    library: Sequence[Candidate],
+    found: Sequence[FoundEffect],
+    tolerance: float,
 ) -> np.ndarray | None:
-    """(m, k) whitened: by how much the shift of each effect in the model may differ from its form.
+    """(m, k) whitened: what is there besides what was found, and no finding.
 
-    It varies with every joint, smoothly.  A row so near to a threshold that the threshold's own
-    tolerance decides its side says nothing of that side.
+    That is what every arm has (`Parameter.usual`), and by how much the shift of each effect in the
+    model may differ from its form.  The latter varies with every joint, smoothly.  A row so near to
+    a threshold that the threshold's own tolerance decides its side says nothing of that side.
     """
-    if not found:
-        return None
     session = fitted.session
     ways = np.concatenate([smooth_in(q)[:, :2] for q in session.q.T], axis=1)
     ways = ways * (tolerance / math.sqrt(max(ways.shape[1], 1)))
-    made = []
+    arm = fitted.model.arm
+    usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
+    shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
+    made = [columns.of(usual) * shares] if usual else []
     held = {t.key: t for t in fitted.model.terms}
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
@@ -188,8 +194,8 @@ def _undecided(fitted: ModelFit, columns: FitColumns, term: Term, tolerance: flo
 
 def _columns(
     fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]
-) -> tuple[Products, dict, np.ndarray, np.ndarray, np.ndarray]:
-    """Columns of all terms side by side, with their bounds and units."""
+) -> tuple[Products, dict, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Columns of all terms side by side, with their bounds, units and likenesses."""
     arm = fitted.model.arm
     free = [t for t in terms if slots_of(arm, [t])]
     whole = [t for t in terms if not slots_of(arm, [t])]
@@ -214,10 +220,16 @@ def _columns(
         upper.append(np.full(1, np.inf))
         widths.append(np.ones(1))
     b = np.concatenate(parts, axis=1)
+    first: dict[object, int] = {}
+    like = [
+        first.setdefault((*s.owner.variant, s.parameter.like) if s.parameter.like else k, k)
+        for k, s in enumerate(slots_of(arm, free))
+    ]
     return (
         Products(b, b.T @ b, np.concatenate(crosses, axis=1)),
         where,
         np.concatenate(lower),
         np.concatenate(upper),
         np.concatenate(widths),
+        np.array([*like, *range(len(like), start)]),
     )

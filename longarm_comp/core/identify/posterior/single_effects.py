@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from longarm_comp.core.identify.linear import log_mass, sized
+from longarm_comp.core.identify.linear import log_mass, log_prior_mass, root_of, sized
 
 NONE = math.log(20.0)
 """Log odds for no further effect, before the data: one finding in twenty may be wrong."""
@@ -101,6 +101,7 @@ class OfferBank:
         gram: (K, K) products of the columns, projected off the geometry.
         along: (K,) products of the projected columns with the data.
         lower, upper: (K,) bounds of the coefficients.
+        like: (K,) numbers that coefficients share that are like each other; all alone where None.
 
     Attributes:
         again: log odds, beforehand, of a further place of a name that is there already against a
@@ -114,8 +115,10 @@ class OfferBank:
         along: np.ndarray,
         lower: np.ndarray,
         upper: np.ndarray,
+        like: np.ndarray | None = None,
     ) -> None:
         self.offers = tuple(offers)
+        self.like = np.arange(len(along)) if like is None else like
         self.gram, self.along, self.lower, self.upper = gram, along, lower, upper
         names = np.array([offer.name for offer in offers])
         self._of_name = {name: names == name for name in dict.fromkeys(names.tolist())}
@@ -184,8 +187,8 @@ class OfferBank:
         t = t - self.gram[np.ix_(places, whole)].sum(1)
         mean = np.zeros(0)
         if places:
-            lower, upper = self.lower[places], self.upper[places]
-            found = (_marginal(free, s, t, start, lower, upper) for start in (min, max))
+            lower, upper, like = self.lower[places], self.upper[places], self.like[places]
+            found = (_marginal(free, s, t, start, lower, upper, like) for start in (min, max))
             factor, mean = max(found, key=lambda each: each[0])
             total += factor
             mean = np.clip(mean, lower, upper)
@@ -205,6 +208,7 @@ def _marginal(
     start: Callable[[Sequence[float]], float],
     lower: np.ndarray,
     upper: np.ndarray,
+    like: np.ndarray,
 ) -> tuple[float, np.ndarray]:
     """Log evidence and mode of some offers' coefficients, of the sizes that they have so.
 
@@ -214,22 +218,21 @@ def _marginal(
     begun = np.concatenate([np.full(len(o.places), start(o.sizes)) for o in free])
     sizes = np.array([o.sizes for o in free for _ in o.places])
     chances = np.array([o.chances for o in free for _ in o.places])
-    scale, chance = sized(_solved(s, t, begun)[0], sizes, chances)
-    mean, sd, factor = _solved(s, t, scale)
-    inside = log_mass((lower - mean) / sd, (upper - mean) / sd)
-    inside = inside - log_mass(lower / scale, upper / scale)
-    return factor + chance + float(inside.sum()), mean
+    root = root_of(like)
+    scale, chance = sized(_solved(s, t, begun[:, None] * root)[0], sizes, chances, like)
+    mean, sd, factor = _solved(s, t, scale[:, None] * root)
+    inside = log_mass((lower - mean) / sd, (upper - mean) / sd).sum()
+    inside = inside - log_prior_mass(lower / scale, upper / scale, like)
+    return factor + chance + float(inside), mean
 
 
-def _solved(
-    s: np.ndarray, t: np.ndarray, scale: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Mean, standard deviation and log evidence of coefficients of some prior scale."""
-    factor = cho_factor(np.eye(len(t)) + s * np.outer(scale, scale), check_finite=False)
-    inverse = cho_solve(factor, np.eye(len(t)), check_finite=False)
-    mean = inverse @ (scale * t)
-    evidence = float(scale * t @ mean / 2 - np.log(np.diag(factor[0])).sum())
-    return scale * mean, scale * np.sqrt(np.diag(inverse)), evidence
+def _solved(s: np.ndarray, t: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Mean, standard deviation and log evidence of coefficients ``root w``, w unit normal."""
+    factor = cho_factor(np.eye(len(t)) + root.T @ s @ root, check_finite=False)
+    inverse = root @ cho_solve(factor, root.T, check_finite=False)
+    mean = inverse @ t
+    evidence = float(t @ mean / 2 - np.log(np.diag(factor[0])).sum())
+    return mean, np.sqrt(np.diag(inverse)), evidence
 
 
 class _Stack:
@@ -252,7 +255,10 @@ class _Stack:
             return
         self.chances = np.array([offer.chances for offer in offers])  # (C, A)
         sizes = np.array([offer.sizes for offer in offers])
-        values, self.turn = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
+        like = bank.like[self.columns]
+        root = root_of(like)
+        values, turn = np.linalg.eigh(np.swapaxes(root, 1, 2) @ (s + np.swapaxes(s, 1, 2)) @ root)
+        values, self.turn = values / 2, root @ turn
         square = sizes[..., None] ** 2  # (C, A, 1)
         grown = 1.0 + square * np.maximum(values, 0.0)[:, None, :]
         self.share = square / grown  # (C, A, k)
@@ -262,7 +268,7 @@ class _Stack:
         if self.bounded:
             self.sd = np.sqrt(np.einsum("cik,cak->cai", self.turn**2, self.share))
             low, high = (b[:, None, :] / sizes[..., None] for b in (self.lower, self.upper))
-            self.outside = log_mass(low, high).sum(-1)
+            self.outside = log_prior_mass(low, high, like[:, None, :])
 
     def score(self, along: np.ndarray, scores: np.ndarray) -> Scored:
         """Log posterior odds against none of every offer; what their means are made of."""
