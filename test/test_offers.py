@@ -198,10 +198,23 @@ def test_names_that_no_measurement_distinguishes_share_evenly() -> None:
     chances = dict(soft.names)
     assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)
     assert sum(chances.values()) == pytest.approx(1.0)
-    assert (soft.alike, soft.fitted_rivals()) == (("servo_droop",), [])
+    assert (soft.alike[0], soft.fitted_rivals()) == (("joint_compliance", "servo_droop"), [])
     ((rival, factor),) = [r for r in soft.rivals if r[0].name == "servo_droop"]
     assert rival.terms[0].searched
     assert factor == pytest.approx(soft.log_bayes_factor)
+
+
+def test_so_do_those_that_stand_in_the_place_of_another() -> None:
+    """Of a rival and its own look-alike one is judged, by a fit, and both have half of it."""
+    rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
+    fitted, found = explained_by(rows, Twin(2))
+    twin = judged(fitted, library(DEMO, rows.context(), KINDS).testable, found, 0.01)["twin"]
+    for made in (twin, twin.against({"joint_compliance": -0.5})[0]):
+        chances = dict(made.names)
+        assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)
+    assert chances["joint_compliance"] / chances["twin"] == pytest.approx(np.exp(-0.5) / 2)
+    judged_ones = [c.name for c in twin.fitted_rivals()]
+    assert "joint_compliance" in judged_ones and "servo_droop" not in judged_ones
 
 
 def test_a_family_pays_for_the_joints_that_it_needs() -> None:

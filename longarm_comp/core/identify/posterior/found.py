@@ -44,7 +44,8 @@ class FoundEffect:
         rivals: the best candidate of every other name in the credible set, with its log Bayes
             factor in the place of this effect.
         where: places that explain it nearly alike; its own first.
-        alike: names that no measurement distinguishes from it.
+        alike: groups of names that no measurement distinguishes; the first of each is judged, the
+            others share its probability. Its own group comes first.
     """
 
     terms: tuple[Term, ...]
@@ -53,7 +54,7 @@ class FoundEffect:
     log_bayes_factor: float
     rivals: tuple[tuple[Candidate, float], ...] = ()
     where: tuple[tuple[str, ...], ...] = ()
-    alike: tuple[str, ...] = ()
+    alike: tuple[tuple[str, ...], ...] = ()
 
     @property
     def name(self) -> str:
@@ -73,16 +74,22 @@ class FoundEffect:
         return sum(chance for name, chance in self.names if name in held)
 
     def fitted_rivals(self) -> list[Candidate]:
-        """Rivals whose worth only a fit in its place tells.
+        """Rivals whose worth only a fit in its place tells: one of each group.
 
         Of what no measurement distinguishes from it, and of functions, which need no other effect,
         the columns tell all.
         """
-        return [c for c, _ in self.rivals if c.name not in self._told_by_columns]
+        judged = (c for c, _ in self.rivals if c.name == self._group(c.name)[0])
+        return [c for c in judged if c.name not in self._told_by_columns]
 
     @property
     def _told_by_columns(self) -> set[str]:
-        return {*self.alike, *(c.name for c, _ in self.rivals if not c.terms[0].searched)}
+        functions = (c.name for c, _ in self.rivals if not c.terms[0].searched)
+        return {*self._group(self.name), *functions}
+
+    def _group(self, name: str) -> tuple[str, ...]:
+        """A name and those that no measurement distinguishes from it, the judged one first."""
+        return next((group for group in self.alike if name in group), (name,))
 
     def against(self, worth: Mapping[str, float]) -> tuple[FoundEffect, bool]:
         """With the probabilities of fits; what is best leads. Whether that is another effect.
@@ -92,14 +99,20 @@ class FoundEffect:
         """
         if not worth:
             return self, False
-        told = self._told_by_columns | {self.name}
+        told = self._told_by_columns
         share = {n: p for n, p in self.names if n in told}
         total = sum(share.values()) or 1.0
         odds = {n: math.exp(min(w, OVERFLOW)) for n, w in worth.items()}
         whole = 1.0 + sum(odds.values())
         names = {n: p / total / whole for n, p in share.items()}
-        names |= {n: o / whole for n, o in odds.items()}
-        rivals = [(c, self.log_bayes_factor + worth.get(c.name, 0.0)) for c, _ in self.rivals]
+        for name, o in odds.items():
+            group = self._group(name)
+            names |= dict.fromkeys(group, o / whole / len(group))
+        factors = [worth.get(self._group(c.name)[0], 0.0) for c, _ in self.rivals]
+        rivals = [
+            (c, self.log_bayes_factor + factor)
+            for (c, _), factor in zip(self.rivals, factors, strict=True)
+        ]
         best, terms = max(worth, key=lambda name: worth[name]), self.terms
         better = worth[best] > 0
         if better:

@@ -119,9 +119,11 @@ class OfferedEffects:
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), tuple(left)
 
     def _credible(self, found: FoundEffect, offers: list[Offer], k: int) -> FoundEffect:
-        """An effect with all names that may stand in its place, judged at the places they need."""
+        """An effect with all names that may stand in its place, judged at the places they need.
+
+        Of names that no measurement distinguishes the likeliest is judged; all of them share.
+        """
         here, own = self.bank.evidence(offers), self._worth(offers, k)
-        alike = self._alike(found)
         likeliest: dict[str, tuple[float, int, Offer, list[Offer]]] = {}
         where = {tuple(t.where for t in found.terms): 1.0}
         for n, offer, rest in self._may_stand(offers, k, here + math.log(LOOKED_AT)):
@@ -132,16 +134,21 @@ class OfferedEffects:
                 for each, value in zip(tried, worth, strict=True):
                     places = tuple(t.where for t in self._terms(n, each))
                     where.setdefault(places, math.exp(min(value, 0.0)))
-            elif offer.name not in alike and odds > likeliest.get(offer.name, (-math.inf,))[0]:
+            elif odds > likeliest.get(offer.name, (-math.inf,))[0]:
                 likeliest[offer.name] = odds, n, offer, rest
-        names = dict.fromkeys((found.name, *alike), 1.0 / (1 + len(alike)))
-        names |= {name: math.exp(min(rival[0], OVERFLOW)) for name, rival in likeliest.items()}
-        where_now = tuple(dict.fromkeys(t.where for t in found.terms))
-        rivals = [(self._named(n, where_now), own) for n in alike]
-        for odds, n, offer, rest in likeliest.values():
+        alike = [(found.name, *self._alike(found.terms))]
+        names = dict.fromkeys(alike[0], 1.0 / len(alike[0]))
+        rivals = [(self._named(n, found.terms), own) for n in alike[0][1:]]
+        for odds, n, offer, rest in sorted(likeliest.values(), key=lambda r: -r[0]):
+            if offer.name in names:
+                continue
             terms = self._terms(n, offer, self.bank.joint([*rest, offer])[1][-1])
             factor = own + odds - offer.log_prior + offers[k].log_prior
+            shared = (each for each in self._alike(terms) if each not in names)
+            alike.append((offer.name, *shared))
+            names |= dict.fromkeys(alike[-1], math.exp(min(odds, OVERFLOW)) / len(alike[-1]))
             rivals.append((Candidate(offer.name, terms), factor))
+            rivals += [(self._named(each, terms), factor) for each in alike[-1][1:]]
         total = sum(names.values())
         ordered = sorted(names.items(), key=lambda c: (c[0] != found.name, -c[1]))
         return FoundEffect(
@@ -151,7 +158,7 @@ class OfferedEffects:
             own,
             tuple(sorted(rivals, key=lambda r: -names[r[0].name])),
             smallest_set(dict(sorted(where.items(), key=lambda w: -w[1]))),
-            alike,
+            tuple(alike),
         )
 
     def _may_stand(
@@ -223,15 +230,16 @@ class OfferedEffects:
             terms.append(term.with_values(dict(zip(names, amount, strict=True))) if names else term)
         return tuple(terms)
 
-    def _alike(self, found: FoundEffect) -> tuple[str, ...]:
-        """Names that no measurement distinguishes from an effect's.
+    def _alike(self, terms: Sequence[Term]) -> tuple[str, ...]:
+        """Names that no measurement distinguishes from that of some terms.
 
         Among these are functions of a joint that stood at few positions: each takes any values.
         """
-        levels = max((self._levels(t) for t in found.terms), default=0)
+        name = terms[0].name
+        levels = max(map(self._levels, terms))
         free = {n for n, k in self._first.items() if self.things[k].terms[0].free_levels >= levels}
         few = free if levels else set()
-        return tuple(sorted((self._aliases.get(found.name, set()) | few) - {found.name}))
+        return tuple(sorted((self._aliases.get(name, set()) | few) - {name}))
 
     def _levels(self, term: Term) -> int:
         """At how many positions the joint stood that a function of joints is at; 0 for others."""
@@ -241,8 +249,9 @@ class OfferedEffects:
         stood = [self.fitted.session.q[:, commanded.index(j)] for j in term.joints]
         return max((levels_of(q) for q in stood), default=0)
 
-    def _named(self, name: str, where: tuple[str, ...]) -> Candidate:
-        """What is on offer by a name at some places; the first where it is not offered there."""
+    def _named(self, name: str, at: Sequence[Term]) -> Candidate:
+        """What is on offer by a name at the places of terms; the first where nothing is there."""
+        where = tuple(dict.fromkeys(t.where for t in at))
         named = (c for c in self.things if c.name == name and c.where == where)
         return next(named, self.things[self._first[name]])
 
