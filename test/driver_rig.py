@@ -62,21 +62,27 @@ class Rig:
         self.stamps, self.ids = Stamps(stage.node.get_clock()), dict[str, list[str]]()
         self.process = self.start()
 
-    def start(self, patience_s: float = 5.0, clock: str = "system") -> subprocess.Popen[str]:
+    def start(self, **params: object) -> subprocess.Popen[str]:
+        """Start a driver; what another one said before is forgotten."""
         command = ["-m", "longarm_comp.nodes.servo_driver", "--ros-args"]
-        command += ["--params-file", str(self.file), "-p", f"patience_s:={patience_s}"]
-        if clock == "nobody's":  # /clock is waited for, and never comes
-            command += ["-p", "use_sim_time:=true"]
+        command += ["--params-file", str(self.file)]
+        for name, value in params.items():
+            command += ["-p", f"{name}:={value}"]
+        del self.states[:], self.said[:], self.diagnostics[:]
         self.process = self.stage.python(command)
         return self.process
 
-    def begins_without_servos(self, patience_s: float) -> subprocess.Popen[str]:
-        """End the driver and start it anew with no cable."""
+    def ends(self) -> None:
+        """End the driver."""
         self.process.send_signal(signal.SIGINT)
         assert self.process.wait(timeout=10) == 0
+        self.stage.spin(lambda: self.trajectories.get_subscription_count() == 0)
+
+    def begins_without_servos(self, patience_s: float) -> subprocess.Popen[str]:
+        """End the driver and start it anew with no cable."""
+        self.ends()
         self.emulator.unplug()
-        del self.diagnostics[:]
-        return self.start(patience_s)
+        return self.start(patience_s=patience_s)
 
     def driving(self) -> bool:
         return all(self.emulator.torques_on().values())
@@ -139,11 +145,13 @@ class Rig:
         self.stage.spin(there)
 
     def goes(self, stamp: Time | None = None, **goal: float) -> None:
-        """Send until the driver tells of it: its subscription may still be connecting."""
+        """Send until the driver takes it: its subscription may still be connecting, and on a busy
+        machine an order may be old, or a servo silent, when it is read."""
         for _ in range(6):
             sent = self.send(stamp=stamp, **goal)
             with contextlib.suppress(AssertionError):
                 self.stage.spin(lambda sent=sent: self.events(sent), within=5.0)
+            if Motion.ACCEPTED in self.events(sent):
                 break
         self.arrives(**goal)
 

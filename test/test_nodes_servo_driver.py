@@ -241,8 +241,7 @@ def test_a_killed_driver_leaves_the_arm_standing_and_its_successor_needs_no_cloc
     rig.process.kill()
     rig.process.wait(timeout=10)
     assert rig.driving()  # the arm does not drop
-    del rig.diagnostics[:], rig.states[:]
-    rig.start(clock="nobody's")
+    rig.start(use_sim_time=True)  # /clock is waited for, and never comes
     rig.is_idle()
     assert rig.joints()["shoulder"] == pytest.approx(0.3, abs=1e-3)
     rig.send("timeless", Time(nanosec=1), shoulder=0.1)
@@ -318,16 +317,21 @@ def test_shaped_moves_arrive_and_shaping_needs_an_arm(rig: Rig, tmp_path: Path) 
     arm = tmp_path / "arm.yaml"
     text = {"name": "a", "convention": "mdh_craig", "tip": {"frame": 2}, "joints": joints}
     arm.write_text(yaml.safe_dump(text | {"links": [beam]}))
-    rig.process.send_signal(signal.SIGINT)
-    assert rig.process.wait(timeout=10) == 0
-    rig.stage.spin(lambda: rig.trajectories.get_subscription_count() == 0)
-    command = ["-m", "longarm_comp.nodes.servo_driver", "--ros-args"]
-    command += ["--params-file", str(rig.file), "-p", "shaping:=true"]
-    without = rig.stage.python(command)
+    rig.ends()
+    without = rig.start(shaping=True)
     assert without.wait(timeout=60) == 2
     assert "shaping: True; allowed: false, or arm" in rig.stage.output(without)
-    del rig.states[:], rig.said[:]
-    rig.process = rig.stage.python([*command, "-p", f"arm:={arm}"])
+    rig.start(shaping=True, arm=arm)
     rig.is_idle()
-    rig.stage.spin(lambda: rig.trajectories.get_subscription_count() == 1)
     rig.goes(shoulder=0.3, boom=0.05)
+
+
+def test_a_driver_that_says_ready_takes_a_trajectory_before_its_first_cycle(rig: Rig) -> None:
+    rig.ends()
+    rig.start(rate_hz=1.0)
+    rig.is_in(DriverState.READY)
+    rig.send("at once", shoulder=0.2)
+    rig.stage.spin(lambda: rig.events("at once"))
+    assert rig.events("at once") == [Motion.ACCEPTED]
+    rig.ends()
+    rig.start()

@@ -204,6 +204,17 @@ def test_noise_is_no_wave_and_slow_cameras_are_refused() -> None:
         waves(times[::-1], np.zeros((100, 3)))
 
 
+def test_what_numbers_are_rounded_by_is_no_wave_and_a_tiny_one_beyond_it_is() -> None:
+    times = np.arange(300) / 100.0
+    wave = (np.exp(-0.02 * 18.0 * times) * np.sin(18.0 * times))[:, None] * np.ones(3)
+    for still, rounded in ((0.0, 1.0), (0.35, 0.0), (0.3, 1.0), (700.0, 0.6)):
+        assert waves(times, still + rounded * np.spacing(still) * wave) == []
+    assert waves(times[::3], 0.3 * np.ones((100, 3))) == []
+    (tiny,) = waves(times, 1.0 + 1e-10 * wave)
+    assert tiny.hz == pytest.approx(18.0 / (2.0 * np.pi), rel=1e-3)
+    assert tiny.damping == pytest.approx(0.02, rel=1e-3)
+
+
 def test_encoders_at_the_joints_see_the_ring_and_those_at_motors_or_too_coarse_do_not() -> None:
     way, took = straight(ARM.mid, ARM.mid + 0.1 * (ARM.upper - ARM.lower), 0.5), 0.5
     end, since = way(np.array([took]))[0], np.arange(0.0, 3.0, 0.01)

@@ -96,6 +96,11 @@ class TrajectoryFollower:
         offset = [] if self._trim is None else self._trim.offset.tolist()
         return dict(zip(self._names, offset, strict=False))
 
+    def fresh(self, now: float) -> bool:
+        """Whether every servo was read, and believed, in the last step, and that was just now."""
+        late = self._now is None or now - self._now > self._config.follower.silence_s
+        return self._fresh and not late
+
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Accept a trajectory. It starts with the next step, from the present set-point.
 
@@ -322,8 +327,7 @@ class TrajectoryFollower:
             raise JobError("no trajectory is taken until the arm is reset", state=self._state.value)
         if self._held:
             raise JobError("no trajectory is taken until ~/hold is called with false")
-        late = self._now is None or now - self._now > self._config.follower.silence_s
-        if late or not self._fresh:
+        if not self.fresh(now):
             raise JobError("no fresh read-back of every servo", servos=len(self._joints))
         self._check_health(now)
 

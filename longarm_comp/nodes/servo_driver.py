@@ -274,6 +274,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if why := self._intake.too_old(message):
             self.refuse(name, why)
             return
+        if not self._machine.follower.fresh(time.monotonic()):  # just begun, or a reply was lost
+            self._drive(self._machine)
         try:
             accepted = self._machine.accept(trajectory_of(message), time.monotonic())
         except LongarmError as error:

@@ -50,6 +50,11 @@ def waves(times: np.ndarray, seen: np.ndarray, most: int = 2) -> list[SeenWave]:
     if len(times) < LEAST or (np.diff(times) <= 0.0).any():
         raise InputError("ring", "sightings", len(times), f"{LEAST} or more, one after the other")
     t = times - times[0]
+    moved = seen - seen.mean(axis=0)
+    unit = float(np.linalg.norm(moved)) or 1.0
+    # A number is rounded, and not by chance: a wave may explain all of that
+    rounding = float(((np.finfo(float).eps / unit * seen) ** 2).sum())
+    seen = moved / unit  # small rings are fitted as well as large ones
     # Sightings in a period; with fewer another frequency fits as well
     fastest = 1.0 / (2.5 * float(np.median(np.diff(t))))
     slowest = 1.0 / float(t[-1])
@@ -71,10 +76,10 @@ def waves(times: np.ndarray, seen: np.ndarray, most: int = 2) -> list[SeenWave]:
         free = now.size - wide * (1 + len(begin)) - len(begin)
         if free < 1:
             break
-        gain = ((left**2).sum() - (now**2).sum()) / more
-        noise = (now**2).sum() / free
+        gain = ((left**2).sum() - (now**2).sum() - rounding) / more
+        noise = ((now**2).sum() + rounding) / free
         # Chance at which noise alone would be taken for a wave
-        if f_distribution.sf(gain / max(noise, 1e-30), more, free) > 1e-6:
+        if gain <= 0.0 or f_distribution.sf(gain / noise, more, free) > 1e-6:
             break
         found, left, last = fit.x.tolist(), now, fit
     if not found:
@@ -85,7 +90,7 @@ def waves(times: np.ndarray, seen: np.ndarray, most: int = 2) -> list[SeenWave]:
     made = [
         SeenWave(
             w / (2.0 * np.pi), sd[2 * k] / (2.0 * np.pi), z, sd[2 * k + 1],
-            np.hypot(parts[2 * k], parts[2 * k + 1]),
+            unit * np.hypot(parts[2 * k], parts[2 * k + 1]),
         )
         for k, (w, z) in enumerate(zip(found[::2], found[1::2], strict=True))
     ]  # fmt: skip
