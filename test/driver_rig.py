@@ -137,22 +137,28 @@ class Rig:
         self.stage.spin(lambda: self.said and self.said[-1].state == state)
         return self.said[-1]
 
-    def arrives(self, **goal: float) -> None:
-        def there() -> bool:
-            at = self.joints()
-            return all(abs(at[name] - value) < 1e-3 for name, value in goal.items())
+    def stands(self, **goal: float) -> bool:
+        """Whether the emulated joints stand there."""
+        at = self.joints()
+        return all(abs(at[name] - value) < 1e-3 for name, value in goal.items())
 
-        self.stage.spin(there)
+    def arrives(self, **goal: float) -> None:
+        self.stage.spin(lambda: self.stands(**goal))
 
     def goes(self, stamp: Time | None = None, **goal: float) -> None:
-        """Send until the driver takes it: its subscription may still be connecting, and on a busy
-        machine an order may be old, or a servo silent, when it is read."""
+        """Send until the driver takes it and goes there: its subscription may still be connecting,
+        and on a busy machine an order may be old when it is read, a servo silent, or the driver
+        itself away."""
         for _ in range(6):
             sent = self.send(stamp=stamp, **goal)
             with contextlib.suppress(AssertionError):
                 self.stage.spin(lambda sent=sent: self.events(sent), within=5.0)
             if Motion.ACCEPTED in self.events(sent):
-                break
+                self.stage.spin(
+                    lambda sent=sent: Motion.BROKEN_OFF in self.events(sent) or self.stands(**goal)
+                )
+                if self.stands(**goal):
+                    return
         self.arrives(**goal)
 
     def told(self, part: str) -> str:

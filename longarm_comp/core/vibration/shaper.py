@@ -95,6 +95,13 @@ def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float]
         if name not in names:
             raise InputError(where, f"servo of {name}", "missing", ", ".join(names))
     order = [names.index(name) for name in arm.joint_names]
+    damping = arm.damping or USUAL_DAMPING
+
+    def usual(times: np.ndarray) -> np.ndarray:
+        return arm.mid + np.outer(times, 0.1 * (arm.upper - arm.lower))
+
+    # What is imported and compiled once costs seconds, and no order must wait for it.
+    shaper_of(way_modes(model, usual, 1.0), usual, 1.0, damping)
 
     def of(way: Way, seconds: float) -> Shaper | None:
         def mine(times: np.ndarray) -> np.ndarray:
@@ -103,6 +110,6 @@ def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float]
         if not seconds > 0.0 or not np.ptp(mine(np.linspace(0.0, seconds, _PLACES)), axis=0).any():
             return None
         along = way_modes(model, mine, seconds)
-        return shaper_of(along, mine, seconds, arm.damping or USUAL_DAMPING)
+        return shaper_of(along, mine, seconds, damping)
 
     return of
