@@ -125,9 +125,7 @@ def maths(source: str) -> Iterator[tuple[int, str]]:
                     yield node.lineno, alias.name
 
 
-def room_faults(
-    room: str, file: str, found: list[Import], rule: Room | None = None
-) -> list[str]:
+def room_faults(room: str, file: str, found: list[Import], rule: Room | None = None) -> list[str]:
     """What a file imports against a rule, by default that of its room."""
     rule = rule or ROOMS[room]
     faults = []
