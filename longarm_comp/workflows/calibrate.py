@@ -256,7 +256,7 @@ def calibrate(
     Raises:
         InputError: the session was refused; an effect has no place on this arm or needs an input
             that was not recorded.
-        JobError: a fit diverged, or may not be believed: worse on unseen rows than placed
+        JobError: a fit diverged, or may not be believed: worse on held-out rows than placed
             frames alone, not carried over to them, or an effect of a size that no arm has.
     """
     for effect in effects:

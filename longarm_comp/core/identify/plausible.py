@@ -29,7 +29,7 @@ def check_worth(
     than: str = "placed frames alone",
     unit: str = "mm",
 ) -> None:
-    """A model must not be worse on unseen rows than a plainer one.
+    """A model must not be worse on held-out rows than a plainer one.
 
     Args:
         held_out: (M, 3) its errors there, m or rad.
@@ -44,7 +44,7 @@ def check_worth(
     there, here = 1e3 * _median(held_out), 1e3 * _median(plain)
     if len(held_out) >= ENOUGH and there > WORSE * here:
         raise JobError(
-            f"calibration is worse on unseen rows than {than}: {here:.3g} -> "
+            f"calibration is worse on held-out rows than {than}: {here:.3g} -> "
             f"{there:.3g} {unit}; the rows do not determine the geometry, or are not this arm's",
             session=source,
         )
@@ -67,7 +67,7 @@ def check_carries_over(
     here, there = 1e3 * _median(fitted), 1e3 * _median(held_out)
     if len(held_out) >= ENOUGH and there > RISES * here:
         raise JobError(
-            f"calibration does not carry over to unseen rows: {here:.3g} -> {there:.3g} {unit}; "
+            f"calibration does not carry over to held-out rows: {here:.3g} -> {there:.3g} {unit}; "
             "the rows are too few, or something changed between them",
             session=source,
         )

@@ -101,7 +101,7 @@ READINGS = (
         "a common supply that sags as the loads add up",
         lambda t: t.quantity(LoadSum) and len(t.places) > 1,
     ),
-    Likeness("lost motion: backlash or friction", lambda t: t.quantity(JointSide)),
+    Likeness("play or friction", lambda t: t.quantity(JointSide)),
     Likeness(
         "a seat or clearance that flips with the load",
         lambda t: t.switched_by(JointLoad, Moment, Gravity),
