@@ -60,7 +60,7 @@ TIP_SAID = "tip by readings"
 """Part of `kinematics` on /diagnostics that says where the tip stands."""
 RING_SAID = "ring"
 """Part of it that says how the tip rings after the last move."""
-PERIOD = Param("diagnostics_period_s", 1.0, "between two reports on /diagnostics", 0.05, 60.0)
+PERIOD = Param("diagnostics_period_s", 1.0, "time between two reports on /diagnostics", 0.05, 60.0)
 """A parameter of every node."""
 
 OK, WARN, ERROR, STALE = (

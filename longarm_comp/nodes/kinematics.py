@@ -33,19 +33,19 @@ from longarm_interfaces.msg import Motion
 
 PARAMS = (
     *arm_state.PARAMS,
-    Param("base_frame", "base", "frame that targets and measurements are given in"),
+    Param("base_frame", "base", "frame of targets and measurements"),
     *compensator.PARAMS,
     *targets.PARAMS,
-    Param("acknowledged", True, "the driver says what becomes of a trajectory (docs/ros.md)"),
-    Param("compiled", True, "compile the search (needs llvmlite; about a second a model)"),
-    Param("queue", 200, "targets that may wait", 1, 10000),
+    Param("acknowledged", True, "the driver reports what happens to a trajectory (docs/ros.md)"),
+    Param("compiled", True, "compile the inverse kinematics (needs llvmlite; a second a model)"),
+    Param("queue", 200, "largest number of targets that wait", 1, 10000),
     *reach.PARAMS,
     *monitoring.PARAMS,
     *learning.PARAMS,
     *drawing.PARAMS,
     *payload.PARAMS,
-    Param("shaped", False, "the driver sends moves in parts that cancel their ring"),
-    Param("trimmed", False, "the driver trims: what encoders see is not compensated again"),
+    Param("shaped", False, "the driver splits moves so that they leave little ring"),
+    Param("trimmed", False, "the driver trims: errors that encoders see are not compensated"),
     PERIOD,
 )
 

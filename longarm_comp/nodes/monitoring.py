@@ -24,11 +24,11 @@ from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_comp.nodes.stamps import stamp_ns
 
 PARAMS = (
-    Param("readings.period_s", 1.0, "between two tip_by_readings; 0: none", 0.0, 60.0),
-    Param("monitor.settle_s", 0.5, "joints at rest for so long before the tip counts", 0.0, 60.0),
+    Param("readings.period_s", 1.0, "time between two tip_by_readings; 0: none", 0.0, 60.0),
+    Param("monitor.settle_s", 0.5, "time at rest before the tip is measured", 0.0, 60.0),
     Param("monitor.sightings", 3, "sightings averaged at a rest pose", 1, 1000),
-    Param("monitor.sigma_m", 1e-3, "promised error without a predictor, per axis", 1e-6, 1.0),
-    Param("monitor.run_length", 10000.0, "rest poses between false alarms, at least", 2.0, 1e9),
+    Param("monitor.sigma_m", 1e-3, "expected error per axis if there is no predictor", 1e-6, 1.0),
+    Param("monitor.run_length", 10000.0, "at most one false alarm in so many rest poses", 2.0, 1e9),
 )
 
 

@@ -99,8 +99,8 @@ class Freshness:
 
 
 PARAMS = (
-    Param("order_max_age_s", 2.0, "older trajectories and goals move nothing", 0.01, 60.0),
-    Param("unstamped", False, "take up trajectories with the stamp 0 too (docs/ros.md)"),
+    Param("order_max_age_s", 2.0, "trajectories and goals older than this are refused", 0.01, 60.0),
+    Param("unstamped", False, "also accept trajectories with the stamp 0 (docs/ros.md)"),
 )
 
 

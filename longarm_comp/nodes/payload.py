@@ -22,9 +22,11 @@ from longarm_comp.nodes.messages import wrench_of
 from longarm_comp.nodes.params import Param
 
 PARAMS = (
-    Param("servos", "", "the driver's file: what its servos tell of loads; empty: nothing"),
-    Param("payload.by_load", False, "a payload that nobody tells is what drives and wrist feel"),
-    Param("payload.wrench_sigma_n", 1.0, "zero and noise of the wrist's force", 1e-4, 1e4),
+    Param("servos", "", "servo_driver.yaml, for the loads that servos report; empty: none"),
+    Param("payload.by_load", False, "if nobody publishes a payload, estimate it from the loads"),
+    Param(
+        "payload.wrench_sigma_n", 1.0, "uncertainty of the wrist force and of its zero", 1e-4, 1e4
+    ),
 )
 
 _NOTHING = "not weighed: no drive or wrist sensor tells a load"

@@ -22,8 +22,8 @@ from longarm_interfaces.msg import Motion
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
-    Param("reach.feedback_s", 0.1, "between two feedbacks of the action reach", 0.01, 10.0),
-    Param("reach.look_s", 5.0, "patience with sightings of the tip at rest; 0: none", 0.0, 600.0),
+    Param("reach.feedback_s", 0.1, "time between two feedbacks of the action reach", 0.01, 10.0),
+    Param("reach.look_s", 5.0, "longest wait for sightings at rest; 0: none", 0.0, 600.0),
 )
 
 

@@ -20,7 +20,7 @@ class RingTeller:
     """Computes on the worker, when a move has ended and nothing else waits.
 
     Args:
-        shaped: whether the driver sends moves in parts that cancel their ring.
+        shaped: whether the driver splits moves so that they leave little ring.
     """
 
     def __init__(self, state: ArmState, shaped: bool) -> None:

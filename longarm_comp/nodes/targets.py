@@ -36,8 +36,8 @@ from longarm_interfaces.srv import Compensate
 PARAMS = (
     Param("position_only", False, "targets on target_pose leave the orientation free", live=True),
     Param("target_max_age_s", 5.0, "targets with an older stamp are refused", 0.01, 1e6),
-    Param("move_time_s", 0.5, "asked of the driver, which slows down to its limits", 0.0, 600.0),
-    Param("acknowledge_s", 2.0, "patience with the driver's acknowledgement", 0.01, 60.0),
+    Param("move_time_s", 0.5, "time asked for a move; the driver may need longer", 0.0, 600.0),
+    Param("acknowledge_s", 2.0, "longest wait for the driver's acknowledgement", 0.01, 60.0),
 )
 
 
