@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     "effects",
     multiple=True,
     metavar="NAME",
-    help="Effect to fit besides, on every joint or beam that may have it; repeat for more.",
+    help="Also fit this effect, at every joint or beam that may have it; repeat for more.",
 )
 @options.without("deflection", "Treat the declared beams as stiff.")
 @click.option(
@@ -41,8 +41,8 @@ def command(
 ) -> None:
     """Fit geometry and declared effects of ARM to SESSION (CSV or bag).
 
-    A ladder of models of growing complexity is fitted without the held-out blocks and evaluated
-    on them. The last one is then fitted to all rows and written with 95 % intervals.
+    Models that know more and more are fitted without the held-out rows and compared at them. The
+    last model is then fitted to all rows and written with 95 % intervals.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""Joint commands that bring the real tip to targets."""
+"""Compute joint commands that bring the real tip to targets."""
 
 from __future__ import annotations
 
