@@ -123,7 +123,7 @@ def test_a_diagnosis_older_than_the_model_at_work_is_refused(
         apply(rival, ARM, model)
     other = tmp_path / "other.yaml"
     save_model(other, store(FOUND.with_values(1.1 * FOUND.values)))
-    with pytest.raises(InputError, match="model at work"):
+    with pytest.raises(InputError, match="model in use"):
         apply(diagnosed("of_another_model", before=other), ARM, model)
     assert bytes_of(model.parent) == kept
     with pytest.raises(InputError, match="declared arm"):

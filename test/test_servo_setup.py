@@ -308,7 +308,7 @@ def test_a_dialogue_finds_exchanged_servos_and_a_broken_off_one_leaves_nothing(
         talk.until("Stand clear")
         talk.say("")
         rest, told = emulator.positions(), []
-        while talk.until("which way", "goes off again") == "which way":
+        while talk.until("which direction", "goes off again") == "which direction":
             at = emulator.positions()
             servo_id = max(at, key=lambda i: abs(at[i] - rest[i]))
             name = next(n for n, true in TRUE.items() if true.servo_id == servo_id)

@@ -41,7 +41,7 @@ def apply(diagnosis: Path, namespace: str, as_json: bool, **how: Any) -> None:
     began: list[str] = []
 
     def kept() -> str:
-        said = "model and predictor at work fit each other; the same command finishes the rest"
+        said = "model and predictor in use fit each other; run the same command again to finish"
         return said if began else ""
 
     with (

@@ -80,7 +80,7 @@ def _fault(name: str, parameter: str, metavar: str, what: str, example: str) -> 
 
         with on_graph("rehearse", namespace) as client:
             said = attend.spoil(client, parameter, name, back)
-        note(f"{said}; longarm status says what the arm makes of it")
+        note(f"{said}; `longarm status` shows how the arm reacts")
 
     words = f"longarm sim {name} {example}"
     spoil.__doc__ = (

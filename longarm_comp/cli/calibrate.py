@@ -59,11 +59,11 @@ def command(
         calibration = calibrate(declared, session, effects=chosen, note=note, progress=show, **how)
     calibration.save(output)
     if calibration.placed:
-        note("the nominal arm was placed by the rows first: they see it somewhere else")
+        note("the declared arm was first placed by the rows, because they see it at another place")
     for place in calibration.untold:
-        note(f"the rows do not tell {place}: left as declared")
+        note(f"the rows do not show {place}: left as declared")
     for name in calibration.not_helping:
-        note(f"{name} did not lower the held-out error: better left out")
+        note(f"{name} did not lower the held-out error: better leave it out")
     rows, final = calibration.held_out.rows, calibration.fit
     if as_json:
         print_json({"output": str(output), "held_out": rows, **_facts(calibration)})
@@ -84,7 +84,10 @@ def command(
     which = f": {left}" if left else ""
     note(f"{len(final.outliers)} rows left out as outliers{which}; model in {output}")
     if not final.converged:
-        note(f"the last step was not below a hundredth of the errors after {final.iterations}")
+        note(
+            "the fit did not converge: its last step was above a hundredth of the errors after "
+            f"{final.iterations}"
+        )
 
 
 def _called(session: Session) -> np.ndarray:

@@ -125,7 +125,7 @@ def command(
         note(f"the marker was not seen at visits {', '.join(map(str, done.unseen))}")
     if done.blocked:
         why = next(iter(done.blocked.values()))
-        note(f"{len(done.blocked)} visits were not made, as no way there is free: {why}")
+        note(f"{len(done.blocked)} poses were not driven, because no way there is free: {why}")
 
 
 def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any) -> Collected:

@@ -125,7 +125,7 @@ def command(
     if chosen.learned and learned is None:
         raise InputError("compensate", "--predictor", "missing", f"a file for --method {method}")
     if chosen.learned and chosen is not fitting(learned):
-        allowed = f"{fitting(learned).value}: as the predictor was trained"
+        allowed = f"{fitting(learned).value}: because the predictor was trained so"
         raise InputError("compensate", "--method", method, allowed)
     alike |= {"method": chosen, "seed": None if seed_q is None else _joints(seed_q, declared)}
     # more digits are no row's, and no number that Python reads

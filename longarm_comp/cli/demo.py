@@ -82,13 +82,13 @@ def command(
         note(f"hidden in the arm: {settings.hidden} (mm rms at the tip)")
         note(f"diagnosis ({printed['verdict']}): {printed['diagnosis']}")
         if printed["network_refused"]:
-            note(f"no network is put to work: {printed['network_refused']}")
+            note(f"no network is used: {printed['network_refused']}")
         if printed["network_inputs"]:
             used = targets - printed["outside_training_data"]
             note(
                 f"the network was used at {used} of {targets} targets; at the others physics alone"
             )
-            note("is as good, or they lie outside its training data")
+            note("is as good, or the targets are outside its training data")
         note(
             f"report in {printed['files']['report']}, the loop's page in {printed['files']['loop']}"
         )

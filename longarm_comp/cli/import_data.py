@@ -95,7 +95,7 @@ def command(
     if found.markers:
         note(f"markers side by side, a row each: {', '.join(found.markers)}")
     if sort is None and not {"t_s", "index"} & set(found.columns):
-        said_not = "in the file's order, from which the side of arrival follows"
+        said_not = "in the file's order, which determines the sides of arrival"
         note(f"rows are taken {said_not}; --sort COLUMN says another")
     if found.left_out:
         note(f"left out: {', '.join(found.left_out)}")

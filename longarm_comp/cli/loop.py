@@ -77,10 +77,10 @@ def command(
 
     def agree(report: DiagnosisReport) -> bool:
         note(f"{report.verdict}: {report.summary}")
-        return agreed("Apply this to the model at work?", yes)
+        return agreed("Apply this to the model in use?", yes)
 
     def kept() -> str:
-        return f"{output} keeps what was done; --resume goes on" if output.is_dir() else ""
+        return f"{output} keeps what was done; continue with --resume" if output.is_dir() else ""
 
     with (
         kept_if_broken_off(kept),

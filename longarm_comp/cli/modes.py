@@ -77,8 +77,8 @@ def command(
                 np.max([w.size for w in seen] or np.zeros((1, 1)), axis=0),
             )
             if (largest <= smallest).all():
-                note(f"no joint rings by more than a step of its encoder, {_listed(smallest)}")
-            note("an encoder sees what gives before it: one at a motor hardly sees a beam ring")
+                note(f"no joint rings by more than one step of its encoder, {_listed(smallest)}")
+            note("an encoder sees only what bends before it: at a motor it hardly sees a beam ring")
     rows = [
         {
             "posture": row, "mode": k + 1, "hz": float(hz),

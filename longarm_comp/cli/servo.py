@@ -95,8 +95,8 @@ def refuse_clashes(found: Scan) -> None:
     """Raise JobError where ids are not unique."""
     if found.clashes:
         raise JobError(
-            "answers are damaged or doubled: connect these servos one at a time and give each an "
-            "id of its own, or check the cable",
+            "answers are damaged or doubled: connect these servos one at a time and give each its "
+            "own id, or check the cable",
             ids=list(found.clashes),
         )
 
@@ -160,7 +160,7 @@ def find_port() -> None:
     dialogue.go_on("Unplug the bus's USB cable.")
     gone = sorted(set(there) - set(dict(usable_ports())))
     if len(gone) != 1:
-        raise JobError("not one port went away: unplug this cable alone", went=gone)
+        raise JobError("no port disappeared, or several did: unplug this cable alone", went=gone)
     dialogue.go_on("Plug it in again.")
     note(f"next: longarm servo scan --port {gone[0]}")
     click.echo(gone[0])

@@ -183,7 +183,7 @@ def _directions(setup: ServoSetup, given: SetupAnswers) -> dict[str, int]:
     given.dialogue.go_on("The torque goes on; each joint makes a small move. Stand clear.")
     setup.hold()
     answers = ("+", "-", "again", *setup.joints)
-    text = "which way did it go, by arm.yaml? (another joint moved: its name)"
+    text = "in which direction did it go, by arm.yaml? (if another joint moved, type its name)"
     while left := [name for name in open_ones if name not in found]:
         name = left[0]
         nudge = setup.nudge(name, given.flags["nudge"] * hand_unit(setup.joints[name])[0])

@@ -45,12 +45,12 @@ def command(
     began: list[bool] = []
 
     def kept() -> str:
-        return "the joints stand where it ended; the same command begins anew" if began else ""
+        return "the joints stand where it ended; the same command starts again" if began else ""
 
     def agree(path: np.ndarray, takes: float) -> None:
         ask = f"Drive all {path.shape[1]} joints to both ends of their ranges ({takes:.0f} s)?"
         if not agreed(ask, yes):
-            raise JobError("not swept: no yes was given")
+            raise JobError("not swept: there was no answer yes")
         began.append(True)
 
     with (
@@ -62,4 +62,4 @@ def command(
             client, range_s=seconds, margin=margin, together=not one_by_one, agree=agree,
             progress=show,
         )  # fmt: skip
-    note(f"{moves} moves made; the joints are back where they stood, their history is known")
+    note(f"{moves} moves made; the joints are back where they were, and their history is known")

@@ -121,7 +121,7 @@ def command(
         print_json({"output": str(output), "rows": len(touches.rows)})
         return
     done = f"{written} touches in {output}; next: longarm calibrate {arm} {output}"
-    note(done if written else "no touch was taken, nothing is written")
+    note(done if written else "no touch was recorded, nothing is written")
 
 
 def _asked(prompt: str, stop: Event) -> str:

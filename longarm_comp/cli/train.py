@@ -75,5 +75,9 @@ def command(arm: Path, session: Path, output: Path, as_json: bool, **how: Any) -
     if as_json:
         print_json(facts)
         return
-    done = f"predictor in {output}" if trained.gain.helps else "not written: the physics is enough"
+    done = (
+        f"predictor in {output}"
+        if trained.gain.helps
+        else "not written: the physics alone is as good"
+    )
     note(f"{trained.summary}; {done}")

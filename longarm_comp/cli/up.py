@@ -86,7 +86,9 @@ def alone(namespace: str, stop: threading.Event) -> Iterator[None]:
     """
     from longarm_comp.jobs.graph_client import GraphClient, drivers
 
-    several = "a graph runs already in this namespace and ROS_DOMAIN_ID; end it, or --namespace"
+    several = (
+        "a graph is already running in this namespace and ROS_DOMAIN_ID: end it, or use --namespace"
+    )
     domain, space = os.environ.get("ROS_DOMAIN_ID", "0"), namespace.replace("/", "_")
     lock = Path(tempfile.gettempdir()) / f"longarm_up_{domain}_{space}.lock"
     with ExitStack() as held:

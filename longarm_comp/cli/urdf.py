@@ -87,5 +87,5 @@ def export_urdf(
     if rows:
         print_rows("Joint values at command zero (in the origins already)", rows)
     if left:
-        note(f"left out, as a URDF is rigid: {', '.join(left)}")
+        note(f"left out, because a URDF is rigid: {', '.join(left)}")
     note(f"{declared.n} joints in {output}")

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from longarm_comp.jobs.client import Pace
 
 _BROKEN_OFF = (
-    "of a verification that is broken off nothing is kept; model and predictor are as before; "
-    "`longarm status` says how the arm stands, the same command begins anew"
+    "an interrupted verification keeps nothing; model and predictor are unchanged; "
+    "`longarm status` shows the state of the arm, and the same command starts again"
 )
 
 

@@ -78,7 +78,7 @@ def _judged(diagnosis: Diagnosis, one: Smallest) -> tuple[str, str]:
     if alike and (places & set(alike[0].where) or "arm" in places):
         return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
     if value >= need:
-        return "rejected", f"log Bayes factor {value:.1f}, but the rest makes it superfluous"
+        return "rejected", f"log Bayes factor {value:.1f}, but the other effects already explain it"
     if not one.visible:
         return "invisible", _unseen(one)
     return "rejected", f"log Bayes factor {value:.1f}, needs {need:.1f}"

@@ -197,7 +197,7 @@ def compensate(
         check_predictor(predictor, model, "compensate")
     chosen = fitting(predictor) if method is None else method_of(method)
     if predictor is not None and chosen.learned and chosen is not fitting(predictor):
-        allowed = f"{fitting(predictor).value}: as the predictor was trained"
+        allowed = f"{fitting(predictor).value}: because the predictor was trained so"
         raise InputError("compensate", "method", chosen.value, allowed)
     goals, contexts, numbers = goals_of(model, targets, context)
     placements = placements_of(model, targets, goals, contexts, frame or "")

@@ -139,7 +139,7 @@ class Joint(Declared):
         ends = [math.degrees(self.cylinder.angle(q)) for q in self.limits]
         if not 0 < min(ends) < max(ends) < 180:
             said = " to ".join(f"{end:.1f}" for end in sorted(ends))
-            allowed = "over the joint's limits within 0 to 180, where the pins are in line"
+            allowed = "over the joint's limits within 0 to 180 (there the pins are in line)"
             raise Misdeclared("cylinder.angle_deg", said, allowed)
 
     def _check_step(self, key: str | None) -> None:
