@@ -31,8 +31,9 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
 
     A ratio above 1 means that this package is faster than the peer. Without NAMES all benchmarks
     are run, which takes about half an hour. The name of a group such as kinematics, ssa or bags
-    (see --list) runs the whole group. A peer that is not installed gives a row without a ratio. This command needs a checkout
-    of the project, because the benchmarks are not installed with the package.
+    (see --list) runs the whole group. A peer that is not installed gives a line without a ratio.
+    This command needs a checkout of the project, because the benchmarks are not installed with the
+    package.
 
     \b
     Examples:

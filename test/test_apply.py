@@ -58,7 +58,7 @@ def test_a_first_diagnosis_on_the_declared_arm_and_back(
     assert done.predictor == model.parent / "predictor.npz"
     load_predictor(done.predictor, ARM, model)
     assert done.set_aside is None
-    with pytest.raises(InputError, match="at work already"):
+    with pytest.raises(InputError, match="in use already"):
         apply(folder, ARM, model)
 
     assert shell(*done.undo.split()[1:]) == 0

@@ -231,7 +231,7 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     assert (files / "model.yaml").read_bytes() == kept
     assert longarm(*words).returncode == 2  # the folder is in use
     other = longarm(*words[:-1], "0.06", "--resume")
-    assert other.returncode == 2 and "as it was begun" in other.stderr
+    assert other.returncode == 2 and "as in the first call" in other.stderr
     session = sorted((out / "session").iterdir())
     made = [file.stat().st_mtime_ns for file in session]
     done = longarm(*words, "--resume", "--yes", "--json")
@@ -255,7 +255,7 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     assert (files / "predictor.npz").is_file() == bool(learned)
 
     again = longarm("apply", turn["diagnosis"])
-    assert again.returncode == 2 and "at work already" in again.stderr
+    assert again.returncode == 2 and "in use already" in again.stderr
     assert longarm("undo", files / "model.yaml").returncode == 0
     assert (files / "model.yaml").read_bytes() == kept
     assert not (files / "predictor.npz").exists()

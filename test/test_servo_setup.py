@@ -279,7 +279,7 @@ def test_a_dialogue_finds_exchanged_servos_and_a_broken_off_one_leaves_nothing(
         words = ("servo", "setup", mine, "--ids", "1-3", "--nudge", 1)
         broken = Terminal(*words, "--port", emulator.port, "--no-sweep", "--zero", "pose", "--yes",
                           "--id", "joint1=1", "--id", "joint2=2", "--id", "joint3=3")  # fmt: skip
-        broken.until("joint1: which way")
+        broken.until("joint1: in which direction")
         assert all(emulator.torques_on().values())
         assert broken.stop() == 130
         assert not any(emulator.torques_on().values())

@@ -221,7 +221,7 @@ class TrajectoryFollower:
         """One bounded step along the path; None while any read-back is doubtful."""
         if not self._fresh:
             if not self._doubting:
-                self._say(EventKind.DOUBTFUL, "waiting for a trusted read-back of every servo")
+                self._say(EventKind.DOUBTFUL, "waiting for a trusted reading of every servo")
             self._doubting = True
             self._velocity = np.zeros_like(self._velocity)
             return None
@@ -324,7 +324,7 @@ class TrajectoryFollower:
             raise JobError("no trajectory is taken until ~/hold is called with false")
         late = self._now is None or now - self._now > self._config.follower.silence_s
         if late or not self._fresh:
-            raise JobError("no fresh read-back of every servo", servos=len(self._joints))
+            raise JobError("no fresh reading of every servo", servos=len(self._joints))
         self._check_health(now)
 
     def _start(self) -> Array:

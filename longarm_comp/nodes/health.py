@@ -37,7 +37,7 @@ class Twins:
         """Why the arm must not be moved; empty where no other is on the graph."""
         if self._alone >= _ALONE:
             return ""
-        return "a second kinematics is on the graph, both command this arm: end one of them"
+        return "two kinematics command this arm: end one of them"
 
     def _look(self) -> None:
         several = self._node.count_publishers(self._topic) > 1

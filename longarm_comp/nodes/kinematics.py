@@ -139,8 +139,8 @@ class Kinematics(ArmNode):
         deaf = [e.node_name for e in ends if e.qos_profile.reliability is BEST_EFFORT]
         if deaf:
             names = ", ".join(sorted(deaf))
-            return Report(WARN, f"targets of {names} are not heard: target_pose is reliable")
-        return Report(OK, "one kinematics, every publisher of targets is heard")
+            return Report(WARN, f"targets of {names} are not received: target_pose is reliable")
+        return Report(OK, "one kinematics; the targets of all publishers are received")
 
 
 main = program(Kinematics)

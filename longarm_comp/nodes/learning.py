@@ -77,7 +77,7 @@ class Learning:
         if self.learner is None:
             return False, _OFF
         self._take(self.learner.undo())
-        return True, f"version {len(self.learner.versions)} is served, and nothing is learned"
+        return True, f"version {len(self.learner.versions)} is in use, and nothing is learned"
 
     def _take(self, after: Learner) -> None:
         from longarm_comp.core.at_work import file

@@ -29,7 +29,7 @@ PARAMS = (
     ),
 )
 
-_NOTHING = "not weighed: no drive or wrist sensor tells a load"
+_NOTHING = "the payload is not estimated: no drive or wrist sensor reports a load"
 
 
 class Weigher:
@@ -112,7 +112,7 @@ class Weigher:
         said = self._told if self._told is not None else self._arm.payload.mass_kg
         who = "told" if self._told is not None else "declared"
         if self._weighing.contradicts(said):
-            wrong = f"{found} is felt, and {said:g} kg is {who}: weigh it, or say what is carried"
+            wrong = f"{found} is felt, but {said:g} kg is {who}: weigh the payload and publish it"
             return Report(WARN, wrong, facts)
         if not found.tells(self._reference):
             return Report(OK, f"friction hides the payload: {found}", facts)

@@ -339,7 +339,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def _hold(self, on: bool) -> None:
         if self._arm is None or (on and not self._active):
-            raise LongarmError("the driver is not active: there is no torque to hold with")
+            raise LongarmError("the driver is not active, so there is no torque to hold the arm")
         self._arm.follower.hold(on)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -181,7 +181,7 @@ class _StereoBridge(ArmNode):
             if eye is None:
                 self._count("camera_info is missing or no calibration", pair.stamp_ns)
             elif not self._worker.submit(partial(self._measure, eye, pair)):
-                self._count("a pair came before the last was measured", None)
+                self._count("a new pair came before the last one was measured", None)
 
     def _measure(self, eye: StereoEye, pair: Pair[Any]) -> None:
         """Measure a pair and publish the tip, on the worker's thread."""

@@ -118,7 +118,7 @@ class TargetInlet:
         asked = Compensate.Request(target=pose, position_only=free, execute=True)
         request = self.asked(asked, taken[1])
         if late:
-            self._refuse(request, Status.SUPERSEDED, "a later target came before it was begun")
+            self._refuse(request, Status.SUPERSEDED, "a later target came before work on it began")
         else:
             self._serve(request)
         self._publish_answer(request)
@@ -224,7 +224,7 @@ class TargetInlet:
             "waiting": self._worker.waiting + (self._latest is not None),
             "superseded, not told yet": len(self._passed),
             "last refusal": self._node.tally.last,
-            "superseded without a story": self._untold,
+            "superseded; its fate was not recorded": self._untold,
             "lost on the way": self._worker.inlets.lost,
         }
         if self._state.doubt:

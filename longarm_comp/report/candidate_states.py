@@ -86,7 +86,7 @@ def _judged(diagnosis: Diagnosis, one: Smallest) -> tuple[str, str]:
 
 def _unseen(one: Smallest) -> str:
     if not math.isfinite(one.size):
-        return "no size of it would show: geometry takes it up, or the poses do not excite it"
+        return "would not show at any size: the geometry explains it, or the poses do not excite it"
     return (
         f"would show above {1e3 * one.shift_m:.1f} mm at the tip only, {one.size:.0f} times its "
         f"typical size (believed up to {IMPLAUSIBLE:.0f})"
