@@ -102,7 +102,8 @@ def exaggeration(deflection: float, error: float) -> str:
     """What is drawn larger than it is."""
     bent = "to scale" if deflection == 1.0 else f"{deflection:g} times larger than it is"
     arrows = "to scale" if error == 1.0 else f"{error:g} times longer than they are"
-    return f"Deflection is drawn {bent}, error arrows {arrows}. The rest is to scale."
+    drawn = f"The blue arm's deflection is drawn {bent}, error arrows {arrows}."
+    return f"{drawn} Everything else is to scale."
 
 
 def drift(state: PageState) -> str:
