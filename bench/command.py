@@ -27,12 +27,13 @@ _SHOWN = ("name", "value", "unit", "peer", "peer_value", "ratio", "spread")
 @click.option("--list", "listed", is_flag=True, help="Only list the benchmarks.")
 @options.as_json
 def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: bool) -> None:
-    """Measure the speed of this package and of its peers in one run.
+    """Measure the speed of this package and of other programs (peers) in one run.
 
-    Ratios above 1 mean faster than the peer. Without NAMES all benchmarks are run, which takes
-    about half an hour. A group name such as kinematics, ssa or bags (see --list) runs the whole
-    group. A peer that is not installed gives a row without a ratio. This command needs a checkout
-    of the project, because the benchmarks are not installed with the package.
+    A ratio above 1 means that this package is faster than the peer. Without NAMES all benchmarks
+    are run, which takes about half an hour. The name of a group such as kinematics, ssa or bags
+    (see --list) runs the whole group. A peer that is not installed gives a line without a ratio.
+    This command needs a checkout of the project, because the benchmarks are not installed with the
+    package.
 
     \b
     Examples:

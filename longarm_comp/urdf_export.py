@@ -271,5 +271,5 @@ def _remark(model: Model) -> str:
     origins = "Calibrated" if any(e.geometry for e in model.effects) else "Declared"
     lines = [f"{origins} origins, written by longarm export-urdf. The payload is not in it."]
     lines += [f"Joint zeros, in the origins already: {zeros}"] if zeros else []
-    lines += [f"Left out, as a URDF is rigid: {', '.join(left)}"] if left else []
+    lines += [f"Left out, because a URDF is rigid: {', '.join(left)}"] if left else []
     return "\n  ".join(["", *lines, ""]).replace("--", "- -")

@@ -58,7 +58,7 @@ def test_a_first_diagnosis_on_the_declared_arm_and_back(
     assert done.predictor == model.parent / "predictor.npz"
     load_predictor(done.predictor, ARM, model)
     assert done.set_aside is None
-    with pytest.raises(InputError, match="at work already"):
+    with pytest.raises(InputError, match="in use already"):
         apply(folder, ARM, model)
 
     assert shell(*done.undo.split()[1:]) == 0
@@ -123,7 +123,7 @@ def test_a_diagnosis_older_than_the_model_at_work_is_refused(
         apply(rival, ARM, model)
     other = tmp_path / "other.yaml"
     save_model(other, store(FOUND.with_values(1.1 * FOUND.values)))
-    with pytest.raises(InputError, match="model at work"):
+    with pytest.raises(InputError, match="model in use"):
         apply(diagnosed("of_another_model", before=other), ARM, model)
     assert bytes_of(model.parent) == kept
     with pytest.raises(InputError, match="declared arm"):

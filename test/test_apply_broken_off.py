@@ -178,6 +178,6 @@ def test_a_second_change_finishes_the_first(versions: Versions, tmp_path: Path) 
             versions.apply(network=True)
         if versions.model.read_bytes() != versions.two:
             continue
-        with pytest.raises(InputError, match="at work already"):
+        with pytest.raises(InputError, match="in use already"):
             versions.apply(network=True)
         load_predictor(versions.predictor, ARM, versions.model)

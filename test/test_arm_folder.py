@@ -119,7 +119,7 @@ def test_an_arm_that_others_drive_and_measure_is_one_file(shell: Shell) -> None:
     assert "longarm import-data FILE --arm" in shell.err
     assert "links (docs/arm.md) can lie along row" in shell.err
     assert Arm.load(folder / "arm.yaml").camera is None
-    assert shell("check", folder) == 0 and "others drive and measure it" in shell.out
+    assert shell("check", folder) == 0 and "another program drives" in shell.out
     (folder / "servo_driver.yaml").write_text("")
     assert shell("check", folder) == 3
 

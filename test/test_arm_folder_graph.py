@@ -74,7 +74,7 @@ def test_faults_are_rehearsed_and_a_second_graph_is_refused(
 
             second = subprocess.run(up, capture_output=True, text=True, timeout=120)
             assert second.returncode == 3
-            assert "a graph runs already in this namespace" in second.stderr
+            assert "a graph is already running in this namespace" in second.stderr
             assert shell("sim", "cover", "left") == 0, shell.err
             assert "covered: left" in shell.err
             client.until(lost, 60.0, "the marker is still seen")
@@ -106,7 +106,7 @@ def test_a_graph_of_this_machine_is_noticed_before_it_is_discovered(
     monkeypatch.setattr(tempfile, "tempdir", None)
     stop = threading.Event()
     with alone("boom/left", stop):
-        with pytest.raises(JobError, match="a graph runs already"), alone("boom/left", stop):
+        with pytest.raises(JobError, match="a graph is already running"), alone("boom/left", stop):
             pass
         with alone("another", stop):
             pass

@@ -56,7 +56,7 @@ def rows() -> Session:
 
 LEFT_OUT = {
     "measuring side": CameraDrift(x=2e-3, y=1e-3),
-    "never told": PumpLift(lift=2e-3),
+    "never published": PumpLift(lift=2e-3),
 }
 KEPT = {
     "side of arrival": Backlash(joint=2, width=0.01),

@@ -159,7 +159,7 @@ def test_sealed_hold_out_opens_after_release_only(rng: np.random.Generator) -> N
     sealed = Sealed(session)
     assert len(sealed) == 5
     assert sealed.hash == session.hash
-    with pytest.raises(SealedError, match="sealed until the fit is finished"):
+    with pytest.raises(SealedError, match="once the fit is finished"):
         sealed.open("a peek")
     with pytest.raises(SealedError, match="xyz"):
         _ = sealed.xyz

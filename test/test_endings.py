@@ -169,4 +169,4 @@ def test_apply_that_is_broken_off(
     assert shell("apply", "diagnosis") == code
     *before, last = shell.err.splitlines()
     assert cause in last
-    assert ("the same command finishes the rest" in " ".join(before)) == begun
+    assert ("run the same command again" in " ".join(before)) == begun

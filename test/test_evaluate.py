@@ -65,8 +65,8 @@ def test_an_arm_that_stands_elsewhere_is_judged_and_said() -> None:
     moved = la.Session.record(rows.q, rows.xyz + np.array([0.5, 0.0, 0.0]))
     made = la.evaluate(ARM, moved, model=la.Model(ARM), note=notes.append)
     assert made["calibrated"].mean == pytest.approx(0.5, rel=0.01)
-    assert any("from where the model puts it" in text for text in notes)
-    with pytest.raises(la.JobError, match="from where the model puts it"):
+    assert any("from where the model expects it" in text for text in notes)
+    with pytest.raises(la.JobError, match="from where the model expects it"):
         la.train(ARM, moved, model=la.Model(ARM), **QUICK)
 
 

@@ -177,7 +177,7 @@ def test_calibrate_and_evaluate_say_what_was_placed_and_what_is_untold(tmp_path:
         assert done.exit_code == 0, done.output
         told = json.loads(done.stdout)
         assert told["placed"] and told["untold"][0].startswith("base: x, y")
-        assert "the rows do not tell base: x, y" in done.stderr
+        assert "the rows do not show base: x, y" in done.stderr
         last = told["held_out"][-1]
         if kind == "z":
             assert told["held_out"][0]["mean_mm"] < 30  # placed, not metres away
@@ -187,7 +187,7 @@ def test_calibrate_and_evaluate_say_what_was_placed_and_what_is_untold(tmp_path:
             assert last["n"] == 0 and last["mean_mm"] is None and last["mean_mrad"] < 1.5
         shown = CliRunner().invoke(evaluate_command, [names[0], "--test", names[1], "--json"])
         assert shown.exit_code == 0, shown.output
-        assert json.loads(shown.stdout)["placed"] and "was placed" in shown.stderr
+        assert json.loads(shown.stdout)["placed"] and "was first placed" in shown.stderr
         with_model = ["--test", names[1], "--model", names[2], "--json"]
         shown = CliRunner().invoke(evaluate_command, [names[0], *with_model])
         assert shown.exit_code == 0, shown.output
@@ -199,7 +199,7 @@ def test_an_arm_that_stands_elsewhere_than_its_model_says_is_judged_and_said() -
     model = la.calibrate(arm(TURNS[0]), near).model
     said: list[str] = []
     judged = la.evaluate(arm(TURNS[0]), far, model=model, note=said.append)
-    assert any("from where the model puts it" in text for text in said)
+    assert any("from where the model expects it" in text for text in said)
     assert judged["calibrated"].mean > 1.0
     found = la.evaluate(arm(TURNS[0]), far)
     assert found.placed and found["rigid"].mean < 0.02

@@ -71,7 +71,7 @@ def test_the_shortest_turn_is_taken() -> None:
 def test_what_is_not_known_is_said() -> None:
     known = tree()
     known.hear("shelf", "book", np.zeros(3), STRAIGHT, 0, static=True)
-    with pytest.raises(NotYet, match=r"'cart' was told last 0\.50 s before"):
+    with pytest.raises(NotYet, match=r"'cart' was last published 0\.50 s before"):
         known.place("hook", "floor", 12 * S + S // 2)
     with pytest.raises(UnknownPlace, match=r"'cart' is known only from 2\.00 s later on"):
         known.place("cart", "floor", 8 * S)

@@ -133,7 +133,7 @@ def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis(
     assert cause.inputs == ("pump_bar",)
     assert cause.where == ("base, move x", "what is measured, x")
     assert cause.amounts[0].value == pytest.approx(sway, rel=0.05)
-    assert "something that the recorded column drives" in cause.reading
+    assert "something that depends on the recorded column" in cause.reading
 
 
 def test_a_stop_begins_where_it_begins() -> None:
@@ -245,7 +245,7 @@ def test_poses_lie_in_the_gap_of_a_switch() -> None:
     fitted = calibrated(SMALL, measured(SMALL, (), 40, 1))
     flip = Function((Switch("q2", 0.2, 1.2, 0.7, 0.05),))
     guess = Discovered("joint 2", "turn z", flip.text, flip.domain)
-    assert doubts(fitted, [guess]) == ("it changes over somewhere between q2 0.65 and 0.75",)
+    assert doubts(fitted, [guess]) == ("it changes somewhere between q2 0.65 and 0.75",)
     poses = proposed(fitted, [guess], seed=1)
     assert len(poses) == POSES
     assert (np.abs(poses[:, 1] - 0.7) < 0.05).all()

@@ -139,7 +139,7 @@ def test_what_does_not_tell_it_is_refused(
     with pytest.raises(InputError, match=r"measured\.yaml: stereo_bridge\.yaml: facts\.before"):
         head_at(spoiled, session.hash)
     same = Session.record(np.tile(session.q[0], (12, 1)), np.tile(session.xyz[0], (12, 1)))
-    with pytest.raises(JobError, match="all over its range"):
+    with pytest.raises(JobError, match="over its whole range"):
         placed_cameras(declared_model(head.arm), same, head_pose(folder))
 
 

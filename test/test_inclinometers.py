@@ -42,7 +42,7 @@ def test_a_declared_inclinometer_is_taken_at_its_word() -> None:
     errors = calibrated.held_out
     assert errors["geometry"].mean > 5 * errors["measured_tilt"].mean
     assert errors["measured_tilt"].mean < 3 * SIGMA
-    with pytest.raises(JobError, match="worse on unseen rows"):
+    with pytest.raises(JobError, match="worse on held-out rows"):
         la.calibrate(arm(row=0, sign=[1, 1]), tilted(), effects=["measured_tilt"])
 
 

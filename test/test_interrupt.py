@@ -69,10 +69,10 @@ def _attended() -> None:
 @pytest.mark.parametrize(
     ("words", "place", "kept"),
     [
-        (("loop", "ARM", "-o", "loop_1"), "jobs.loop.run.Loop.run", "--resume goes on"),
+        (("loop", "ARM", "-o", "loop_1"), "jobs.loop.run.Loop.run", "continue with --resume"),
         (("record", "-o", "bag"), "jobs.recorder.record", "--resume adds to it"),
-        (("verify", "ARM"), "jobs.targets.TargetRunner.ready", "the same command begins anew"),
-        (("sweep", "ARM", "--yes"), "jobs.sweep.sweep_joints", "the same command begins anew"),
+        (("verify", "ARM"), "jobs.targets.TargetRunner.ready", "the same command"),
+        (("sweep", "ARM", "--yes"), "jobs.sweep.sweep_joints", "the same command"),
     ],
     ids=lambda given: given if isinstance(given, str) else "",
 )

@@ -72,14 +72,14 @@ def test_a_ring_of_joint_readings_is_printed_with_what_encoders_cannot_see(shell
         names = [f"read_q{k}" for k in range(1, 8)]
         at.write_text("\n".join([",".join(["t_s", *names]), *rows]) + "\n")
         printed = shell.json("modes", shell.folder / "arm.yaml", "--ring", at)
-        assert "encoder sees what gives before it" in shell.err
+        assert "encoder sees only what bends before it" in shell.err
         return printed["seen"]
 
     seen, *_ = told(1e-5)
     assert seen["hz"] == pytest.approx(30.0 / (2 * np.pi), rel=0.01)
     np.testing.assert_allclose(seen["size_rad_m"], size, atol=2e-4)
-    assert "than a step" not in shell.err
-    assert told(1e-2) == [] and "than a step" in shell.err
+    assert "than one step" not in shell.err
+    assert told(1e-2) == [] and "than one step" in shell.err
     at.write_text("t_s,read_q1\n0,1\n")
     assert "read_q2" in shell.refused("modes", shell.folder / "arm.yaml", "--ring", at)
 

@@ -197,7 +197,7 @@ def test_without_a_history_each_target_has_its_own_run_up(loose: Model) -> None:
         np.testing.assert_allclose(truly, arrival.outcome.target, rtol=0, atol=1e-6)
     direct = compensate(loose, Model(ARM).tip(ARM.mid), run_up=False)
     assert direct.arrivals[0].move.run_up is None
-    assert "depends on what is not known" in direct[0].reason
+    assert "depends on circumstances that are not known" in direct[0].reason
 
 
 def test_a_side_that_a_target_asks_for_is_kept(loose: Model) -> None:

@@ -185,7 +185,10 @@ def test_a_flood_of_targets_starves_neither_a_service_nor_the_last_of_them(
         def accounted() -> bool:
             facts, counted = stand.facts(), 0
             for name, count in facts.items():
-                if name.isupper() or name in ("superseded without a story", "lost on the way"):
+                if name.isupper() or name in (
+                    "superseded; its fate was not recorded",
+                    "lost on the way",
+                ):
                     counted += count - before.get(name, 0)
             return counted == sent[0] + asked and not facts["superseded, not told yet"]
 

@@ -133,7 +133,7 @@ def test_nothing_is_called_sent_or_accepted_that_was_not(
         says(STATUS.NO_DRIVER, word)
     assert not driver.got
     driver.state, driver.answers = DriverState.READY, False
-    says(STATUS.NOT_ACCEPTED, "has not acknowledged", executed=True)
+    says(STATUS.NOT_ACCEPTED, "not acknowledged", executed=True)
     driver.answers, driver.event = True, Motion.REFUSED
     says(STATUS.NOT_ACCEPTED, "refused it: the fake says so", executed=True)
     driver.event = Motion.ACCEPTED
@@ -145,7 +145,7 @@ def test_nothing_is_called_sent_or_accepted_that_was_not(
     second = stage.start(
         "kinematics", {"arm": ARM, "acknowledged": True, "diagnostics_period_s": 0.1}
     )
-    says(STATUS.NO_DRIVER, "second kinematics")
+    says(STATUS.NO_DRIVER, "two kinematics")
     sent = len(driver.got)
     assert asked(execute=False).success
     assert asked().status == STATUS.NO_DRIVER and len(driver.got) == sent

@@ -304,7 +304,7 @@ def test_what_the_model_needs_must_be_told_and_nonsense_is_only_counted(
     target = warm.pose(arm.mid, Context(columns={"temperature_c": 40.0}))
     answer = stage.call(client, request(target, arm))
     assert answer.status == Compensate.Response.STALE_CONTEXT
-    assert "temperature_c was never told" in answer.message
+    assert "temperature_c was never published" in answer.message
 
     topics = (graph.JOINT_STATES, graph.JOINT_TRAJECTORY, graph.TEMPERATURE, graph.INCLINATION)
     joints, trajectories, temperatures, tilts = (t.publisher(stage.node) for t in topics)

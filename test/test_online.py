@@ -38,7 +38,7 @@ def test_only_what_the_model_needs_must_be_fresh() -> None:
     assert made.context(WARM, 105.0, 10.0).columns == {"t_s": 15.0, "temperature_c": 30.0}
     with pytest.raises(StaleContext, match=r"temperature_c is 20\.0 s old"):
         made.context(WARM, 120.0, 10.0)
-    with pytest.raises(StaleContext, match="temperature_c was never told"):
+    with pytest.raises(StaleContext, match="temperature_c was never published"):
         told().context(WARM, 100.0, 10.0)
     assert made.context(Model(ARM), 120.0, 10.0).columns == {"t_s": 30.0}
 

@@ -330,7 +330,9 @@ def test_an_installation_below_any_prefix_finds_its_own_files(prefix: Path) -> N
     for folder, words in (("bench", ["bench"]), ("studies", ["study", "loop"])):
         refused = below(prefix, longarm, *words)
         assert refused.returncode == 3
-        assert refused.stderr == f"longarm: {folder} is run from a checkout of the project\n"
+        assert (
+            refused.stderr == f"longarm: {folder} can only be run from a checkout of the project\n"
+        )
 
 
 def test_an_installed_graph_comes_up_and_ends_as_it_is_told(prefix: Path, tmp_path: Path) -> None:

@@ -262,7 +262,7 @@ def test_a_calibration_that_does_not_carry_over_is_refused(rng: np.random.Genera
     session = measured(Model(SMALL), box(SMALL, 120, rng), rng)
     _, held = blocked_split(session, 0.2, rng=0)
     xyz = session.xyz + np.where(np.isin(session.index, held.index)[:, None], 0.004, 0.0)
-    with pytest.raises(JobError, match="does not carry over to unseen rows"):
+    with pytest.raises(JobError, match="fails at held-out rows"):
         la.calibrate(SMALL, dataclasses.replace(session, xyz=xyz))
 
 
@@ -282,9 +282,9 @@ def test_gates() -> None:
     error = 1e-3 * rng.standard_normal((40, 3))
     plausible.check_worth(1.4 * error, error, "rows")
     plausible.check_carries_over(error, 3.5 * error, "rows")
-    with pytest.raises(JobError, match=r"worse on unseen rows.*1\.\d+ -> 2\.\d+ mm"):
+    with pytest.raises(JobError, match=r"worse on held-out rows.*1\.\d+ -> 2\.\d+ mm"):
         plausible.check_worth(1.6 * error, error, "rows")
-    with pytest.raises(JobError, match="carry over"):
+    with pytest.raises(JobError, match="fails at held-out"):
         plausible.check_carries_over(error, 4.5 * error, "rows")
     plausible.check_worth(9 * error[:5], error[:5], "rows")  # too few to tell
     rows = Session.record(np.zeros((40, 1)), 1e3 * error)
@@ -302,7 +302,7 @@ def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generat
     with pytest.raises(JobError, match="not credible"):
         la.calibrate(SMALL, session, effects=["joint_gain"])
     monkeypatch.setattr(plausible, "WORSE", 0.0)
-    with pytest.raises(JobError, match="worse on unseen rows"):
+    with pytest.raises(JobError, match="worse on held-out rows"):
         la.calibrate(SMALL, session)
 
 

@@ -185,7 +185,7 @@ def test_nothing_but_noise_is_refused():
     np.testing.assert_allclose(predictor.alone, 1e-3, rtol=0.3)
     found = predictor.predict(test)
     assert not found.in_domain.any()
-    assert all("poses left out of the training" in reason for reason in found.reason)
+    assert all("poses left out of its training" in reason for reason in found.reason)
     lucky = dataclasses.replace(predictor.gain, low=1e-6)
     assert (
         dataclasses.replace(predictor, gain=lucky, alone=np.full(3, np.inf))

@@ -303,7 +303,7 @@ def test_the_method_is_the_one_that_the_predictor_was_trained_for(
     target = la.Model(arm).tip(ARM.mid)
     assert la.compensate(model, target, rigid)[0].passes > 0
     assert la.compensate(model, target, rigid, method="none")[0].passes == 0
-    with pytest.raises(la.InputError, match="network: as the predictor was trained"):
+    with pytest.raises(la.InputError, match="network: because the predictor was trained so"):
         la.compensate(model, target, rigid, method="both")
     with pytest.raises(la.InputError, match="none, deflection, network, both"):
         la.compensate(model, target, method="magic")

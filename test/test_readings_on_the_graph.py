@@ -93,7 +93,7 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
     client.until(reach.server_is_ready, 60.0, "reach")
     for _ in range(2):  # the second starts from what the first one trimmed
         result = reached(client, reach, pose)
-    assert "by readings the tip stands" in result.message and ", within " in result.message
+    assert "by the readings the tip is" in result.message and ", within " in result.message
     del truth[:], client.sightings[:]
     client.until(lambda: len(truth) > 2 and len(client.sightings) > 1, 30.0, "tips")
     off, by_readings = truth[-1] - want, client.sightings[-1][1]

@@ -158,7 +158,7 @@ def test_a_dear_move_is_rounding_and_a_cheap_one_goes_further(rng: np.random.Gen
     case = Linear.draw(rng)
     dear, plain, cheap = (case.choose(p) for p in (1e3, PRICE, 0.3 * PRICE))
     np.testing.assert_array_equal(dear.joints, dear.rounded)
-    assert set(dear.reason) == {"rounding is the best that was found"}
+    assert set(dear.reason) == {"no choice was better than rounding"}
     assert cheap.error[:, 0].mean() <= plain.error[:, 0].mean() < 0.7 * dear.error[:, 0].mean()
     grid = case.brute()
     for i, rounded in enumerate(dear.rounded):  # each joint by itself, inside the limits

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -124,9 +125,9 @@ def maths(source: str) -> Iterator[tuple[int, str]]:
                     yield node.lineno, alias.name
 
 
-def room_faults(room: str, file: str, found: list[Import]) -> list[str]:
-    """What a file imports against the rule of its room."""
-    rule = ROOMS[room]
+def room_faults(room: str, file: str, found: list[Import], rule: Room | None = None) -> list[str]:
+    """What a file imports against a rule, by default that of its room."""
+    rule = rule or ROOMS[room]
     faults = []
     for entry in found:
         inside = entry.name.removeprefix(f"{PACKAGE}.")
@@ -208,6 +209,38 @@ def test_room_imports_only_what_it_may(room: str) -> None:
     modules = in_room(room)
     faults = [fault for name in modules for fault in room_faults(room, name, read(name))]
     assert not faults, "\n".join(faults)
+
+
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+
+
+def stated() -> dict[str, Room]:
+    """The rule of each folder, as the table of the architecture's page states it."""
+    rules = {}
+    rows = re.findall(r"^\| `(\w+)/` \| .* \| (.+?) \|$", ARCHITECTURE, re.MULTILINE)
+    for folder, rule in rows:
+        names = tuple(re.findall(r"`([\w.]+)`", rule))
+        assert names or rule in ("nothing", "everything"), rule
+        listed = rule != "everything" and not rule.startswith("not ")
+        rules[folder] = Room(forbidden=() if listed else names, only=names if listed else None)
+    return rules
+
+
+@pytest.mark.parametrize("room", stated())
+def test_a_folder_imports_what_the_page_of_the_architecture_states(room: str) -> None:
+    faults = [
+        fault
+        for name in in_room(room)
+        for fault in room_faults(room, name, read(name), stated()[room])
+    ]
+    assert not faults, "\n".join(faults)
+
+
+def test_the_page_of_the_architecture_has_every_folder_and_the_order_of_the_core() -> None:
+    folders = {path.parent.name for path in (ROOT / PACKAGE).glob("*/__init__.py")}
+    assert set(stated()) == folders
+    lines = re.findall(r"^- `core/([^`]+)`", ARCHITECTURE, re.MULTILINE)
+    assert [line.strip("/") for line in lines[1:]] == list(CORE_ORDER[4:])
 
 
 def test_core_imports_point_upward() -> None:

@@ -148,7 +148,7 @@ def test_one_reply_alone_is_no_alarm(rig: Rig) -> None:
     rig.states[9] = replace(healthy, error_flags=ServoAlarm.OVERLOAD)
     step = rig.step()
     assert (step.goals, kinds([step])) == (None, [EventKind.DOUBTFUL])
-    with pytest.raises(JobError, match="no fresh read-back"):
+    with pytest.raises(JobError, match="no fresh reading"):
         rig.send((0.5, {"turn": 0.3}))
     rig.states[9] = healthy
     assert rig.step().goals is not None
@@ -174,7 +174,7 @@ def test_while_idle_one_false_read_back_is_not_believed_but_a_hand_is(rig: Rig) 
     true = rig.states[5]
     rig.states[5] = replace(true, position_ticks=true.position_ticks + 500)
     rig.step()
-    with pytest.raises(JobError, match="fresh read-back"):
+    with pytest.raises(JobError, match="fresh reading"):
         rig.send((1.0, {"turn": 0.0}))
     rig.step()  # the same again: somebody moved the arm
     rig.send((1.0, {"turn": 0.0}))

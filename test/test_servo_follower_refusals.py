@@ -72,13 +72,13 @@ def test_a_bad_trajectory_is_refused_with_a_reason_and_changes_nothing(
 def test_nothing_is_taken_before_every_servo_was_heard() -> None:
     follower = TrajectoryFollower(CONFIG)
     target = _points((1.0, (0.1, 0.01)))
-    with pytest.raises(JobError, match="fresh read-back"):
+    with pytest.raises(JobError, match="fresh reading"):
         follower.accept(target, 0.0)
     follower.step(0.0, {5: servo_state(2048)})
-    with pytest.raises(JobError, match="fresh read-back"):
+    with pytest.raises(JobError, match="fresh reading"):
         follower.accept(target, 0.0)
     follower.step(0.02, {5: servo_state(2048), 9: servo_state(3900)})
-    with pytest.raises(JobError, match="fresh read-back"):
+    with pytest.raises(JobError, match="fresh reading"):
         follower.accept(target, 5.0)
     follower.accept(target, 0.02)
 

@@ -71,6 +71,6 @@ def test_the_port_is_the_one_that_goes(shell: Shell, monkeypatch: pytest.MonkeyP
     looks = iter([usb, usb])
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
     assert shell("find-port") == 3
-    assert "not one port went away" in shell.err
+    assert "no port disappeared" in shell.err
     looks = iter([[]])
     assert "no serial port" in shell.refused("find-port", code=3)

@@ -279,7 +279,7 @@ def test_a_dialogue_finds_exchanged_servos_and_a_broken_off_one_leaves_nothing(
         words = ("servo", "setup", mine, "--ids", "1-3", "--nudge", 1)
         broken = Terminal(*words, "--port", emulator.port, "--no-sweep", "--zero", "pose", "--yes",
                           "--id", "joint1=1", "--id", "joint2=2", "--id", "joint3=3")  # fmt: skip
-        broken.until("joint1: which way")
+        broken.until("joint1: in which direction")
         assert all(emulator.torques_on().values())
         assert broken.stop() == 130
         assert not any(emulator.torques_on().values())
@@ -308,7 +308,7 @@ def test_a_dialogue_finds_exchanged_servos_and_a_broken_off_one_leaves_nothing(
         talk.until("Stand clear")
         talk.say("")
         rest, told = emulator.positions(), []
-        while talk.until("which way", "goes off again") == "which way":
+        while talk.until("which direction", "goes off again") == "which direction":
             at = emulator.positions()
             servo_id = max(at, key=lambda i: abs(at[i] - rest[i]))
             name = next(n for n, true in TRUE.items() if true.servo_id == servo_id)

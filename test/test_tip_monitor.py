@@ -63,7 +63,7 @@ def test_a_drifted_arm_is_off_both(model: Model) -> None:
     monitor = watched(model, 4e-3, 0.0)
     assert monitor.report().level == WARN
     assert monitor.target_report().level == WARN
-    assert "as beside the prediction" in monitor.target_report().message
+    assert "misses target and prediction" in monitor.target_report().message
 
 
 def test_commands_for_other_circumstances_show_at_the_target_alone(model: Model) -> None:

@@ -150,7 +150,7 @@ def test_a_touch_outside_the_socket_is_refused(
 
         monkeypatch.setattr(touch_command, "_asked", asked)
         said = run("-o", str(out), "--name", "a")
-    assert "touch a: the ball sits in no socket; nothing was taken" in said
+    assert "touch a: the ball sits in no socket; nothing was recorded" in said
     np.testing.assert_allclose(la.read_session(out, ARM).q, [ARM.mid + 0.1], atol=1e-9)
 
 

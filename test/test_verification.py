@@ -110,7 +110,7 @@ def test_a_journal_goes_on_where_it_was_left(rng: np.random.Generator, tmp_path:
         np.testing.assert_array_equal(getattr(read, name), getattr(run, name))
     with pytest.raises(InputError, match="--resume"):
         Journal(path, facts, resume=False)
-    with pytest.raises(InputError, match="80, as it was begun"):
+    with pytest.raises(InputError, match="80, as in the first call"):
         Journal(path, {**facts, "poses": 90}, resume=True)
     path.write_text(json.dumps([1]))
     with pytest.raises(InputError, match="longarm loop wrote"):

@@ -104,7 +104,7 @@ class Driver:
     def on_hold(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
         self.asked.append(("hold", request.data))
         answer.success = False
-        answer.message = "the driver is not active: there is no torque to hold with"
+        answer.message = "the driver is not active, so there is no torque to hold the arm"
         return answer
 
     def on_pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
@@ -244,7 +244,7 @@ def shows_the_arm_and_its_errors(stand: Stand) -> None:
     page.keyboard.press("Enter")
     stand.shows("The blue arm's deflection is drawn to scale, error arrows 100 times longer")
     stand.until(lambda: page.locator(".uplot canvas").count() == 2, "two charts")
-    stand.shows("After the last move: not known, as the driver does not say when it ends.")
+    stand.shows("After the last move: not known, because the driver does not say when it ends.")
     driver.own.parts[RING_SAID] = lambda: Report(OK, RING.said())
     rings = "After the last move: the tip swings by 2.1 mm at most, 4.8 Hz; within 0.1 mm after"
 
@@ -278,7 +278,7 @@ def buttons_call_the_services(stand: Stand) -> None:
     stand.shows("Software stop (torque off): torque off, commands refused")
     stand.shows("The driver is stopped: torque off, trajectories refused.")
     stand.press("Hold")
-    stand.shows("Hold: refused: the driver is not active: there is no torque to hold with")
+    stand.shows("Hold: refused: the driver is not active, so there is no torque to hold the arm")
     stand.press("Release stop")
     stand.shows("The driver is ready.")
     stand.press("Pause collect")

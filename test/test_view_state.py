@@ -101,7 +101,7 @@ def test_exaggeration_of_the_graph_is_undone() -> None:
 
 def test_silence_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    assert "Nothing heard yet in namespace /left of ROS domain 7" in words.headline(
+    assert "Nothing received yet in namespace /left of ROS domain 7" in words.headline(
         PageState(), 5.0, "/left"
     )
     state = replace(at_rest(), driver=("in fault", "joint2 stalled"))

@@ -1,4 +1,4 @@
-"""One picture for each idea of docs/concepts.md."""
+"""One picture for each idea of docs/glossary.md."""
 
 from __future__ import annotations
 

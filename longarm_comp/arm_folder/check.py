@@ -112,7 +112,10 @@ def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[FolderFinding]:
         for k, (name, v) in enumerate(zip(arm.joint_names, at, strict=True))
     )
     said = f"held out to {out.max():.2f} m ({joints}) the tip sags by {sag:.3g} mm. Measure it: "
-    yield declared("arm.yaml: links", said + "twice as much or half is a wrong section or side")
+    yield declared(
+        "arm.yaml: links",
+        said + "twice or half of it means a wrong section, or width and height swapped",
+    )
     hz, known = modes(model, at).hz, model.arm.damping
     if len(hz):
         more = f"damping {known:g}" if known else "how long: longarm modes, and `damping`"
@@ -138,7 +141,7 @@ def _section(beam: Beam) -> str:
 def _standing(section: Rect, fell: np.ndarray, gravity: float) -> str:
     """Which side is up, and the section drawn so; `fell`: gravity along width and height."""
     if np.linalg.norm(fell) < 0.1 * (gravity or 1.0):
-        return "; the beam hangs or stands: neither side is up"
+        return "; the beam is vertical here, so no side is up"
     lean = math.degrees(math.atan2(abs(fell[0]), abs(fell[1])))
     upright = lean <= 45.0
     wide, high = section.width_m, section.height_m
@@ -170,7 +173,7 @@ def check_folder(folder: Path) -> list[FolderFinding]:
         found += _of_servos(folder, arm)
         found += _of_cameras(folder, arm, look=not any(finding.blocks for finding in found))
     else:
-        said = "no servos and cameras: others drive and measure it (else: longarm init DIR --arm)"
+        said = "no servo and camera files: another program drives the arm (longarm init --arm)"
         found.append(unmeasured(ARM, said))
     if not any((folder / name).exists() for name in _SESSIONS):
         found.append(
@@ -221,7 +224,7 @@ def _of_arm(arm: Arm) -> Iterator[FolderFinding]:
         said = "no part has a mass: weigh them. Without weight no compliance can be found"
         yield unmeasured(f"{ARM}: point_masses", said)
     if arm.payload is None:
-        yield unmeasured(f"{ARM}: payload", "nothing is carried: weigh tool and marker")
+        yield unmeasured(f"{ARM}: payload", "no payload is declared: weigh tool and marker")
     if not any(arm.gravity_mps2):
         yield implausible(f"{ARM}: gravity_mps2", "no gravity")
 
@@ -301,12 +304,12 @@ def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[FolderF
     file, made = "stereo_bridge.yaml", head_for(arm).bridge()
     own = own_parameters("stereo_bridge")
     if not placed and bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):
-        said = "where the left camera stands is assumed (longarm stereo hand-eye)"
+        said = "the place of the left camera is assumed: measure it (longarm stereo hand-eye)"
         yield unmeasured(f"{file}: hand_eye", said)
     if bridge["marker.tag_m"] in (made["marker.tag_m"], own["marker.tag_m"]):
         yield unmeasured(f"{file}: marker", "measure the printed tags: tag_m and gap_m")
     if not any(bridge["tip_in_marker"]):
-        yield unmeasured(f"{file}: tip_in_marker", "the marker's middle is taken as the tip")
+        yield unmeasured(f"{file}: tip_in_marker", "the tip is assumed at the marker's middle")
     if arm.camera is not None and not np.allclose(arm.camera.position_m, bridge["hand_eye.xyz"],
                                                   atol=0.01):  # fmt: skip
         said = f"{list(arm.camera.position_m)}; {file} has hand_eye.xyz {bridge['hand_eye.xyz']}"

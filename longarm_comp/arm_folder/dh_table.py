@@ -36,7 +36,7 @@ def _limits(text: Any) -> tuple[float, float]:
     except ValueError:
         low, high = 1.0, 0.0
     if not low < high:
-        raise ValueError("LOWER..UPPER, LOWER below UPPER, for instance -30..30")
+        raise ValueError("LOWER..UPPER with LOWER below UPPER, for instance -30..30")
     return low, high
 
 

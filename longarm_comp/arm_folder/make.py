@@ -24,7 +24,7 @@ _COMMENTS = {
     "convention": "Modified DH (Craig): Rx(alpha) Tx(a) Rz(theta_offset + q) Tz(d), or Tz(d + q).",
     "tip": "The point that is commanded and measured, in the frame of a row.",
     "gravity_mps2": "In the base frame: z is up.",
-    "payload": "What the arm carries; a session's column payload_kg overrides the mass.",
+    "payload": "What the arm carries; a session's column payload_kg overrules the mass.",
     "joints": "Rows of the chain, base to tip. limits: what plans and commands may use.",
     "links": "Elastic beams along d (z of the row) or a (x of the row before).\n"
     "E_pa and masses are usual values of the material: weigh the parts.",
@@ -36,9 +36,9 @@ links:
   - {{name: boom, row: {row}, role: {role}, length_m: {length:.4g},
      section: {{type: tube, od_m: 0.03, id_m: 0.026}}, E_pa: 6.9e+10, poisson: 0.33, mass_kg: 0.19,
      body_length_m: {length:.4g}}}"""
-_NO_PAYLOAD = """Nothing is carried. Otherwise:
+_NO_PAYLOAD = """No payload is declared. With one:
 payload: {mass_kg: 0.25, frame: 6, position_m: [0, 0, 0.05]}"""
-_NO_CAMERA = """What measures: tracker, total_station or touch; without it all causes are tried.
+_NO_CAMERA = """What measures: tracker, total_station or touch; if absent, every error is tried.
 measuring: tracker"""
 
 

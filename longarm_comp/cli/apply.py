@@ -14,21 +14,21 @@ from longarm_comp.cli.signals import on_graph
 
 @click.command()
 @click.argument("diagnosis", type=click.Path(path_type=Path), metavar="DIAGNOSIS")
-@options.path_option("--session", "The session diagnosed; default: the one DIAGNOSIS names.")
+@options.path_option("--session", "Session that was diagnosed; default: as DIAGNOSIS names it.")
 @options.without("network", "Train no predictor.")
 @options.namespace
 @options.seed
 @options.effects
 @options.as_json
 def apply(diagnosis: Path, namespace: str, as_json: bool, **how: Any) -> None:
-    """Put DIAGNOSIS, a folder of `longarm diagnose`, to work on the running graph.
+    """Use DIAGNOSIS, a folder that `longarm diagnose` wrote, on the running graph.
 
     Replaces the model file that kinematics was started with and trains the predictor again on
     the same session. Both nodes read their files again. A predictor that does not fit the new
     model is set aside. `longarm undo MODEL` restores both files in one step.
 
-    A diagnosis is refused if it is of another arm, adds nothing, or was not made with the model
-    that is at work.
+    A diagnosis is refused if it is of another arm, adds nothing, or was not made with the model in
+    use.
 
     \b
     Example:
@@ -41,7 +41,7 @@ def apply(diagnosis: Path, namespace: str, as_json: bool, **how: Any) -> None:
     began: list[str] = []
 
     def kept() -> str:
-        said = "model and predictor at work fit each other; the same command finishes the rest"
+        said = "model and predictor in use fit each other; run the same command again to finish"
         return said if began else ""
 
     with (
@@ -74,8 +74,8 @@ def apply(diagnosis: Path, namespace: str, as_json: bool, **how: Any) -> None:
 def undo(model: Path) -> None:
     """Restore the version of MODEL before the last change, byte for byte.
 
-    The predictor beside it that belonged to that version comes back too. One that belongs to the
-    version taken back is set aside. Nodes that run with these files notice.
+    The predictor that belonged to that version is restored too. A predictor of the version that is
+    taken back is set aside. Running nodes notice the change.
 
     \b
     Example:

@@ -13,7 +13,8 @@ from longarm_comp.cli.signals import on_graph
 @options.namespace
 @options.as_json
 def status(namespace: str, as_json: bool) -> None:
-    """Say how the running arm stands: its driver, every trouble with its cause, the next command.
+    """Print the state of the running arm: its driver, every problem with its cause, the next
+    command.
 
     \b
     Example:
@@ -67,7 +68,7 @@ stop = _asked_of_the_driver(
 )
 reset = _asked_of_the_driver(
     "reset",
-    "Go on after a hold, a stop, or a fault whose cause is gone. The arm stays where it is.",
+    "End a hold, a stop, or a fault whose cause is gone. The arm stays where it is.",
 )
 
 
@@ -79,7 +80,7 @@ def _fault(name: str, parameter: str, metavar: str, what: str, example: str) -> 
 
         with on_graph("rehearse", namespace) as client:
             said = attend.spoil(client, parameter, name, back)
-        note(f"{said}; longarm status says what the arm makes of it")
+        note(f"{said}; `longarm status` shows how the arm reacts")
 
     words = f"longarm sim {name} {example}"
     spoil.__doc__ = (
@@ -103,7 +104,7 @@ cover = _fault("cover", "covered", "CAMERA", _BLIND, "left")
 )
 @options.namespace
 def freeze(node: str, seconds: float, namespace: str) -> None:
-    """Rehearse a hang: NODE of a simulated arm stands still for a while, or until Ctrl-C.
+    """Rehearse a fault of a simulated arm: NODE hangs for a while, or until Ctrl-C.
 
     \b
     Example:

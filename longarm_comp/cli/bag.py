@@ -94,7 +94,7 @@ def info(bag: Path, as_json: bool) -> None:
 @options.arm
 @_bag
 @options.output("samples.csv", "Session to write.", outputs.session)
-@options.namespace_of(None, "Which arm, where the bag holds several.")
+@options.namespace_of(None, "Namespace of the arm, if the bag holds several.")
 @options.as_json
 def to_csv(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: bool) -> None:
     """Write what BAG recorded of ARM as a session in CSV.

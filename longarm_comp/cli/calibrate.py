@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     "effects",
     multiple=True,
     metavar="NAME",
-    help="Effect to fit besides, on every joint or beam that may have it; repeat for more.",
+    help="Also fit this effect, at every joint or beam that may have it; repeat for more.",
 )
 @options.without("deflection", "Treat the declared beams as stiff.")
 @click.option(
@@ -41,8 +41,8 @@ def command(
 ) -> None:
     """Fit geometry and declared effects of ARM to SESSION (CSV or bag).
 
-    A ladder of models of growing complexity is fitted without the held-out blocks and evaluated
-    on them. The last one is then fitted to all rows and written with 95 % intervals.
+    Models that know more and more are fitted without the held-out rows and compared at them. The
+    last model is then fitted to all rows and written with 95 % intervals.
 
     \b
     Examples:
@@ -59,11 +59,11 @@ def command(
         calibration = calibrate(declared, session, effects=chosen, note=note, progress=show, **how)
     calibration.save(output)
     if calibration.placed:
-        note("the nominal arm was placed by the rows first: they see it somewhere else")
+        note("the declared arm was first placed by the rows, because they see it at another place")
     for place in calibration.untold:
-        note(f"the rows do not tell {place}: left as declared")
+        note(f"the rows do not show {place}: left as declared")
     for name in calibration.not_helping:
-        note(f"{name} did not lower the held-out error: better left out")
+        note(f"{name} did not lower the held-out error: better leave it out")
     rows, final = calibration.held_out.rows, calibration.fit
     if as_json:
         print_json({"output": str(output), "held_out": rows, **_facts(calibration)})
@@ -84,7 +84,10 @@ def command(
     which = f": {left}" if left else ""
     note(f"{len(final.outliers)} rows left out as outliers{which}; model in {output}")
     if not final.converged:
-        note(f"the last step was not below a hundredth of the errors after {final.iterations}")
+        note(
+            "the fit did not converge: its last step was above a hundredth of the errors after "
+            f"{final.iterations}"
+        )
 
 
 def _called(session: Session) -> np.ndarray:

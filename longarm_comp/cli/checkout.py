@@ -15,4 +15,4 @@ def use(folder: str) -> None:
             if str(root) not in sys.path:
                 sys.path.append(str(root))
             return
-    raise JobError(f"{folder} is run from a checkout of the project")
+    raise JobError(f"{folder} can only be run from a checkout of the project")

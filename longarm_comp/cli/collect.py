@@ -26,7 +26,7 @@ _LOOK_S = 0.2
 @options.arm
 @click.argument("poses", type=click.Path(path_type=Path), metavar="POSES")
 @options.written("-o/--output", "Bag folder to record.", outputs.left_to_the_command)
-@click.option("--dry-run", is_flag=True, help="Move nothing; say what the plan would do.")
+@click.option("--dry-run", is_flag=True, help="Move nothing; print what the plan would do.")
 @options.written("--picture", "Also draw the plan: FILE.png, .svg or .pdf.", outputs.PICTURE)
 @options.floor
 @click.option(
@@ -34,12 +34,14 @@ _LOOK_S = 0.2
     type=click.Choice(["plan", "random", "both"]),
     default="plan",
     show_default=True,
-    help="Joints arrive from: the plan's sides; sides drawn per joint; these and their opposites.",
+    help="Sides of arrival: of the plan, random, or both of the plan and opposite.",
 )
 @click.option(
     "--repeats", default=0, show_default=True, help="Poses that are visited two more times."
 )
-@click.option("--in-order", is_flag=True, help="In the order of the file instead of a random one.")
+@click.option(
+    "--in-order", is_flag=True, help="Drive in the order of the file instead of a random order."
+)
 @options.pace
 @click.option("--resume", is_flag=True, help="Continue an interrupted recording.")
 @click.option(
@@ -47,7 +49,7 @@ _LOOK_S = 0.2
     type=click.IntRange(min=0),
     default=6,
     show_default=True,
-    help="End when none of so many first poses showed the marker; 0: never.",
+    help="End if none of this many first poses shows the marker; 0: never.",
 )
 @options.namespace
 @options.seed
@@ -70,10 +72,10 @@ def command(
 ) -> None:
     """Drive ARM through the plan POSES over ROS and record a session bag.
 
-    At each pose every joint runs up from its side and rests, and several sightings are averaged.
-    Ctrl-Z pauses after the pose at hand, and goes on. Ctrl-C ends it; the bag then holds all
-    completed visits, and --resume adds the others. What became of each pose is drawn beside the
-    bag, BAG_coverage.png.
+    At each pose every joint makes a run-up from its side and rests; then several sightings are
+    averaged. Ctrl-Z pauses after this pose, and a second Ctrl-Z goes on. Ctrl-C ends the recording:
+    the bag then holds all completed poses, and --resume adds the others. BAG_coverage.png shows for
+    each pose whether it was measured.
 
     \b
     Examples:
@@ -123,7 +125,7 @@ def command(
         note(f"the marker was not seen at visits {', '.join(map(str, done.unseen))}")
     if done.blocked:
         why = next(iter(done.blocked.values()))
-        note(f"{len(done.blocked)} visits were not made, as no way there is free: {why}")
+        note(f"{len(done.blocked)} poses were not driven, because no way there is free: {why}")
 
 
 def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any) -> Collected:

@@ -19,7 +19,7 @@ from longarm_comp.cli.output import print_json, print_table
 def command(a: Path, b: Path, arm: Path | None, as_json: bool) -> None:
     """Compare two diagnoses (folders), two models (model.yaml) or two sessions (CSV or bag).
 
-    Prints what was found in one and not in the other, values whose 95 % intervals do not meet,
+    Prints the effects found in only one of them, values whose 95 % intervals do not overlap,
     held-out errors, and how far the tip moved at the poses that two sessions share.
 
     \b

@@ -22,18 +22,20 @@ if TYPE_CHECKING:
 @click.argument("numbers", nargs=-1, metavar="[X Y Z [QX QY QZ QW]]")
 @options.path_option("--targets", "Targets (CSV) instead of one on the command line.")
 @options.path_option("--path", "Way-points (CSV as targets, t_s where timed), in their order.")
-@click.option("--max-velocity", type=float, help="Of every joint along --path, rad/s or m/s.")
+@click.option(
+    "--max-velocity", type=float, help="Largest velocity of every joint along --path, rad/s or m/s."
+)
 @click.option("--max-acceleration", type=float, help="The same, rad/s^2 or m/s^2.")
 @click.option(
     "--max-longer", type=click.FloatRange(0.0),
-    help="Share by which --path may take longer where play is taken up; 0: exact times. Default 1.",
+    help="Share of time that play may add to --path; 0: exact times. Default 1.",
 )  # fmt: skip
 @options.model
 @options.predictor
 @click.option(
     "--method",
     type=click.Choice(["none", "deflection", "network", "both"]),
-    help="What to compensate; by default all that the given files allow.",
+    help="What to compensate; default: all that the given files allow.",
 )
 @click.option(
     "--frame",
@@ -45,14 +47,15 @@ if TYPE_CHECKING:
     "--lock", "locked", multiple=True, metavar="ROW|NAME", help="Joint that stays at its seed."
 )
 @options.path_option(
-    "--history", "Session right before the targets, which are executed in order; else unknown."
+    "--history",
+    "Session right before the targets: how the joints moved. The targets follow it in order.",
 )
 @options.without("run_up", "Joints move directly, from any side.")
 @click.option("--position-only", is_flag=True, help="Leave the orientation free.")
 @click.option("--single-pass", is_flag=True, help="Correct once, as the paper does.")
 @click.option(
     "--realisable/--no-realisable", default=True, show_default=True,
-    help="Choose joints together among the steps that ARM declares; off for paths.",
+    help="Choose joints together among the servo steps of ARM; off for paths.",
 )  # fmt: skip
 @options.output("commands.csv", "Joint commands to write.", outputs.COMMANDS)
 @options.like
@@ -80,13 +83,13 @@ def command(
 ) -> None:
     """Joint commands of ARM that bring its real tip to targets (m).
 
-    Targets say their frame, by a column or --frame: base, the arm's own, or measured, that of the
-    rows that MODEL was calibrated with. commands.csv has one line per target, with the error that
-    is expected (expected_mm, and p90_mm that 90 of 100 stay below). If a target fails, the line
-    holds the reason and the exit code is 3. approach_q* is the side that each joint must arrive
-    from, run_up_q* the via point.
-    Along --path way-points are passed without a stop: t_s and v_q* are times and velocities, and
-    nothing is written where one of them cannot be reached.
+    A column or --frame states the frame of the targets: base is the arm's own, measured is that of
+    the rows with which MODEL was calibrated. commands.csv has one line per target, with the
+    expected error (expected_mm) and the error that 90 of 100 commands stay below (p90_mm). If a
+    target fails, its line holds the reason and the exit code is 3. approach_q* is the side from
+    which each joint must arrive, run_up_q* the point to go to first. With --path the way-points are
+    passed without a stop: t_s and v_q* are times and velocities. If one way-point cannot be
+    reached, nothing is written.
 
     \b
     Examples:
@@ -122,7 +125,7 @@ def command(
     if chosen.learned and learned is None:
         raise InputError("compensate", "--predictor", "missing", f"a file for --method {method}")
     if chosen.learned and chosen is not fitting(learned):
-        allowed = f"{fitting(learned).value}: as the predictor was trained"
+        allowed = f"{fitting(learned).value}: because the predictor was trained so"
         raise InputError("compensate", "--method", method, allowed)
     alike |= {"method": chosen, "seed": None if seed_q is None else _joints(seed_q, declared)}
     # more digits are no row's, and no number that Python reads

@@ -14,10 +14,10 @@ from longarm_comp.cli.output import note, print_json, print_rows
 @options.arm
 @click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
 @options.output("day.html", "Page to write.", outputs.marked(b"<!doctype html>", b"A day of work"))
-@options.namespace_of(None, "Which arm, where the bag holds several.")
+@options.namespace_of(None, "Namespace of the arm, if the bag holds several.")
 @options.as_json
 def command(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: bool) -> None:
-    """Make a page of a bag of work: errors by the hour, what was learned, what was refused.
+    """Make a page of a recorded day: errors by the hour, what was learned, what was refused.
 
     `longarm record` makes the bag while the arm works.
 

@@ -37,7 +37,7 @@ MORE_PLAY = "joint1=0.002"
 @click.option(
     "--second-round",
     is_flag=True,
-    help="Then the play of one joint grows, and a second round finds it (twice as long).",
+    help="Then let the play of one joint grow, and find it in a second round (twice as long).",
 )
 @options.as_json
 def command(
@@ -45,12 +45,12 @@ def command(
 ) -> None:
     """Run the whole loop over the real ROS graph on a simulated arm.
 
-    Five nodes start; the simulated arm has undeclared errors. New targets are driven without
-    compensation and with the declared deflection. A session is collected into a bag. The
-    diagnosis searches the missing effects, and the network is trained on the remaining error.
-    The same targets are driven again with the effects found, then with the network too where it
-    lowers the error at poses left out of its training. The table of these runs is measured by the
-    stereo cameras. The exit code is 3 without improvement.
+    Five nodes start. The simulated arm has errors that nobody declared. It drives to fresh targets,
+    first without compensation, then with the declared deflection. A session is collected into a
+    bag. The diagnosis looks for the missing effects, and a network is trained on the remaining
+    error. The arm drives to the same targets again with the effects found, and also with the
+    network if that lowers the error at poses left out of its training. The cameras measure the
+    table. The exit code is 3 if nothing improved.
 
     \b
     Examples:
@@ -82,13 +82,13 @@ def command(
         note(f"hidden in the arm: {settings.hidden} (mm rms at the tip)")
         note(f"diagnosis ({printed['verdict']}): {printed['diagnosis']}")
         if printed["network_refused"]:
-            note(f"no network is put to work: {printed['network_refused']}")
+            note(f"no network is used: {printed['network_refused']}")
         if printed["network_inputs"]:
             used = targets - printed["outside_training_data"]
             note(
                 f"the network was used at {used} of {targets} targets; at the others physics alone"
             )
-            note("is as good, or they lie outside its training data")
+            note("is as good, or the targets are outside its training data")
         note(
             f"report in {printed['files']['report']}, the loop's page in {printed['files']['loop']}"
         )

@@ -18,7 +18,7 @@ STEPS = 6.0
 @options.arm
 @options.session
 @options.path_option("--test", "Hold-out (CSV or bag); default: blocks of SESSION.")
-@options.path_option("--model", "Known model; its effects are never added twice.")
+@options.path_option("--model", "Known model; its effects are not added again.")
 @options.kind_of
 @options.seed
 @options.without("network", "Train no network on the remaining error.")
@@ -26,11 +26,11 @@ STEPS = 6.0
 @options.effects
 @options.as_json
 def command(arm: Path, session: Path, output: Path, as_json: bool, **how: Any) -> None:
-    """Find the effects that ARM's model lacks in SESSION (CSV or bag), add and prove them.
+    """Find in SESSION (CSV or bag) the effects that ARM's model lacks, add them and prove them.
 
-    Writes report.json, report.html, plots and model.yaml with the effects added (longarm undo
-    restores the version of --model). Also writes predictor.npz if a network lowered the error on
-    the hold-out, and next_poses.csv if more poses would distinguish two effects.
+    Writes report.json, report.html, plots, and model.yaml with the effects found (longarm undo
+    restores the version of --model). Also writes predictor.npz if a network lowered the error at
+    rows left out of its training, and next_poses.csv if more poses would tell two effects apart.
 
     \b
     Examples:

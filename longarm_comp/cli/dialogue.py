@@ -24,7 +24,7 @@ def agreed(question: str, yes: bool) -> bool:
         with handled({signal.SIGINT: signal.default_int_handler}):
             return click.confirm(question, err=True)
     except click.Abort:
-        raise JobError("nobody said yes: answer the question, or give --yes") from None
+        raise JobError("there was no answer yes: answer the question, or use --yes") from None
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Dialogue:
             if sys.stdin.isatty() or isinstance(abort.__context__, KeyboardInterrupt):
                 raise
             raise InputError(
-                self.command, flag, "missing", f"{allowed}; or a terminal to ask on"
+                self.command, flag, "missing", f"{allowed}; or a terminal that can ask you"
             ) from None
 
 

@@ -26,10 +26,11 @@ def command(
 ) -> None:
     """Errors of every stage on measured poses, as in the paper's Table I.
 
-    Rows: the rigid declared arm, with its declared deflection, the calibrated model, and with the
-    network. The worst rows of the last are named by their index. Every measured row counts: those
-    that do not fit the model are noted, not refused. At poses outside the network's training data
-    the physics is used alone. A note appears if the model or the network was fitted to the session.
+    The lines of the table are the rigid declared arm, the arm with its declared deflection, the
+    calibrated model, and the model with the network. The worst rows of the last are named by their
+    index. Every measured row counts: rows that do not fit the model are noted, not refused. At
+    poses outside the network's training data the physics is used alone. A note appears if the model
+    or the network was fitted to the session.
 
     \b
     Example:

@@ -19,20 +19,24 @@ if TYPE_CHECKING:
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @options.output(
     "fleet",
-    "Folder to write: a diagnosis an arm, fleet.json, fleet.html.",
+    "Folder to write: one diagnosis for each arm, fleet.json, fleet.html.",
     outputs.folder("fleet.json", told_by="fleet.json", schema="longarm/fleet/1"),
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
-@click.option("--dask", metavar="ADDRESS", help="Dask scheduler; its workers see the same files.")
+@click.option(
+    "--dask",
+    metavar="ADDRESS",
+    help="Address of a Dask scheduler whose workers see the same files.",
+)
 @options.without("network", "Train no network on the remaining error.")
 @options.seed
 @options.as_json
 def command(folder: Path, output: Path, as_json: bool, **how: Any) -> None:
-    """Diagnose every arm in DIR and compare them: which arm drifts, which effect is the kind's.
+    """Diagnose every arm in DIR and compare them: which arm drifts, which effects all arms have.
 
-    DIR has a folder an arm, with arm.yaml, sessions (the newest counts) and perhaps the model.yaml
-    in use; or one arm.yaml and one session an arm. Called again, it goes on where it was ended, and
-    diagnoses anew what changed.
+    DIR has one folder for each arm, with arm.yaml, sessions (the newest is used) and, if there is
+    one, the model.yaml in use. Or DIR has one arm.yaml and one session for each arm. Called again,
+    the command continues, and diagnoses again what changed.
 
     \b
     Examples:

@@ -21,17 +21,25 @@ from longarm_comp.core.errors import InputError
     outputs.session,
     lambda path: [path.with_suffix(".mapping.yaml")],
 )
-@click.option("--units", default="", metavar="mm,deg", help="Units of columns that name none.")
+@click.option(
+    "--units", default="", metavar="mm,deg", help="Units of columns whose names have none."
+)
 @click.option(
     "--map", "pairs", multiple=True, metavar="A=q1,...",
-    help="Which column is which; with a unit: A=q3:mm. Repeat for more.",
+    help="Meaning of columns, also with a unit: A=q3:mm. Repeat for more.",
 )  # fmt: skip
 @click.option("--rotation", metavar="CONVENTION:COLUMNS", help="Orientation; see below.")
 @options.path_option("--arm", "arm.yaml: names the joints and says which slide.")
 @options.path_option("--like", "Mapping of an earlier file of the same kind, instead of the above.")
 @click.option("--sheet", help="Sheet of a workbook that has several.")
-@click.option("--join", metavar="COLUMN", help="Says which rows of several FILEs are one.")
-@click.option("--sort", metavar="COLUMN", help="The rows were measured in the order of this one.")
+@click.option(
+    "--join",
+    metavar="COLUMN",
+    help="Column that shows which rows of several FILEs belong together.",
+)
+@click.option(
+    "--sort", metavar="COLUMN", help="Column that shows in which order the rows were measured."
+)
 @click.option("--decimal", type=click.Choice([".", ","]), help="Sign before decimals.")
 @options.as_json
 def command(
@@ -47,13 +55,15 @@ def command(
 ) -> None:
     """Convert FILE (CSV, TXT or XLSX) of another program to a session.
 
-    Several FILEs follow each other, as days do, or stand side by side with --join, as joints in
-    one and the tracker's points in the other. Markers side by side (M1 x, M1 y, ...) become rows.
+    Several FILEs are put one after the other, as days follow each other. With --join they are put
+    side by side, for instance joints from one FILE and the tracker's points from another. Markers
+    side by side (M1 x, M1 y, ...) become rows.
 
     Separators, header lines, decimal commas and units in names (x_mm, q1 [deg]) are recognised and
-    shown. Units are never guessed, nor is the convention of an orientation: xyzw or wxyz with four
-    columns; rotvec with three; Euler angles with three, xyz about fixed axes, ZYX turned.
-    A minus before it says that the columns hold the base in the tool. "none" leaves it out.
+    printed. Units and the convention of an orientation are never guessed. --rotation takes xyzw or
+    wxyz with four columns, rotvec with three, or Euler angles with three: xyz about fixed axes, ZYX
+    about turned axes. A minus before it says that the columns hold the base in the tool. "none"
+    leaves the orientation out.
 
     \b
     Examples:
@@ -85,7 +95,7 @@ def command(
     if found.markers:
         note(f"markers side by side, a row each: {', '.join(found.markers)}")
     if sort is None and not {"t_s", "index"} & set(found.columns):
-        said_not = "in the file's order, from which the side of arrival follows"
+        said_not = "in the file's order, which determines the sides of arrival"
         note(f"rows are taken {said_not}; --sort COLUMN says another")
     if found.left_out:
         note(f"left out: {', '.join(found.left_out)}")

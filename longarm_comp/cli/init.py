@@ -25,7 +25,7 @@ _SOURCES = "--urdf FILE, --like demo, --arm FILE or --joint ROW"
 @click.option("--base", default="", metavar="LINK", help="URDF: fixed link; default: its root.")
 @click.option("--tip", default="", metavar="LINK", help="URDF: link that is commanded.")
 @click.option("--like", type=click.Choice(["demo"]), help="A copy of the demonstration's files.")
-@options.path_option("--arm", "An arm.yaml that is there; the other files are made for it.")
+@options.path_option("--arm", "An existing arm.yaml; the other files are made for it.")
 @click.option("--name", default="", help="Name of the arm.")
 @click.option(
     "--joint",
@@ -48,12 +48,12 @@ _SOURCES = "--urdf FILE, --like demo, --arm FILE or --joint ROW"
 @click.option(
     "--hobby",
     is_flag=True,
-    help="A printed arm and two webcams: servo horns at the joints, cameras near, marker on A4.",
+    help="For a printed arm and two webcams: servo horns as joints, cameras near, marker on A4.",
 )
 @click.option(
     "--only-arm",
     is_flag=True,
-    help="arm.yaml alone, with all of a URDF's limits: another controller and sensor are used.",
+    help="Write arm.yaml alone, with all limits of the URDF, for another controller and sensor.",
 )
 @options.as_json
 def command(
@@ -76,9 +76,9 @@ def command(
 ) -> None:
     """Write a new folder DIR: arm.yaml, and servo, camera and marker files that fit it.
 
-    The arm comes from a URDF, the demonstration, an arm.yaml or a DH table; without any of these
-    the table is asked row by row. `longarm up DIR/arm.yaml --sim` runs the folder as it is, and
-    `longarm check DIR` lists what is assumed and must be measured.
+    The arm comes from a URDF, the demonstration, an arm.yaml or a DH table. Without any of these
+    the command asks for the DH table, row by row. `longarm up DIR/arm.yaml --sim` simulates the new
+    arm. `longarm check DIR` lists assumed values that you must measure.
 
     \b
     Examples:

@@ -27,7 +27,7 @@ SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_a
 @click.option("--yes", is_flag=True, help="Apply every diagnosis without asking.")
 @click.option("--rounds", default=3, show_default=True, help="Rounds at most.")
 @click.option("--poses", default=180, show_default=True, help="Poses to measure in a round.")
-@click.option("--targets", default=40, show_default=True, help="Fresh targets to judge by.")
+@click.option("--targets", default=40, show_default=True, help="Fresh targets to measure the gain.")
 @options.without("network", "Train no predictor.")
 @click.option("--resume", is_flag=True, help="Go on with an interrupted loop.")
 @options.pace
@@ -49,11 +49,11 @@ def command(
 ) -> None:
     """Calibrate and check ARM on its running graph, real or simulated, in one command.
 
-    Drives fresh targets without compensation and as the graph is now. A round then plans poses,
-    collects a session, diagnoses it, shows the result and, after a yes, applies it, trains the
-    predictor again and drives the same targets again. Another round follows while one is
-    expected to pay: the last one brought the tip nearer beyond chance, and the mean error is
-    still more than twice what the noise of the measurement shows.
+    First it drives to fresh targets, without compensation and with the present model. A round then
+    plans poses, collects a session, diagnoses it and shows the result. If you answer yes, it
+    applies the result, trains the predictor again and drives to the same targets again. Another
+    round follows if the last one brought the tip nearer by more than chance, and the mean error is
+    still more than twice what the noise of the measurement would show.
 
     The graph must have been started with --model FILE (and --predictor FILE); the files need not
     exist yet. The arm moves through its whole range: keep its surroundings clear. The exit code
@@ -77,10 +77,10 @@ def command(
 
     def agree(report: DiagnosisReport) -> bool:
         note(f"{report.verdict}: {report.summary}")
-        return agreed("Apply this to the model at work?", yes)
+        return agreed("Apply this to the model in use?", yes)
 
     def kept() -> str:
-        return f"{output} keeps what was done; --resume goes on" if output.is_dir() else ""
+        return f"{output} keeps what was done; continue with --resume" if output.is_dir() else ""
 
     with (
         kept_if_broken_off(kept),

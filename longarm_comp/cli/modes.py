@@ -12,7 +12,9 @@ from longarm_comp.cli.output import note, print_json, print_rows
 
 @click.command()
 @options.arm
-@options.path_option("--at", "Postures (poses.csv); default: the joint box's ends and middle.")
+@options.path_option(
+    "--at", "Poses (poses.csv); default: both ends and the middle of the joints' ranges."
+)
 @options.model
 @click.option("--move", default=0.5, show_default=True, help="Time of a move, s.")
 @click.option(
@@ -20,7 +22,8 @@ from longarm_comp.cli.output import note, print_json, print_rows
     help="Share of critical damping; default: that of arm.yaml, else 0.01.",
 )  # fmt: skip
 @options.path_option(
-    "--ring", "After a move to the first posture: CSV t_s and the tip's x,y,z, or read_q1..qn."
+    "--ring",
+    "Sightings after a move to the first pose: CSV with t_s and x,y,z, or read_q1..qn.",
 )
 @options.effects
 @options.as_json
@@ -33,11 +36,11 @@ def command(
     ring: Path | None,
     as_json: bool,
 ) -> None:
-    """How ARM rings: the slowest modes at postures, and the time until the tip is still.
+    """Predict how ARM rings: its slowest modes, and the time until the tip is still after a move.
 
-    Stiffness is that of the model; the drives are held. settle_s is the time after a move from the
-    posture before, straight and in --move seconds, until the tip stays within 0.1 mm. With --ring
-    the frequencies and damping that were seen are printed beside them and correct the others.
+    The stiffness is that of the model, with the drives held. settle_s is the time until the tip
+    stays within 0.1 mm, after a straight move of --move seconds from the pose before. With --ring
+    the frequencies and damping that were seen are printed too, and correct the others.
 
     \b
     Examples:
@@ -74,8 +77,8 @@ def command(
                 np.max([w.size for w in seen] or np.zeros((1, 1)), axis=0),
             )
             if (largest <= smallest).all():
-                note(f"no joint rings by more than a step of its encoder, {_listed(smallest)}")
-            note("an encoder sees what gives before it: one at a motor hardly sees a beam ring")
+                note(f"no joint rings by more than one step of its encoder, {_listed(smallest)}")
+            note("an encoder sees only what bends before it: at a motor it hardly sees a beam ring")
     rows = [
         {
             "posture": row, "mode": k + 1, "hz": float(hz),

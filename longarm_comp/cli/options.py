@@ -39,8 +39,8 @@ def kind_of(function: Callable[..., Any]) -> Callable[..., Any]:
         "--kind-of",
         type=_PATH,
         metavar="MODEL...",
-        help="Calibrated models of other arms of the kind (model.yaml files): how they differ from "
-        "the drawing is expected of ARM too. After ARM and SESSION.",
+        help="Calibrated models (model.yaml) of other arms of the same type: ARM is expected to "
+        "differ from its drawing as they do. Put it after ARM and SESSION.",
     )
     return option(click.argument("more", type=_PATH, nargs=-1, metavar="")(command))
 
@@ -94,7 +94,7 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--dwell",
             type=float,
-            help="Rest before the first sighting, s; default: computed where arm.yaml has damping, "
+            help="Rest before the first sighting, s; default: computed if arm.yaml has damping, "
             "at least 0.3.",
         ),
         click.option(
@@ -163,7 +163,8 @@ def path_option(name: str, what: str, required: bool = False) -> _Decorator:
 
 
 like = path_option(
-    "--like", "Mapping of `import-data`: write in the names, units and file kind of its table."
+    "--like",
+    "Mapping that `import-data` wrote: write with the names, units and file type of its table.",
 )
 """Its value is a path; `form_of` opens it."""
 
@@ -186,7 +187,9 @@ def servo_line(function: Callable[..., Any]) -> Callable[..., Any]:
     for option in (
         click.option("--ids", default="0-252", show_default=True, help="Ids to ask: 1-20 or 1,2."),
         click.option("--baud", type=click.IntRange(min=1), help="bit/s; default: what answers."),
-        click.option("--protocol", help="Protocol of the servos; default: what answers."),
+        click.option(
+            "--protocol", help="Protocol of the servos; default: the one that a servo answers."
+        ),
         click.option("--port", help="Serial port of the servo bus, for instance /dev/ttyUSB0."),
     ):
         function = option(function)

@@ -47,7 +47,7 @@ def note_link_places(arm: Arm) -> None:
     if places := link_places(arm.joints):
         named = (f"row {row} ({arm.joints[row - 1].name or f'joint{row}'}) {role} {size:.4g} m"
                  for row, role, size in places)  # fmt: skip
-        note(f"nothing declared bends; links (docs/arm.md) can lie along {', '.join(named)}")
+        note(f"no beam is declared; links (docs/arm.md) can lie along {', '.join(named)}")
 
 
 def as_text(data: object) -> str:

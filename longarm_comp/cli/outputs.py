@@ -171,7 +171,7 @@ def _check(name: str, params: list[click.Parameter], given: dict[str, Any], forc
                     said = f"{made} is the input {other}"
                     raise InputError(name, word, said, "another file, or --force")
         if path.exists() and not option.kind(path):
-            said = f"{path} exists and is not what {name} writes"
+            said = f"{path} exists and is not a file that {name} writes"
             raise InputError(name, word, said, "a file that does not exist, or --force")
 
 

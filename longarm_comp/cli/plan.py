@@ -25,19 +25,21 @@ if TYPE_CHECKING:
     "--kind",
     type=click.Choice(["grid", "sobol", "next", "i-optimal", "d-optimal"]),
     required=True,
-    help="grid: the paper's levels; sobol: fills the joint box; next: those a diagnosis asks for; "
-    "i-optimal: least expected error of the tip; d-optimal: least volume of all parameters.",
+    help="grid: as in the paper; sobol: fills the ranges evenly; next: as a diagnosis asks; "
+    "i-optimal: least expected error of the tip; d-optimal: all parameters known best.",
 )
 @click.option("-n", "count", type=int, required=True, help="How many poses.")
 @options.path_option("--report", "Folder of a diagnosis (for next, i-optimal, d-optimal).")
-@options.path_option("--model", "Calibrated model: the arm has its effects and no others.")
+@options.path_option(
+    "--model", "Calibrated model; the arm is assumed to have its effects and no others."
+)
 @options.path_option("--measured", "Rows measured so far (CSV or bag).")
 @click.option(
     "--measure",
     type=click.Choice(["position", "pose", "distance", "touch"]),
     default="position",
     show_default=True,
-    help="What each pose measures; distance: to every anchor in arm.yaml; touch: of a --point.",
+    help="What is measured at each pose; distance: to every anchor in arm.yaml; touch: a --point.",
 )
 @click.option(
     "--point",
@@ -45,21 +47,21 @@ if TYPE_CHECKING:
     type=(str, float, float, float),
     multiple=True,
     metavar="NAME X Y Z",
-    help="A point to touch, about where it is (m, base frame); repeat for more.",
+    help="A point to touch, and roughly where it is (m, base frame); repeat for more.",
 )
 @click.option(
     "--noise-mm",
     type=click.FloatRange(min=1e-6, max=1e3),  # a nanometre to a metre
     default=0.3,
     show_default=True,
-    help="Noise of a length, where nothing was measured yet.",
+    help="Noise of a measured length, if no rows are given.",
 )
 @click.option(
     "--view",
     "view_deg",
     type=click.FloatRange(0, 180, min_open=True),
     metavar="DEG",
-    help="Half of the view of the cameras in arm.yaml: the tip must be in it.",
+    help="Half of the view angle of the cameras in arm.yaml; the tip must be in view.",
 )
 @click.option(
     "--keep-out",
@@ -67,7 +69,7 @@ if TYPE_CHECKING:
     nargs=6,
     multiple=True,
     metavar="X Y Z X Y Z",
-    help="Corners (m) of a box that the arm must not enter, beside arm.yaml's; repeat for more.",
+    help="Corners (m) of a further box that the arm must not enter; repeat for more.",
 )
 @options.floor
 @click.option(
@@ -93,7 +95,7 @@ def command(
     as_json: bool,
     **given: Any,
 ) -> None:
-    """Write N poses to measure ARM at, each with the side that every joint arrives from.
+    """Write N poses at which to measure ARM, with the side from which every joint arrives.
 
     \b
     Examples:

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 def scan(port: str | None, as_json: bool, **line: Any) -> None:
     """List the servos on a bus: id, model, firmware, ids that two servos share.
 
-    Asks every id alone. Without --protocol and --baud it tries those that are usual, one after
-    the other, and stops where somebody answers. Nothing moves and nothing is written. Exit code 3
-    where no servo answers or two have the same id.
+    Asks every id alone. Without --protocol and --baud it tries the usual ones, one after the other,
+    until a servo answers. Nothing moves and nothing is written. The exit code is 3 if no servo
+    answers or two have the same id.
 
     \b
     Examples:
@@ -95,8 +95,8 @@ def refuse_clashes(found: Scan) -> None:
     """Raise JobError where ids are not unique."""
     if found.clashes:
         raise JobError(
-            "answers are damaged or doubled: connect these servos one at a time and give each an "
-            "id of its own, or check the cable",
+            "answers are damaged or doubled: connect these servos one at a time and give each its "
+            "own id, or check the cable",
             ids=list(found.clashes),
         )
 
@@ -116,9 +116,10 @@ def _ids(text: str) -> Sequence[int]:
 @click.argument("servo_id", type=int, metavar="ID")
 @options.servo_line
 def set_id(servo_id: int, port: str | None, **line: Any) -> None:
-    """Give the one servo that is connected the id ID; it keeps it without power.
+    """Give the only connected servo the id ID; the servo keeps it without power.
 
-    New servos all have the id 1. Connect one alone, give it its id, take it off, connect the next.
+    New servos all have the id 1. Connect one alone, give it its id, disconnect it, connect the
+    next.
 
     \b
     Example:
@@ -136,7 +137,8 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
 
 @click.command("find-port")
 def find_port() -> None:
-    """Find the servo bus among the serial ports: unplug it when asked, and see which one goes.
+    """Find the serial port of the servo bus: unplug the bus when asked, and the port that
+    disappears is it.
 
     \b
     Example:
@@ -158,7 +160,7 @@ def find_port() -> None:
     dialogue.go_on("Unplug the bus's USB cable.")
     gone = sorted(set(there) - set(dict(usable_ports())))
     if len(gone) != 1:
-        raise JobError("not one port went away: unplug this cable alone", went=gone)
+        raise JobError("no port disappeared, or several did: unplug this cable alone", went=gone)
     dialogue.go_on("Plug it in again.")
     note(f"next: longarm servo scan --port {gone[0]}")
     click.echo(gone[0])

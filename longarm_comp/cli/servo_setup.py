@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     "--sweep-s",
     type=click.FloatRange(0.0),
     default=None,
-    help="Sweep for at most so long; ends when every joint covered its range and the arm rests.",
+    help="Longest time for the sweep; it ends when every joint covered its range and rests.",
 )
-@click.option("--no-sweep", is_flag=True, help="No sweep: joints that no hand can turn.")
+@click.option("--no-sweep", is_flag=True, help="Skip the sweep, for joints that no hand can turn.")
 @click.option("--zero", type=click.Choice(["pose", "sweep"]), help="Where zeros come from.")
 @click.option(
     "--pose", multiple=True, metavar="JOINT=VALUE", help="Held pose, deg or mm. Default: 0."
@@ -44,19 +44,22 @@ if TYPE_CHECKING:
     help="Joint values at the ends of the sweep, deg or mm. Default: the declared limits.",
 )
 @click.option(
-    "--direction", multiple=True, metavar="JOINT=+|-", help="+: ticks grow with the joint value."
+    "--direction",
+    multiple=True,
+    metavar="JOINT=+|-",
+    help="+ if the ticks grow with the joint value, else -.",
 )
 @click.option("--nudge", default=5.0, show_default=True, help="Size of a nudge, deg or mm.")
-@click.option("--yes", is_flag=True, help="Go on at every stop: the arm is held or supported.")
+@click.option("--yes", is_flag=True, help="Do not wait at each step: the arm is held or supported.")
 @options.as_json
 def command(folder: Path, as_json: bool, **answers: Any) -> None:
     """Find ids, zeros and directions of DIR's servos, and write DIR/servo_driver.yaml.
 
-    Port; scan; torque off; every joint moved by hand through its travel (live table); zeros from
-    a pose that is held or from the ends of the sweep; each joint nudged under torque: which way
-    did it go? Then the file is written in one step, read again, and the joints are read back.
-    Every question is also a flag. The torque is off at the end and after an interruption, and the
-    file is untouched until then.
+    The steps are: find the port; scan for servos; switch the torque off; move every joint by hand
+    through its travel, watching a live table; take the zeros from a pose that you hold, or from the
+    ends of the travel; nudge each joint and answer which way it went. Then the file is written in
+    one step, read again, and the joints' values are shown. Every question is also an option. The
+    torque is off at the end and after an interruption; an interruption leaves the file as it was.
 
     \b
     Examples:
@@ -180,7 +183,7 @@ def _directions(setup: ServoSetup, given: SetupAnswers) -> dict[str, int]:
     given.dialogue.go_on("The torque goes on; each joint makes a small move. Stand clear.")
     setup.hold()
     answers = ("+", "-", "again", *setup.joints)
-    text = "which way did it go, by arm.yaml? (another joint moved: its name)"
+    text = "in which direction did it go, by arm.yaml? (if another joint moved, type its name)"
     while left := [name for name in open_ones if name not in found]:
         name = left[0]
         nudge = setup.nudge(name, given.flags["nudge"] * hand_unit(setup.joints[name])[0])

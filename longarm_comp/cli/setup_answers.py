@@ -76,7 +76,7 @@ class SetupAnswers:
             if size is not None and not 0.0 < size < math.inf:
                 raise InputError(_COMMAND, flag, size, "a finite number above 0")
         if flags["no_sweep"] and flags["zero"] == "sweep":
-            raise InputError(_COMMAND, "--zero", "sweep", "pose, where there is no sweep")
+            raise InputError(_COMMAND, "--zero", "sweep", "pose, because there is no sweep")
         made._check_complete()
         return made
 
@@ -92,10 +92,12 @@ class SetupAnswers:
              "seconds, or --no-sweep"),
             ("--zero", flags["zero"] is None, "pose or sweep"),
             ("--direction", blind, f"+ or - of {', '.join(blind)}"),
-            ("--yes", not flags["yes"], "that the arm is held or supported"),
+            ("--yes", not flags["yes"], "a yes: the arm is held or supported"),
         ):  # fmt: skip
             if lacks:
-                raise InputError(_COMMAND, flag, "missing", f"{allowed}; or a terminal to ask on")
+                raise InputError(
+                    _COMMAND, flag, "missing", f"{allowed}; or a terminal that can ask you"
+                )
 
     def joints_on(self, line: Scan) -> dict[str, JointConfig]:
         """Joints with the ids and models that are on the bus; asked where somebody is there."""

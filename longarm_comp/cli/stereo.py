@@ -44,7 +44,7 @@ def _board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., 
         made: Callable[..., Any] = command
         for option in (
             click.option("--dictionary", default="DICT_5X5_100", show_default=True,
-                         help="Tag family of the board, another than the marker's."),
+                         help="Tag family of the board; it must differ from the marker's."),
             click.option("--tag-mm", type=float, default=None,
                          help="Side of its tags. Default: 0.72 squares."),
             click.option("--square-mm", type=float, default=_SQUARE_MM, show_default=True,
@@ -76,7 +76,7 @@ def marker(folder: Path | None, board: CharucoTarget | None, output: Path) -> No
     """Write the marker of DIR/stereo_bridge.yaml, or a calibration board, in true size.
 
     The page has a ruler of 100 mm: measure it, because printers scale. Then measure the tags and
-    set tag_m and gap_m, or say the board's --square-mm to `longarm stereo calibrate`.
+    set tag_m and gap_m, or give the board's --square-mm to `longarm stereo calibrate`.
 
     \b
     Examples:
@@ -102,7 +102,8 @@ def _marker(folder: Any) -> CharucoTarget | TagBoard:
 @click.command()
 @options.written("--frames", "Folder for a picture of each.", outputs.never)
 def webcams(frames: Path | None) -> None:
-    """List the webcams, take a picture of each, and print what publishes two of them for ROS.
+    """List the webcams, take a picture of each, and print the commands that publish two of them for
+    ROS.
 
     \b
     Example:
@@ -132,11 +133,17 @@ def webcams(frames: Path | None) -> None:
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @options.path_option("--images", "Folder of image pairs: left and right in their names.")
-@click.option("--live", is_flag=True, help="Guided capture from left/ and right/image_raw.")
+@click.option(
+    "--live", is_flag=True, help="Take the views from left/ and right/image_raw, with guidance."
+)
 @_board("7x5")
 @options.path_option("--save", "Live: folder that the used images are written to.")
 @click.option(
-    "--within", type=float, default=600.0, show_default=True, help="Live: give up after so long, s."
+    "--within",
+    type=float,
+    default=600.0,
+    show_default=True,
+    help="Live: give up after this time, s.",
 )
 @options.namespace
 @options.as_json
@@ -150,12 +157,12 @@ def calibrate(
     namespace: str,
     as_json: bool,
 ) -> None:
-    """Calibrate the stereo head from views of a printed board; write DIR/cameras/left.yaml, right.
+    """Calibrate the two cameras from views of a printed board; write DIR/cameras/left.yaml, right.
 
-    The views come from files, or from the topics: hold the board before the cameras, and it takes
-    a pair whenever the board rests somewhere new, and says what is still missing. Views that are
-    too few, blurred or one-sided are refused in words. The files are what ROS camera drivers take
-    as camera_info_url. `longarm stereo marker --board 7x5` prints the board.
+    The views come from files or from the topics. For the topics, hold the board before the cameras:
+    the command takes a pair whenever the board rests at a new place, and says which views are still
+    missing. Views that are too few, blurred or one-sided are refused with the reason. ROS camera
+    drivers take the files as camera_info_url. `longarm stereo marker --board 7x5` prints the board.
 
     \b
     Examples:
@@ -246,13 +253,21 @@ def _calibration_facts(found: BoardCalibration, size: Size) -> dict[str, object]
 @click.command("hand-eye")
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.argument("session", type=click.Path(path_type=Path), required=False)
-@click.option("--live", is_flag=True, help="From joint_states and tip_measured, pose by pose.")
+@click.option(
+    "--live", is_flag=True, help="Measure now, from joint_states and tip_measured, pose by pose."
+)
 @click.option("--poses", type=click.IntRange(10), default=20, show_default=True, help="Live.")
 @click.option(
-    "--within", type=float, default=900.0, show_default=True, help="Live: give up after so long, s."
+    "--within",
+    type=float,
+    default=900.0,
+    show_default=True,
+    help="Live: give up after this time, s.",
 )
 @options.model
-@click.option("--free-tip", is_flag=True, help="The seen point's place on the tip is unknown too.")
+@click.option(
+    "--free-tip", is_flag=True, help="Also solve for the place of the seen point on the tip."
+)
 @click.option("--dry-run", is_flag=True, help="Write nothing.")
 @options.namespace
 @options.as_json
@@ -268,12 +283,12 @@ def hand_eye(
     namespace: str,
     as_json: bool,
 ) -> None:
-    """Find where the stereo head stands, and write it into DIR/stereo_bridge.yaml.
+    """Find where the two cameras stand, and write it into DIR/stereo_bridge.yaml.
 
-    From SESSION (CSV or bag), measured with the hand_eye that stands in the file now (the same
-    session may be given again: what stood there before is in measured.yaml); or live:
-    move the arm to one pose after the other and let it rest. The arm's own errors go into the
-    residual: with a calibrated --model it is smaller. DIR/simulated_arm.yaml follows.
+    SESSION (CSV or bag) must be measured with the hand_eye that is in the file now. You may give
+    the same session again, because the earlier value is kept in measured.yaml. With --live, move
+    the arm to one pose after the other and let it rest. The arm's own errors increase the residual;
+    a calibrated --model makes it smaller. DIR/simulated_arm.yaml is changed too.
 
     \b
     Examples:

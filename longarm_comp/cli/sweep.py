@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 @click.command()
 @options.arm
 @click.option("--seconds", default=20.0, show_default=True,
-              help="Least time for the whole range of any joint.")  # fmt: skip
+              help="Least time of a joint for its whole range, s.")  # fmt: skip
 @click.option("--margin", default=0.02, show_default=True,
-              help="Kept from every limit, as a share of the joint's range.")  # fmt: skip
+              help="Distance from every limit, as a share of the joint's range.")  # fmt: skip
 @click.option("--one-by-one", is_flag=True, help="One joint after another; default: all at once.")
 @click.option("--yes", is_flag=True, help="Do not ask before the arm moves.")
 @options.namespace
 def command(
     arm: Path, seconds: float, margin: float, one_by_one: bool, yes: bool, namespace: str
 ) -> None:
-    """Drive every joint of ARM between its limits once, through the driver, and back.
+    """Drive every joint of ARM to both of its limits and back.
 
-    Afterwards kinematics knows what play and friction remember, which it does not after
-    power-on. The arm passes through wide poses: keep its surroundings clear. It moves only after
-    a yes. Ctrl-C stops it where it is.
+    Play and friction depend on earlier moves, which are unknown after power-on. After the sweep
+    kinematics knows them. The arm moves through its whole range: keep its surroundings clear. It
+    moves only after you answer yes. Ctrl-C stops it where it is.
 
     \b
     Example:
@@ -45,12 +45,12 @@ def command(
     began: list[bool] = []
 
     def kept() -> str:
-        return "the joints stand where it ended; the same command begins anew" if began else ""
+        return "the joints stand where it ended; the same command starts again" if began else ""
 
     def agree(path: np.ndarray, takes: float) -> None:
         ask = f"Drive all {path.shape[1]} joints to both ends of their ranges ({takes:.0f} s)?"
         if not agreed(ask, yes):
-            raise JobError("not swept: no yes was given")
+            raise JobError("not swept: there was no answer yes")
         began.append(True)
 
     with (
@@ -62,4 +62,4 @@ def command(
             client, range_s=seconds, margin=margin, together=not one_by_one, agree=agree,
             progress=show,
         )  # fmt: skip
-    note(f"{moves} moves made; the joints are back where they stood, their history is known")
+    note(f"{moves} moves made; the joints are back where they were, and their history is known")

@@ -18,7 +18,7 @@ from longarm_comp.core.errors import InputError, JobError
 if TYPE_CHECKING:
     from longarm_comp.jobs.touch import TouchLog
 
-_HELP = "Enter: touches now; a name: the next point; plane NAME; undo; end"
+_HELP = "Enter: record a touch; NAME: next point; plane NAME: next plane; undo; end"
 
 
 @click.command()
@@ -42,12 +42,12 @@ _HELP = "Enter: touches now; a name: the next point; plane NAME; undo; end"
     type=click.FloatRange(min=0, min_open=True),
     default=0.1,
     show_default=True,
-    help="How well these distances are known.",
+    help="Standard deviation of these distances.",
 )
 @click.option(
     "--by-hand",
     is_flag=True,
-    help="Torque off meanwhile: hold the arm before you start, and at the end.",
+    help="Switch the torque off meanwhile: hold the arm before you start, and at the end.",
 )
 @click.option("--resume", is_flag=True, help="Add to an existing session.")
 @options.namespace
@@ -65,10 +65,11 @@ def command(
 ) -> None:
     """Record the joints of ARM's running graph while its tip touches points; one key a touch.
 
-    Guide the arm by hand, or jog it, until the ball sits in the socket, and press Enter. Nothing is
-    sent to the arm but, with --by-hand, torque off, and at the end on again. After some touches
-    every row is told how far it is from its point. Where the graph tells of `contact` (a wire to
-    ball and socket, or the simulated arm's `sockets`), a touch outside the socket is refused.
+    Guide the arm by hand, or jog it, until the ball sits in the socket, and press Enter. The
+    command sends nothing to the arm, except that --by-hand switches the torque off, and on again at
+    the end. After some touches it prints how far each touch is from its point. If `contact` is
+    published on the graph (by a wire to ball and socket, or by the simulated arm's `sockets`), a
+    touch outside the socket is refused.
 
     \b
     Examples:
@@ -120,7 +121,7 @@ def command(
         print_json({"output": str(output), "rows": len(touches.rows)})
         return
     done = f"{written} touches in {output}; next: longarm calibrate {arm} {output}"
-    note(done if written else "no touch was taken, nothing is written")
+    note(done if written else "no touch was recorded, nothing is written")
 
 
 def _asked(prompt: str, stop: Event) -> str:

@@ -29,10 +29,10 @@ from longarm_comp.cli.output import note, print_json, progress
     type=click.IntRange(min=1),
     default=5,
     show_default=True,
-    help="Number of networks, each from its own start.",
+    help="Number of networks in the ensemble.",
 )
 @click.option(
-    "--hidden", type=click.IntRange(min=1), help="Hidden units; chosen by evidence if not given."
+    "--hidden", type=click.IntRange(min=1), help="Hidden units; default: chosen by evidence."
 )
 @options.without("deflection", 'The paper\'s "network only": rigid physics.')
 @options.seed
@@ -75,5 +75,9 @@ def command(arm: Path, session: Path, output: Path, as_json: bool, **how: Any) -
     if as_json:
         print_json(facts)
         return
-    done = f"predictor in {output}" if trained.gain.helps else "not written: the physics is enough"
+    done = (
+        f"predictor in {output}"
+        if trained.gain.helps
+        else "not written: the physics alone is as good"
+    )
     note(f"{trained.summary}; {done}")

@@ -33,10 +33,12 @@ from longarm_comp.core.errors import JobError
 @click.option(
     "--config",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder of parameter files NODE.yaml; default: ARM's. The package's own for the rest.",
+    help="Folder of parameter files NODE.yaml; default: ARM's folder, then the package's.",
 )
 @click.option("--paths", is_flag=True, help="trajectory_compensator too, for planned paths.")
-@click.option("--shaping", is_flag=True, help="Moves that leave no ring (docs/ringing.md).")
+@click.option(
+    "--shaping", is_flag=True, help="Shape moves so that they leave little ring (docs/ringing.md)."
+)
 @click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")
 def command(
     arm: Path,
@@ -84,7 +86,9 @@ def alone(namespace: str, stop: threading.Event) -> Iterator[None]:
     """
     from longarm_comp.jobs.graph_client import GraphClient, drivers
 
-    several = "a graph runs already in this namespace and ROS_DOMAIN_ID; end it, or --namespace"
+    several = (
+        "a graph is already running in this namespace and ROS_DOMAIN_ID: end it, or use --namespace"
+    )
     domain, space = os.environ.get("ROS_DOMAIN_ID", "0"), namespace.replace("/", "_")
     lock = Path(tempfile.gettempdir()) / f"longarm_up_{domain}_{space}.lock"
     with ExitStack() as held:

@@ -19,8 +19,8 @@ from longarm_comp.cli.output import note, note_link_places, print_json, print_ro
 def import_urdf(urdf: Path, base: str, tip: str, output: Path) -> None:
     """Write an arm.yaml for the chain of URDF from --base to --tip.
 
-    Limits, masses, centres of mass and mimic joints are taken over, lengths lie along a and d of
-    the joints' rows; add the elastic beams (links) there by hand (docs/arm.md).
+    Limits, masses, centres of mass and mimic joints are taken over. Lengths lie along a and d of
+    the DH rows; add the bending beams (links) there by hand (docs/arm.md).
 
     \b
     Example:
@@ -44,8 +44,10 @@ def import_urdf(urdf: Path, base: str, tip: str, output: Path) -> None:
 @options.arm
 @options.path_option("--model", "Calibrated model.yaml.", required=True)
 @options.output("calibrated.urdf", "URDF to write.", outputs.URDF)
-@click.option("--group", default="", help="Base placement, where the model has several.")
-@click.option("--marker", default="", help="Marker that is the link tip, instead of the arm's tip.")
+@click.option("--group", default="", help="Base placement, if the model has several.")
+@click.option(
+    "--marker", default="", help="Use this marker as the link tip, instead of the arm's tip."
+)
 @options.effects
 @options.as_json
 def export_urdf(
@@ -53,9 +55,9 @@ def export_urdf(
 ) -> None:
     """Write the rigid part of MODEL as a URDF with calibrated joint origins.
 
-    The link base_link is the frame of the measurements, the link tip the tip. Offsets of the
-    joints' zeros are in the origins; they are listed for a driver that corrects them itself.
-    Deflection and the other effects stay in model.yaml: a URDF cannot say them.
+    The link base_link is the frame of the measurements, the link tip is the tip. The origins
+    contain the offsets of the joints' zeros; they are also listed, for a driver that corrects them
+    itself. Deflection and the other effects stay in model.yaml, because a URDF cannot hold them.
 
     \b
     Example:
@@ -85,5 +87,5 @@ def export_urdf(
     if rows:
         print_rows("Joint values at command zero (in the origins already)", rows)
     if left:
-        note(f"left out, as a URDF is rigid: {', '.join(left)}")
+        note(f"left out, because a URDF is rigid: {', '.join(left)}")
     note(f"{declared.n} joints in {output}")

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from longarm_comp.jobs.client import Pace
 
 _BROKEN_OFF = (
-    "of a verification that is broken off nothing is kept; model and predictor are as before; "
-    "`longarm status` says how the arm stands, the same command begins anew"
+    "an interrupted verification keeps nothing; model and predictor are unchanged; "
+    "`longarm status` shows the state of the arm, and the same command starts again"
 )
 
 
@@ -35,11 +35,11 @@ _BROKEN_OFF = (
 @options.path_option("--targets", "CSV with x, y, z (m); default: random targets.")
 @click.option("-n", "count", type=click.IntRange(min=2), default=40, show_default=True,
               help="Random targets.")  # fmt: skip
-@options.path_option("--model", "Random targets are where this model's tip goes; default: ARM's.")
+@options.path_option("--model", "Model whose tip gives random targets; default: ARM.")
 @click.option("--method", type=click.Choice(["deflection", "network", "both"]),
-              help="Compensation to judge; default: the one of the running node.")  # fmt: skip
+              help="Compensation to measure; default: that of the running node.")  # fmt: skip
 @click.option("--by", type=click.Choice(["cameras", "readings"]), default="cameras",
-              show_default=True, help="Who says where the tip is.")  # fmt: skip
+              show_default=True, help="What measures the tip.")  # fmt: skip
 @options.pace
 @options.namespace
 @options.seed
@@ -65,12 +65,11 @@ def command(
 ) -> None:
     """Drive fresh targets on ARM's running graph, without and with compensation.
 
-    Measures tip - target with the cameras and compares both runs, target by target. Targets that
-    the graph refuses are left out and counted. The graph may be of a real or a simulated arm; its
-    method is put back at the end. --by readings needs no camera: encoders and model say where the
-    tip is, and what acts behind the encoders is only as good as the model. The exit code is 3
-    unless compensation brings the tip nearer beyond chance: the 95 % interval of the gain lies
-    above 0.
+    The cameras measure tip - target, and both runs are compared target by target. Targets that the
+    graph refuses are left out and counted. The arm may be real or simulated. The graph's method is
+    restored at the end. --by readings needs no camera: the tip is computed from the encoders and
+    the model, so errors behind the encoders are known only as well as the model knows them. The
+    exit code is 0 if the 95 % interval of the gain lies above 0, else 3.
 
     \b
     Examples:

@@ -17,15 +17,15 @@ from longarm_comp.core.errors import JobError
     type=click.IntRange(0, 65535),
     default=8080,
     show_default=True,
-    help="Of the page; the next free one where it is taken, any free one for 0.",
+    help="Port of the page; if it is taken, the next free port. 0: any free port.",
 )
 @click.option("--open/--no-open", "show", default=True, help="Open the page in the browser.")
 def command(namespace: str, port: int, show: bool) -> None:
     """Show a running graph on a page in the browser of this machine, until Ctrl-C.
 
-    Arm as declared and as it hangs, target, tip and errors, charts, health of the nodes, progress
-    of `collect`, and buttons for hold, software stop and reset. Only this machine reaches the page,
-    and only with the link that is printed, which opens it once, in one browser.
+    The page shows the arm as declared and as it hangs, target, tip and errors, charts, the health
+    of the nodes and the progress of `collect`. It has buttons for hold, software stop and reset.
+    Only this machine can open the page, with the printed link, which works once and in one browser.
 
     \b
     Examples:

@@ -8,19 +8,19 @@ _LONGEST_VALUE = 120
 
 
 class LongarmError(Exception):
-    """Base of every error that this package raises on purpose."""
+    """Base class of all errors that this package raises."""
 
     exit_code: ClassVar[int] = 1
 
 
 class InputError(LongarmError):
-    """Something handed in is wrong: a file, a message, an argument.
+    """An input is wrong: a file, a message or an argument.
 
     Args:
         where: the file, topic, service or function that the value came from.
         field: the column, key or argument; a row may be part of it (``"row 12, q3"``).
         value: what was found there.
-        allowed: what may stand there, in words.
+        allowed: what is allowed there, in words.
     """
 
     exit_code: ClassVar[int] = 2
@@ -37,11 +37,11 @@ class InputError(LongarmError):
 
 
 class JobError(LongarmError):
-    """The input is good but the job could not be done: unreachable, not converged.
+    """The input is good, but the job could not be done: a target out of reach, no convergence.
 
     Args:
         reason: why, in one sentence.
-        facts: what is needed to act on it, as ``name=value`` (``residual_m=0.02``).
+        facts: values that help to act on it, as ``name=value`` (``residual_m=0.02``).
     """
 
     exit_code: ClassVar[int] = 3

@@ -88,7 +88,7 @@ class ServoArm:
                 number = bus.ping(joint.servo_id)
                 if number != joint.servo.model_number:
                     raise JobError(
-                        f"{name} is another servo than configured",
+                        f"{name} is not the configured servo",
                         servo_id=joint.servo_id, model=joint.model, answers=number,
                     )  # fmt: skip
             bus.set_turns({j.servo_id: j.multi_turn for j in self.config.joints.values()})

@@ -25,8 +25,10 @@ class BusConfig(ServoSettings):
     protocol: str = Field(description="of the servos")
     port: str = Field(description="serial device")
     baudrate: int = Field(1_000_000, gt=0, description="bits a second")
-    reply_timeout_s: float = Field(0.02, gt=0.0, le=1.0, description="patience with a reply, s")
-    retries: int = Field(2, ge=0, le=10, description="of an instruction without a good reply")
+    reply_timeout_s: float = Field(0.02, gt=0.0, le=1.0, description="longest wait for a reply, s")
+    retries: int = Field(
+        2, ge=0, le=10, description="repetitions of an instruction without a good reply"
+    )
 
     @field_validator("protocol")
     @classmethod
@@ -40,30 +42,35 @@ class FollowerConfig(ServoSettings):
     """Limits that hold for every joint; ticks are the servo's own."""
 
     blend_s: Positive = Field(
-        default=0.2, description="a new trajectory takes over from a running one, s"
+        default=0.2, description="time in which a new trajectory takes over from a running one, s"
     )
     max_step_s: Positive = Field(
         default=0.1,
-        description="largest step of the set-point in time, also after a longer pause, s",
+        description="longest time by which the goal moves on at once, also after a pause, s",
     )
-    silence_s: Positive = Field(default=0.25, description="without a trusted read-back: a fault, s")
+    silence_s: Positive = Field(
+        default=0.25, description="time without a trusted reading that is a fault, s"
+    )
     stall_error_ticks: Positive = Field(
         default=40.0, description="position error at full load that counts as a stall"
     )
-    stall_time_s: Positive = Field(default=0.5, description="how long it has to last, s")
+    stall_time_s: Positive = Field(
+        default=0.5, description="time that it must last to be a stall, s"
+    )
     lost_error_ticks: Positive = Field(
         default=400.0, description="position error over stall_time_s that is a fault at any load"
     )
     jump_ticks: Positive = Field(
-        default=200.0, description="a read-back so far from any reachable position is rejected"
+        default=200.0, description="a reading this far from any reachable position is rejected"
     )
     trim_ticks: Positive = Field(
         default=100.0,
-        description="so far may a servo give way: the largest correction by trim, and how far "
-        "beyond its limit a joint may hang when it is taken up",
+        description="largest correction by trim, and largest distance beyond its limit at which "
+        "a joint is still accepted at the start",
     )
     trim_pause_s: Positive = Field(
-        default=0.12, description="rest between two steps of trim: a period of the slowest swing, s"
+        default=0.12,
+        description="rest between two corrections of trim, a period of the slowest swing, s",
     )
 
 

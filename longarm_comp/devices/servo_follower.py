@@ -226,7 +226,7 @@ class TrajectoryFollower:
         """One bounded step along the path; None while any read-back is doubtful."""
         if not self._fresh:
             if not self._doubting:
-                self._say(EventKind.DOUBTFUL, "waiting for a trusted read-back of every servo")
+                self._say(EventKind.DOUBTFUL, "waiting for a trusted reading of every servo")
             self._doubting = True
             self._velocity = np.zeros_like(self._velocity)
             return None
@@ -328,7 +328,7 @@ class TrajectoryFollower:
         if self._held:
             raise JobError("no trajectory is taken until ~/hold is called with false")
         if not self.fresh(now):
-            raise JobError("no fresh read-back of every servo", servos=len(self._joints))
+            raise JobError("no fresh reading of every servo", servos=len(self._joints))
         self._check_health(now)
 
     def _start(self) -> Array:

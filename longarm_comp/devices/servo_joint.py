@@ -49,7 +49,10 @@ class JointConfig(ServoSettings):
     upper: float = Field(description="limit, rad or m")
     max_velocity: Positive = Field(description="rad/s or m/s")
     max_temperature_c: float = Field(
-        65.0, ge=30.0, le=100.0, description="a hotter servo is a fault, degC"
+        65.0,
+        ge=30.0,
+        le=100.0,
+        description="highest temperature of the servo; a hotter one is a fault, degC",
     )
     max_load: float = Field(
         0.8, gt=0.0, le=1.0, description="share of full effort that counts as stalled"

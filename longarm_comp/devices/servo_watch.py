@@ -133,7 +133,7 @@ class ServoWatch:
         since = seen.at if seen.state is not None else self._started
         if since is None or now - since <= self._config.follower.silence_s:
             return []
-        message = f"no read-back to trust for {now - since:.2f} s"
+        message = f"no trusted reading for {now - since:.2f} s"
         return [JointFault(ServoTrouble.SILENT, name, message)]
 
     def _health(self, name: str, state: ServoState) -> list[JointFault]:

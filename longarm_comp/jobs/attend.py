@@ -95,7 +95,7 @@ class Attendant:
             return here & KNOWN
 
         running = "does `longarm up` run, in this ROS_DOMAIN_ID?"
-        client.until(there, _PATIENCE_S, f"no node of an arm in namespace {where} ({running})")
+        client.until(there, _PATIENCE_S, f"no node of an arm runs in namespace {where} ({running})")
 
         def heard() -> bool:
             named = there()
@@ -152,7 +152,7 @@ class Attendant:
     def _state(self) -> int:
         """The driver's state, told anew where something was asked of it."""
         client = self._client
-        missing = f"no {DRIVER} tells its state: does `longarm up` run, in this namespace?"
+        missing = f"no {DRIVER} reports its state: does `longarm up` run, in this namespace?"
         driver = client.until(lambda: self._driver, _PATIENCE_S, missing)
         return int(driver.state)
 

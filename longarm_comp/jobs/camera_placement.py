@@ -68,7 +68,7 @@ def placed_cameras(
     # The tips must reach over so much in two directions, or the head's rotation is hardly told
     if wide[1] < 0.05:
         raise JobError(
-            "the tip stayed on a line or at a point: measure poses all over its range",
+            "the tip stayed on a line or at a point: measure poses over its whole range",
             spread_mm=[round(1e3 * float(w)) for w in wide],
         )
     turn = assumed[:3, :3]

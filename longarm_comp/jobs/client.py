@@ -113,7 +113,7 @@ class ArmClient(GraphClient):
         Raises:
             DriverStopped: the driver is held, in fault or in emergency stop.
         """
-        running = "does `longarm up` run, in this namespace and ROS_DOMAIN_ID?"
+        running = "does `longarm up` run in this namespace and ROS_DOMAIN_ID?"
         self.until(lambda: self.joints is not None, within_s, f"no joint_states ({running})")
         # a killed driver is counted for up to 20 s
         several = "two drivers are on this graph: end one `longarm up`"
@@ -212,7 +212,7 @@ class ArmClient(GraphClient):
             return bool(inside_since) and time.monotonic() - inside_since[0] >= pace.dwell_s
 
         self.until(
-            there, pace.arrive_s + more_s, "the joints did not come to rest where they were sent"
+            there, pace.arrive_s + more_s, "the joints did not come to rest at their command"
         )
         return int(self.node.get_clock().now().nanoseconds)
 

@@ -62,7 +62,7 @@ class TouchLog:
         """
         q = resting(client)
         if column == "touch" and not _seated(client):
-            raise JobError(f"touch {name}: the ball sits in no socket; nothing was taken")
+            raise JobError(f"touch {name}: the ball sits in no socket; nothing was recorded")
         self.rows.append((q, column, name))
         return q
 

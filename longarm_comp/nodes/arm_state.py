@@ -34,10 +34,10 @@ PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm"),
     Param("model", "", "model.yaml: the calibrated model; empty: the arm as declared"),
     Param("effects", "", "Python files that define further effects, executed; : between paths"),
-    Param("joints_max_age_s", 5.0, "older joint_states are not believed", 0.1, 1e6),
-    Param("joints_max_rate", 5.0, "faster ones neither; ranges of a joint a second", 0.1, 1e6),
-    Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
-    Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
+    Param("joints_max_age_s", 5.0, "joint_states older than this are not used", 0.1, 1e6),
+    Param("joints_max_rate", 5.0, "faster motion is not believed; ranges a second", 0.1, 1e6),
+    Param("context_max_age_s", 60.0, "older temperature, payload, tilt are not used", 0.1, 1e6),
+    Param("predictor_timeout_s", 0.5, "longest wait for the predictor's answer", 0.01, 60.0),
     WATCH,
 )
 """Parameters of every node that computes with the arm's state."""

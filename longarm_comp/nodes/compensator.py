@@ -45,11 +45,11 @@ PARAMS = (
         "method", "both", "what is compensated", choices=tuple(m.value for m in Method), live=True
     ),
     Param("single_pass", False, "correct once, as in the paper", live=True),
-    Param("tolerance_m", 1e-5, "change of the expected error that ends the passes", 1e-9, 0.01),
+    Param("tolerance_m", 1e-5, "the passes end at a smaller change of the error", 1e-9, 0.01),
     Param("max_passes", 10, "pseudo-target passes permitted", 1, 100),
-    Param("max_correction_m", 0.05, "largest expected error that is corrected", 1e-6, 1.0),
-    Param("run_up", True, "joints run up to their target where the model needs a side", live=True),
-    Param("realisable", True, "choose joints among the steps that the arm declares", live=True),
+    Param("max_correction_m", 0.05, "largest expected error that is still corrected", 1e-6, 1.0),
+    Param("run_up", True, "joints make a run-up if the model needs their side", live=True),
+    Param("realisable", True, "choose joints among the servo steps of arm.yaml", live=True),
 )
 
 

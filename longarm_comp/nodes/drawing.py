@@ -23,12 +23,12 @@ from longarm_comp.nodes.params import Param
 from longarm_comp.urdf_export import export_urdf
 
 PARAMS = (
-    Param("frames.period_s", 0.1, "between two transforms on /tf; 0: none", 0.0, 60.0),
-    Param("frames.wait_s", 0.5, "patience with tf that is older than a target", 0.0, 60.0),
-    Param("markers.period_s", 0.5, "between two pictures; 0: none", 0.0, 60.0),
-    Param("markers.sag_factor", 1.0, "sag is drawn so many times larger", 0.0, 1000.0, live=True),
+    Param("frames.period_s", 0.1, "time between two transforms on /tf; 0: none", 0.0, 60.0),
+    Param("frames.wait_s", 0.5, "longest wait for a tf as new as the target", 0.0, 60.0),
+    Param("markers.period_s", 0.5, "time between two pictures; 0: none", 0.0, 60.0),
+    Param("markers.sag_factor", 1.0, "factor of the drawn deflection", 0.0, 1000.0, live=True),
     Param(
-        "markers.error_factor", 50.0, "the error arrow is drawn so many times longer", 1.0, 1e4,
+        "markers.error_factor", 50.0, "factor of the drawn error arrow", 1.0, 1e4,
         live=True,
     ),
 )  # fmt: skip

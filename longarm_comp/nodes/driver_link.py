@@ -83,7 +83,7 @@ class DriverLink:
         if state is None:
             return "no servo_driver is on the graph"
         if now - self._rival_s < _SILENT_S:
-            return "two drivers are on the graph, both tell servo_driver/state: end one of them"
+            return "two drivers publish servo_driver/state: end one of them"
         if now - self._heard_s > _SILENT_S:
             return f"servo_driver has been silent for {now - self._heard_s:.0f} s"
         if state.state in _WORDS:
@@ -108,7 +108,7 @@ class DriverLink:
         if not self.acknowledged:
             return ""
         if self._answer is None:
-            return "sent, but the driver has not acknowledged it in time: withdrawn"
+            return "sent, but not acknowledged by the driver in time, so it was withdrawn"
         refused = self._answer.event == Motion.REFUSED
         return f"the driver refused it: {self._answer.message}" if refused else ""
 
@@ -167,7 +167,7 @@ class DriverLink:
     def report(self) -> Report:
         """State of the driver, for diagnostics."""
         if not self.acknowledged:
-            return Report(OK, "not acknowledged: what is sent counts as commanded")
+            return Report(OK, "no acknowledgement is expected: what is sent counts as accepted")
         why = self.refusal
         if why:
             return Report(ERROR if self._rival_s > self._heard_s - _SILENT_S else WARN, why)

@@ -37,7 +37,7 @@ class Twins:
         """Why the arm must not be moved; empty where no other is on the graph."""
         if self._alone >= _ALONE:
             return ""
-        return "a second kinematics is on the graph, both command this arm: end one of them"
+        return "two kinematics command this arm: end one of them"
 
     def _look(self) -> None:
         several = self._node.count_publishers(self._topic) > 1
@@ -60,7 +60,7 @@ TIP_SAID = "tip by readings"
 """Part of `kinematics` on /diagnostics that says where the tip stands."""
 RING_SAID = "ring"
 """Part of it that says how the tip rings after the last move."""
-PERIOD = Param("diagnostics_period_s", 1.0, "between two reports on /diagnostics", 0.05, 60.0)
+PERIOD = Param("diagnostics_period_s", 1.0, "time between two reports on /diagnostics", 0.05, 60.0)
 """A parameter of every node."""
 
 OK, WARN, ERROR, STALE = (

@@ -145,7 +145,11 @@ class Service:
 
 
 TARGET_POSE = Topic(
-    "target_pose", PoseStamped, 2000, RELIABLE, "pose for the tip to reach, base frame; latest wins"
+    "target_pose",
+    PoseStamped,
+    2000,
+    RELIABLE,
+    "pose that the tip shall reach, base frame; the latest wins",
 )
 JOINT_TRAJECTORY = Topic(
     "joint_trajectory", JointTrajectory, 200, RELIABLE, "compensated joints, rad and m"
@@ -157,24 +161,32 @@ JOINT_STATES = Topic(
     "joint_states", JointState, 10, BEST_EFFORT, "joints as the servos report them, rad and m"
 )
 PLANNED_JOINTS = Topic(
-    "planned_joint_states", JointState, 10, RELIABLE, "where a planner for the declared arm sees it"
+    "planned_joint_states",
+    JointState,
+    10,
+    RELIABLE,
+    "the joints as a planner for the declared arm should see them",
 )
 MOTION = Topic(
-    "motion", Motion, 2000, RELIABLE, "what became of every trajectory, told by the driver"
+    "motion", Motion, 2000, RELIABLE, "what happens to every trajectory, from the driver"
 )
 WITHDRAWN = Topic(
     "withdrawn",
     String,
     10,
     RELIABLE,
-    "id of a trajectory that moves nothing any more",
+    "id of a trajectory that must not move the arm any more",
 )
 DRIVER_STATE = Topic(
     "servo_driver/state", DriverState, 1, RELIABLE, "whether the driver takes trajectories",
     latched=True,
 )  # fmt: skip
 PREDICTED_ERROR = Topic(
-    "predicted_error", Vector3Stamped, 20, RELIABLE, "each learned error requested, base frame, m"
+    "predicted_error",
+    Vector3Stamped,
+    20,
+    RELIABLE,
+    "every learned error that was asked for, base frame, m",
 )
 TIP_MEASURED = Topic(
     "tip_measured",
@@ -188,7 +200,7 @@ TIP_BY_READINGS = Topic(
     PoseWithCovarianceStamped,
     20,
     RELIABLE,
-    "tip as the readings of the joints say, with its covariance, base frame",
+    "tip computed from the joints' readings, with its covariance, base frame",
 )
 LEFT_IMAGE = Topic(
     "left/image_raw", Image, 5, BEST_EFFORT, "left image, grey, colour, YUV or Bayer"
@@ -240,9 +252,11 @@ RELOAD = Service("~/reload", Trigger, "read the node's files again")
 ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; false: ready again")
 HOLD = Service("~/hold", SetBool, "true: stop, stay with torque on, refuse commands; false: ready")
 FREEZE = Service("~/freeze", SetBool, "true: learn no more at work; false: learn again")
-UNDO = Service("~/undo", Trigger, "serve the version before what was learned last; then frozen")
-PAUSE = Service("collect/pause", SetBool, "true: `longarm collect` rests after the pose at hand")
-RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
+UNDO = Service(
+    "~/undo", Trigger, "go back to the version before the last learned change, and freeze"
+)
+PAUSE = Service("collect/pause", SetBool, "true: `longarm collect` rests after this pose")
+RESET = Service("~/reset", Trigger, "end a fault whose cause is gone")
 
 REACH = Action("reach", Reach, "move the tip to a target and say where it came to rest")
 FOLLOW = Action(

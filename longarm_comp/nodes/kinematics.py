@@ -33,19 +33,19 @@ from longarm_interfaces.msg import Motion
 
 PARAMS = (
     *arm_state.PARAMS,
-    Param("base_frame", "base", "frame that targets and measurements are given in"),
+    Param("base_frame", "base", "frame of targets and measurements"),
     *compensator.PARAMS,
     *targets.PARAMS,
-    Param("acknowledged", True, "the driver says what becomes of a trajectory (docs/ros.md)"),
-    Param("compiled", True, "compile the search (needs llvmlite; about a second a model)"),
-    Param("queue", 200, "targets that may wait", 1, 10000),
+    Param("acknowledged", True, "the driver reports what happens to a trajectory (docs/ros.md)"),
+    Param("compiled", True, "compile the inverse kinematics (needs llvmlite; a second a model)"),
+    Param("queue", 200, "largest number of targets that wait", 1, 10000),
     *reach.PARAMS,
     *monitoring.PARAMS,
     *learning.PARAMS,
     *drawing.PARAMS,
     *payload.PARAMS,
-    Param("shaped", False, "the driver sends moves in parts that cancel their ring"),
-    Param("trimmed", False, "the driver trims: what encoders see is not compensated again"),
+    Param("shaped", False, "the driver splits moves so that they leave little ring"),
+    Param("trimmed", False, "the driver trims: errors that encoders see are not compensated"),
     PERIOD,
 )
 
@@ -139,8 +139,8 @@ class Kinematics(ArmNode):
         deaf = [e.node_name for e in ends if e.qos_profile.reliability is BEST_EFFORT]
         if deaf:
             names = ", ".join(sorted(deaf))
-            return Report(WARN, f"targets of {names} are not heard: target_pose is reliable")
-        return Report(OK, "one kinematics, every publisher of targets is heard")
+            return Report(WARN, f"targets of {names} are not received: target_pose is reliable")
+        return Report(OK, "one kinematics; the targets of all publishers are received")
 
 
 main = program(Kinematics)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 PARAMS = (
     Param("learning", False, "the model learns from ordinary moves (docs/at_work.md)"),
-    Param("learning_step_m", 2e-3, "largest step of the tip by one sighting", 1e-6, 0.1),
+    Param("learning_step_m", 2e-3, "largest correction of the tip by one sighting", 1e-6, 0.1),
 )
 
 
@@ -77,7 +77,7 @@ class Learning:
         if self.learner is None:
             return False, _OFF
         self._take(self.learner.undo())
-        return True, f"version {len(self.learner.versions)} is served, and nothing is learned"
+        return True, f"version {len(self.learner.versions)} is in use, and nothing is learned"
 
     def _take(self, after: Learner) -> None:
         from longarm_comp.core.at_work import file

@@ -24,11 +24,11 @@ from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_comp.nodes.stamps import stamp_ns
 
 PARAMS = (
-    Param("readings.period_s", 1.0, "between two tip_by_readings; 0: none", 0.0, 60.0),
-    Param("monitor.settle_s", 0.5, "joints at rest for so long before the tip counts", 0.0, 60.0),
+    Param("readings.period_s", 1.0, "time between two tip_by_readings; 0: none", 0.0, 60.0),
+    Param("monitor.settle_s", 0.5, "time at rest before the tip is measured", 0.0, 60.0),
     Param("monitor.sightings", 3, "sightings averaged at a rest pose", 1, 1000),
-    Param("monitor.sigma_m", 1e-3, "promised error without a predictor, per axis", 1e-6, 1.0),
-    Param("monitor.run_length", 10000.0, "rest poses between false alarms, at least", 2.0, 1e9),
+    Param("monitor.sigma_m", 1e-3, "expected error per axis if there is no predictor", 1e-6, 1.0),
+    Param("monitor.run_length", 10000.0, "at most one false alarm in so many rest poses", 2.0, 1e9),
 )
 
 
@@ -210,13 +210,13 @@ class TipMonitor:
         self._servos = self._servos.seen(off, np.full(3, self._sigma_m))
 
     def servo_report(self) -> Report:
-        """Whether joints stand where commands promised, for diagnostics."""
+        """Whether joints stand where they were sent, for diagnostics."""
         verdict = self._servos.verdict()
         facts = {"moves": verdict.samples, EVIDENCE: round(verdict.evidence, 3)}
         if verdict.drifted:
-            said = f"the joints' readings leave what commands promised: {verdict.finding}"
+            said = f"the joints' readings differ from the commands: {verdict.finding}"
             return Report(WARN, said, facts)
-        return Report(OK, "joints stand where commands promised", facts)
+        return Report(OK, "joints stand where they were sent", facts)
 
     def target_report(self) -> Report:
         """Whether tips come to rest at their targets, for diagnostics."""
@@ -230,9 +230,9 @@ class TipMonitor:
             return Report(OK, "tips come to rest at their targets", facts)
         if self._monitor.verdict().drifted:
             return Report(
-                WARN, f"beside the target, as beside the prediction: {verdict.finding}", facts
+                WARN, f"the tip misses target and prediction alike: {verdict.finding}", facts
             )
-        cause = "the predictions are right, so the commands were for other circumstances"
+        cause = "the predictions are right, so the commands were computed for other circumstances"
         return Report(WARN, f"beside the target: {verdict.finding}; {cause}", facts)
 
     @property
@@ -260,4 +260,4 @@ class TipMonitor:
         }
         if verdict.drifted:
             return Report(WARN, f"{verdict.finding}; run: {self._advice}", facts)
-        return Report(OK, "residuals are as promised", facts)
+        return Report(OK, "residuals are as expected", facts)

@@ -26,7 +26,7 @@ from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.nodes.worker import Worker
 
 WATCH = Param(
-    "watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0
+    "watch_period_s", 1.0, "time between two checks whether the file changed", 0.1, 3600.0
 )
 """A parameter of every node that reads files again."""
 

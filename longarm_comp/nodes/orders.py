@@ -94,17 +94,19 @@ class Freshness:
         ns = stamp_ns(stamp)
         why = untimely(self._clock, ns, self.max_age_s) if ns else ""
         if not why and (not ns or self._clock.ros_time_is_active) and self.away_s > self.max_age_s:
-            why = f"may be {self.away_s:.1f} s old: so long was this node away"
+            why = f"may be {self.away_s:.1f} s old, because this node was away for so long"
         return f"the order {why}, allowed {self.max_age_s:g} s" if why else ""
 
 
 PARAMS = (
-    Param("order_max_age_s", 2.0, "older trajectories and goals move nothing", 0.01, 60.0),
-    Param("unstamped", False, "take up trajectories with the stamp 0 too (docs/ros.md)"),
+    Param("order_max_age_s", 2.0, "trajectories and goals older than this are refused", 0.01, 60.0),
+    Param("unstamped", False, "also accept trajectories with the stamp 0 (docs/ros.md)"),
 )
 
 
-_NO_STAMP = "header.stamp: 0; allowed: when it was sent, or set unstamped of servo_driver to true"
+_NO_STAMP = (
+    "header.stamp: 0; allowed: the time of sending, or set unstamped of servo_driver to true"
+)
 
 
 class Driver(Protocol):

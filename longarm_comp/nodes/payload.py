@@ -22,12 +22,14 @@ from longarm_comp.nodes.messages import wrench_of
 from longarm_comp.nodes.params import Param
 
 PARAMS = (
-    Param("servos", "", "the driver's file: what its servos tell of loads; empty: nothing"),
-    Param("payload.by_load", False, "a payload that nobody tells is what drives and wrist feel"),
-    Param("payload.wrench_sigma_n", 1.0, "zero and noise of the wrist's force", 1e-4, 1e4),
+    Param("servos", "", "servo_driver.yaml, for the loads that servos report; empty: none"),
+    Param("payload.by_load", False, "if nobody publishes a payload, estimate it from the loads"),
+    Param(
+        "payload.wrench_sigma_n", 1.0, "uncertainty of the wrist force and of its zero", 1e-4, 1e4
+    ),
 )
 
-_NOTHING = "not weighed: no drive or wrist sensor tells a load"
+_NOTHING = "the payload is not estimated: no drive or wrist sensor reports a load"
 
 
 class Weigher:
@@ -110,7 +112,7 @@ class Weigher:
         said = self._told if self._told is not None else self._arm.payload.mass_kg
         who = "told" if self._told is not None else "declared"
         if self._weighing.contradicts(said):
-            wrong = f"{found} is felt, and {said:g} kg is {who}: weigh it, or say what is carried"
+            wrong = f"{found} is felt, but {said:g} kg is {who}: weigh the payload and publish it"
             return Report(WARN, wrong, facts)
         if not found.tells(self._reference):
             return Report(OK, f"friction hides the payload: {found}", facts)

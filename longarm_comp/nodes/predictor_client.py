@@ -112,7 +112,7 @@ class PredictorClient:
             raise NoAnswer("no error_predictor is running")
         if self._silent:  # only the first target waits for the timeout
             self.probe()
-            raise NoAnswer("error_predictor does not answer, physics only until it does")
+            raise NoAnswer("error_predictor does not answer, physics only until it answers")
         answer = self._caller.answer(self._caller.send(request), self._timeout_s)
         self._note(answers=answer is not None, silent=answer is None)
         if answer is None:

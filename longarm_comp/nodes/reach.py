@@ -22,8 +22,8 @@ from longarm_interfaces.msg import Motion
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
-    Param("reach.feedback_s", 0.1, "between two feedbacks of the action reach", 0.01, 10.0),
-    Param("reach.look_s", 5.0, "patience with sightings of the tip at rest; 0: none", 0.0, 600.0),
+    Param("reach.feedback_s", 0.1, "time between two feedbacks of the action reach", 0.01, 10.0),
+    Param("reach.look_s", 5.0, "longest wait for sightings at rest; 0: none", 0.0, 600.0),
 )
 
 
@@ -50,7 +50,7 @@ class ReachServer:
     def _no_driver(self) -> str:
         """Why no driver will say that a move is done; empty where it does."""
         if not self._state.driver.acknowledged:
-            return "the driver does not say what is reached: acknowledged is false"
+            return "the driver does not report what is reached: acknowledged is false"
         return self._state.driver.refusal
 
     # ------------------------------------------------------------------ one goal
@@ -68,7 +68,7 @@ class ReachServer:
             while self._turns[0] is not turn:
                 if goal.is_cancel_requested:
                     goal.canceled()
-                    return Reach.Result(message="cancelled before it was begun", **_unseen())
+                    return Reach.Result(message="cancelled before it began", **_unseen())
                 self._feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
             if fresh:  # waiting for its turn, of which the client is told, makes it no older

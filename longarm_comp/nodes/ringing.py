@@ -20,16 +20,16 @@ class RingTeller:
     """Computes on the worker, when a move has ended and nothing else waits.
 
     Args:
-        shaped: whether the driver sends moves in parts that cancel their ring.
+        shaped: whether the driver splits moves so that they leave little ring.
     """
 
     def __init__(self, state: ArmState, shaped: bool) -> None:
         self._state, self._shaped = state, shaped
         self._move: Any = None
         self._last: MoveRing | None = None
-        self._said = "not known, as no move has ended"
+        self._said = "not known, because no move has ended"
         if not state.driver.acknowledged:
-            self._said = "not known, as the driver does not say when it ends"
+            self._said = "not known, because the driver does not say when it ends"
 
     def told(self, motion: Motion) -> None:
         """Take what became of a trajectory."""
@@ -40,7 +40,11 @@ class RingTeller:
             if move.id == motion.id and not self._state.worker.waiting:
                 self._state.worker.submit(partial(self._compute, move))
         elif motion.event in (Motion.REPLACED, Motion.BROKEN_OFF):
-            self._move, self._last, self._said = None, None, "not known, as it did not end at rest"
+            self._move, self._last, self._said = (
+                None,
+                None,
+                "not known, because it did not end at rest",
+            )
 
     def _compute(self, move: Any) -> None:
         state, arm = self._state, self._state.arm
@@ -56,7 +60,7 @@ class RingTeller:
         times = np.array([seconds(point.time_from_start) for point in move.points])
         self._last = ring_after(state.files.loaded.model, context, start, points, times)
         if self._last is None:
-            self._said = "nothing bends by this model"
+            self._said = "by this model nothing bends"
         elif self._shaped:
             self._said = f"{self._last.hz:.2g} Hz; moves are shaped, little of the ring is left"
         else:

@@ -49,14 +49,14 @@ from longarm_comp.nodes.ticks import steady_timer
 from longarm_interfaces.msg import DriverState, Motion
 
 PARAMS = (
-    Param("rate_hz", 50.0, "cycles a second: read all servos, command all", 1.0, 500.0),
-    Param("arm", "", "arm.yaml whose steps and keep-out boxes hold; empty: not checked"),
-    Param("shaping", False, "moves from rest are sent in parts that cancel the ring of `arm`"),
-    Param("model", "", "model.yaml that says how the arm rings; empty: the arm as declared"),
-    Param("autostart", True, "configure and activate by itself, and again after a failure"),
-    Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
-    Param("patience_s", 5.0, "no servos at the start are an error only after it", 0.0, 600.0),
-    Param("trim", False, "after a move, goals are moved until the readings stand where sent"),
+    Param("rate_hz", 50.0, "cycles a second; each reads and commands all servos", 1.0, 500.0),
+    Param("arm", "", "arm.yaml with servo steps and keep-out boxes; empty: no checks"),
+    Param("shaping", False, "split moves from rest so that `arm` rings little"),
+    Param("model", "", "model.yaml that predicts the ring; empty: the arm as declared"),
+    Param("autostart", True, "configure and activate without being asked, also after a failure"),
+    Param("retry_s", 1.0, "pause between two attempts to configure and activate", 0.1, 60.0),
+    Param("patience_s", 5.0, "time at the start before missing servos are an error", 0.0, 600.0),
+    Param("trim", False, "after a move, correct the goals until readings and command agree"),
     *orders.PARAMS,
     PERIOD,
 )
@@ -341,7 +341,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def _hold(self, on: bool) -> None:
         if self._arm is None or (on and not self._active):
-            raise LongarmError("the driver is not active: there is no torque to hold with")
+            raise LongarmError("the driver is not active, so there is no torque to hold the arm")
         self._arm.follower.hold(on)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

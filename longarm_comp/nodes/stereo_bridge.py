@@ -47,14 +47,14 @@ MARKER_LOST = "marker lost: "
 
 
 PARAMS = (
-    Param("base_frame", "base", "frame that the tip is reported in"),
-    Param("rectified", False, "images are rectified (only P of camera_info holds)"),
-    Param("cameras", "", "folder of left.yaml and right.yaml; empty: camera_info holds"),
-    Param("image_transport", "raw", "which images are heard", choices=tuple(_TRANSPORTS)),
-    Param("reliable_images", True, "no image is lost, if the cameras publish so; one machine"),
-    Param("slop_ms", 5.0, "left and right stamps within it make a pair", 0.0, 1000.0),
-    Param("queue", 8, "images a side that wait for a partner", 1, 100),
-    Param("publish_lost", True, "a refused pair is published too, with its position NaN"),
+    Param("base_frame", "base", "frame in which the tip is reported"),
+    Param("rectified", False, "images are rectified (only P of camera_info is used)"),
+    Param("cameras", "", "folder of left.yaml and right.yaml; empty: camera_info is used"),
+    Param("image_transport", "raw", "which images to subscribe to", choices=tuple(_TRANSPORTS)),
+    Param("reliable_images", True, "reliable transport, for cameras on the same machine"),
+    Param("slop_ms", 5.0, "largest difference between the stamps of a pair", 0.0, 1000.0),
+    Param("queue", 8, "images of each side that wait for a partner", 1, 100),
+    Param("publish_lost", True, "also publish refused pairs, with position NaN"),
     Param("hand_eye.xyz", [0.75, -1.7, 0.3], "left optical frame in the base frame, m"),
     Param(
         "hand_eye.quaternion",
@@ -181,7 +181,7 @@ class _StereoBridge(ArmNode):
             if eye is None:
                 self._count("camera_info is missing or no calibration", pair.stamp_ns)
             elif not self._worker.submit(partial(self._measure, eye, pair)):
-                self._count("a pair came before the last was measured", None)
+                self._count("a new pair came before the last one was measured", None)
 
     def _measure(self, eye: StereoEye, pair: Pair[Any]) -> None:
         """Measure a pair and publish the tip, on the worker's thread."""

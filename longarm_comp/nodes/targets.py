@@ -36,8 +36,8 @@ from longarm_interfaces.srv import Compensate
 PARAMS = (
     Param("position_only", False, "targets on target_pose leave the orientation free", live=True),
     Param("target_max_age_s", 5.0, "targets with an older stamp are refused", 0.01, 1e6),
-    Param("move_time_s", 0.5, "asked of the driver, which slows down to its limits", 0.0, 600.0),
-    Param("acknowledge_s", 2.0, "patience with the driver's acknowledgement", 0.01, 60.0),
+    Param("move_time_s", 0.5, "time asked for a move; the driver may need longer", 0.0, 600.0),
+    Param("acknowledge_s", 2.0, "longest wait for the driver's acknowledgement", 0.01, 60.0),
 )
 
 
@@ -118,7 +118,7 @@ class TargetInlet:
         asked = Compensate.Request(target=pose, position_only=free, execute=True)
         request = self.asked(asked, taken[1])
         if late:
-            self._refuse(request, Status.SUPERSEDED, "a later target came before it was begun")
+            self._refuse(request, Status.SUPERSEDED, "a later target came before work on it began")
         else:
             self._serve(request)
         self._publish_answer(request)
@@ -224,7 +224,7 @@ class TargetInlet:
             "waiting": self._worker.waiting + (self._latest is not None),
             "superseded, not told yet": len(self._passed),
             "last refusal": self._node.tally.last,
-            "superseded without a story": self._untold,
+            "superseded; its fate was not recorded": self._untold,
             "lost on the way": self._worker.inlets.lost,
         }
         if self._state.doubt:

@@ -78,7 +78,7 @@ def _judged(diagnosis: Diagnosis, one: Smallest) -> tuple[str, str]:
     if alike and (places & set(alike[0].where) or "arm" in places):
         return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
     if value >= need:
-        return "rejected", f"log Bayes factor {value:.1f}, but the rest makes it superfluous"
+        return "rejected", f"log Bayes factor {value:.1f}, but the other effects already explain it"
     if not one.visible:
         return "invisible", _unseen(one)
     return "rejected", f"log Bayes factor {value:.1f}, needs {need:.1f}"
@@ -86,7 +86,7 @@ def _judged(diagnosis: Diagnosis, one: Smallest) -> tuple[str, str]:
 
 def _unseen(one: Smallest) -> str:
     if not math.isfinite(one.size):
-        return "no size of it would show: geometry takes it up, or the poses do not excite it"
+        return "would not show at any size: the geometry explains it, or the poses do not excite it"
     return (
         f"would show above {1e3 * one.shift_m:.1f} mm at the tip only, {one.size:.0f} times its "
         f"typical size (believed up to {IMPLAUSIBLE:.0f})"

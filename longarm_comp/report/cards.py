@@ -110,7 +110,7 @@ def _duty(gain_mm: float, first: str, report: DiagnosisReport) -> tuple[str, str
 def _first(finding: ReportFinding, report: DiagnosisReport) -> str:
     """What would decide a doubt; empty where there is none."""
     if len(finding.set) > 1:
-        poses = "the poses of next_poses.csv tell" if report.next_poses else "a look at it tells"
+        poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
         return f"{poses} that it is {finding.effect}, not {listed(_others(finding))}."
     if finding.unnamed:
         return f"a look at it shows the cause: {finding.unnamed}."
@@ -126,13 +126,13 @@ def _others(finding: ReportFinding) -> list[str]:
 def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
     """A cause without a name: its formula and what it behaves like."""
     word, others = _word(found.log_evidence), found.set[1:]
-    said = f"Odds of {odds(found.log_evidence)} for it, the choice among all functions paid for."
+    said = f"Odds of {odds(found.log_evidence)} for it, counting all functions that were tried."
     if others:
         said += f" Places that explain it as well: {listed(others)}."
     tip = f"{millimetres(found.tip_mm.rms)} at the tip, up to {millimetres(found.tip_mm.max)}"
-    held = "Inside the range of the data the new model.yaml compensates it."
+    held = "Within the range of the data the new model.yaml compensates it."
     gain = found.held_out_rms_mm[0] - found.held_out_rms_mm[1]
-    duty, why = _duty(gain, "something there acts like this.", report)
+    duty, why = _duty(gain, "you find something there that acts like this.", report)
     return _Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
         names="",
@@ -244,7 +244,7 @@ def _software(finding: ReportFinding, report: DiagnosisReport) -> str:
         return "The new model.yaml compensates it."
     mine = [s for s in report.held_out.not_commanded if s.startswith(f"{finding.effect} (")]
     why = mine[0][len(finding.effect) :] if mine else ""
-    return f"Commands leave it out{why}: software does not compensate it."
+    return f"Commands leave it out{why}; the software does not compensate it."
 
 
 def _improves(finding: ReportFinding) -> str:

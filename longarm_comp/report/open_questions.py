@@ -23,7 +23,7 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
     made = [Open(_split(split)) for split in detail.splits]
     split = {tuple(split.members) for split in detail.splits}
     made += [
-        Open(f"Whether it is {listed(f.set)}. No splitting poses were sought.")
+        Open(f"Whether it is {listed(f.set)}. No poses to decide it were looked for.")
         for f in report.findings
         if len(f.set) > 1 and tuple(f.set) not in split
     ]
@@ -31,7 +31,7 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
     more = len(report.next_poses) - sum(len(split.q) for split in detail.splits)
     if doubts:
         poses = f": {more} poses in next_poses.csv would tell" if more > 0 else ""
-        made.append(Open(f"What was found without a name is in doubt{poses}:", tuple(doubts)))
+        made.append(Open(f"The function without a name is in doubt{poses}:", tuple(doubts)))
     rows = report.candidates
     untested = tuple(
         f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable" and c.why != NO_PLACE
@@ -40,7 +40,7 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
         made.append(Open("Not testable with this session:", untested))
     unseen = tuple(f"{c.effect}, {c.where}: {c.why}" for c in rows if c.state == "invisible")
     if unseen:
-        made.append(Open("May be there, but would not show at its usual size:", unseen))
+        made.append(Open("May exist, but would not show at its usual size:", unseen))
     return made
 
 

@@ -35,12 +35,12 @@ def meaning(report: DiagnosisReport) -> str:
         ),
         "partly": (
             f"{_partly(n, unnamed)} a part of what the model lacked; "
-            + ("structure is left." if left.flag else "it could have too many names.")
+            + ("structure is left." if left.flag else "too many names could explain the rest.")
         ),
         "unknown": (
             f"There is structure that no effect of the library explains; {added}."
             if left.flag
-            else f"Effects were found in the fitted poses but not proven on others; {added}."
+            else f"Effects were found in the fitted poses, but not proven at other poses; {added}."
         ),
         "bad_data": "The data were refused; nothing was fitted, nothing was added.",
     }[report.verdict]

@@ -36,7 +36,7 @@ _SLACK = 1e-6  # printed digits of a joint that stands on its limit
 
 
 def write_poses(plan: Plan, path: str | Path, write: WriteTable = write_table) -> None:
-    """Write a plan, whole or not at all; ``write`` may give it another form."""
+    """Write a plan, whole or not at all; ``write`` may write another form."""
     columns: dict[str, Sequence[object] | np.ndarray] = {
         "index": range(len(plan)),
         **written_approach(plan.approach),

@@ -14,7 +14,7 @@ from longarm_comp.sessions.touches import read_touches
 def read_session(path: str | Path, arm: Arm) -> Session:
     """A CSV file, or a rosbag2: its folder or a ``.mcap`` or ``.db3`` file.
 
-    ``touches.yaml`` beside it says what is known of the points that it touched.
+    ``touches.yaml`` beside it holds known distances of the points that it touched.
 
     Raises:
         InputError: it cannot be read in the format of its name.

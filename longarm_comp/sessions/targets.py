@@ -76,7 +76,7 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
     """Read ``x,y,z[,qx,qy,qz,qw][,frame][,temperature_c,payload_kg,t_s,approach][,index]``.
 
     A row with a blank quaternion leaves the orientation free; other columns are kept as
-    context, as in a session. ``read`` may know another form of the table.
+    circumstances, as in a session. ``read`` may read another form of the table.
 
     Raises:
         InputError: names file, line and column, what was found and what is allowed.

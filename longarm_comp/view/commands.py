@@ -59,10 +59,10 @@ RELEASES = (
     Button("Release stop", graph.ESTOP, _off, _GREY,
            "Torque on where the arm stands; trajectories are taken again."),
     Button("Reset fault", graph.RESET, Trigger.Request, _GREY,
-           "Leaves a fault whose cause is gone."),
+           "Ends a fault whose cause is gone."),
 )  # fmt: skip
 PAUSES = (
-    Button("Pause collect", graph.PAUSE, _on, _GREY, "It rests after the pose at hand."),
+    Button("Pause collect", graph.PAUSE, _on, _GREY, "It rests after this pose."),
     Button("Resume collect", graph.PAUSE, _off, _GREY, "It goes on."),
 )
 

@@ -20,17 +20,17 @@ def headline(state: PageState, now: float, namespace: str) -> str:
     if math.isinf(silent):
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
         return (
-            f"Nothing heard yet in namespace {namespace} of ROS domain {domain}. "
+            f"Nothing received yet in namespace {namespace} of ROS domain {domain}. "
             "Is the graph up (longarm up)?"
         )
     if silent:
-        return f"The graph is silent for {_ago(silent)}. What is shown is what it said last."
+        return f"The graph is silent for {_ago(silent)}. The page shows its last state."
     unread = state.unread_s(now)
     if unread:
         return f"No joint_states{'' if math.isinf(unread) else f' for {_ago(unread)}'}."
     words, why = state.driver
     if not words:
-        return "The joints are read; no driver says what it does."
+        return "Joint readings arrive; no driver reports its state."
     return f"The driver is {words}{f' ({why})' if why else ''}."
 
 
@@ -102,9 +102,8 @@ def exaggeration(deflection: float, error: float) -> str:
     """What is drawn larger than it is."""
     bent = "to scale" if deflection == 1.0 else f"{deflection:g} times larger than it is"
     arrows = "to scale" if error == 1.0 else f"{error:g} times longer than they are"
-    return (
-        f"The blue arm's deflection is drawn {bent}, error arrows {arrows}. All else is to scale."
-    )
+    drawn = f"The blue arm's deflection is drawn {bent}, error arrows {arrows}."
+    return f"{drawn} Everything else is to scale."
 
 
 def drift(state: PageState) -> str:

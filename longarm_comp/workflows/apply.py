@@ -136,7 +136,7 @@ def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
         return report.summary
     if pair[1] < WORTH * pair[0]:
         return ""
-    said = f"Held-out mean error of the model at work {pair[0]:.3f} -> {pair[1]:.3f} mm"
+    said = f"Held-out mean error of the model in use {pair[0]:.3f} -> {pair[1]:.3f} mm"
     return f"{report.summary} {said}"
 
 
@@ -170,13 +170,13 @@ def _before(provenance: dict[str, str | int | float], made: Path, model: Path, a
         at_work = restore(stored, arm, str(model))
         now = file_hash(model)
         if now == file_hash(made):
-            raise InputError(made, "model", "at work already", "a diagnosis that is not")
+            raise InputError(made, "model", "in use already", "another diagnosis")
         if stored.version == AS_DECLARED and not diagnosed:
             return at_work
     if diagnosed != now:
         raise InputError(
             made, f"provenance.{MODEL_BEFORE}", str(diagnosed)[:12] or "the declared arm",
-            f"the model at work, {now[:12] or 'the declared arm'}: diagnose with --model {model}",
+            f"the model in use, {now[:12] or 'the declared arm'}: diagnose with --model {model}",
         )  # fmt: skip
     return at_work
 

@@ -236,28 +236,30 @@ def calibrate(
 ) -> Calibration:
     """Fit geometry and declared effects of an arm to a session.
 
-    A ladder of models of growing complexity is fitted without the held-out blocks and evaluated
-    on them. The last one is then fitted to all rows.
+    Models that know more and more are fitted without the held-out rows and compared at them. The
+    last model is then fitted to all rows.
 
     Args:
         arm: as declared.
         session: measurements, or their CSV or bag. Rows without a marker are not fitted.
-        effects: effects to add, one rung each: a canonical name (on every joint or beam that
-            may have it), one instance, or several that are fitted together.
+        effects: effects to add, one model for each: a canonical name (at every joint or beam that
+        may have it), one instance, or several that are fitted together.
         deflection: whether the declared beams sag.
         fraction: share of the rows to hold out.
         seed: seed of the split.
-        kind_of: calibrated models of other arms of the kind, or their files; how these arms differ
-            from the drawing is then what is expected of this one. An arm.yaml beside a file is
-            that arm's; without one it is an arm as this one is declared.
+        kind_of: calibrated models of other arms of the kind, or their files. This arm is then
+        expected to differ from its drawing as they do. An arm.yaml beside a file declares that arm;
+        without one, it is declared as this arm.
         note: called with each finding of the admission.
-        progress: true: tell each step; or called with the model being fitted and the share done.
+        progress: True: print each step; or a function, called with the model being fitted and the
+        share done.
 
     Raises:
         InputError: the session was refused; an effect has no place on this arm or needs an input
             that was not recorded.
-        JobError: a fit diverged, or may not be believed: worse on unseen rows than placed
-            frames alone, not carried over to them, or an effect of a size that no arm has.
+        JobError: a fit diverged or is not plausible: it is worse at held-out rows than placed
+        frames alone, much worse there than at the fitted rows, or has an effect of a size that no
+        arm has.
     """
     for effect in effects:
         if isinstance(effect, str):

@@ -1,4 +1,4 @@
-"""Joint commands that bring the real tip to targets."""
+"""Compute joint commands that bring the real tip to targets."""
 
 from __future__ import annotations
 
@@ -167,15 +167,14 @@ def compensate(
         targets: positions (N, 3) in m or poses (N, 4, 4), one of them, or `Targets` that were
             read from a file. Those with an orientation are poses.
         predictor: of the residual of this model, from `train` or `load_predictor`.
-        method: ``none``, ``deflection``, ``network`` or ``both``; by default all that is given.
-        frame: of targets that do not say it: ``base``, the arm's own, or ``measured``, that of
-            the rows that the model was calibrated with. It may be left out where both mean the
-            same place.
+        method: ``none``, ``deflection``, ``network`` or ``both``; by default all that was given.
+        frame: frame of targets that do not state it: ``base``, the arm's own, or ``measured``, that
+        of the rows with which the model was calibrated. It may be left out if both are the same.
         context: circumstances at the targets; `Targets` have their own. Sides of arrival that it
             holds are used.
         history: session, or its file, after which the targets are executed in their order. Its
             last row gives the joints' positions and history. Without it these are unknown.
-        run_up: whether joints may run up to a target, so that they arrive from a chosen side.
+        run_up: whether joints may make a run-up, so that they arrive from a chosen side.
         realisable: whether commands are chosen among the joint values that the servos can hold,
             by the steps that the arm declares or by a lattice (docs/realisable.md). Switch it
             off for paths.
@@ -190,14 +189,14 @@ def compensate(
         raised.
 
     Raises:
-        InputError: shapes do not fit, an option is not allowed, the frame is not said and
-            matters, or the predictor belongs to another arm, model or method.
+        InputError: shapes do not fit, an option is not allowed, the frame matters and is not
+        stated, or the predictor belongs to another arm, model or method.
     """
     if predictor is not None:
         check_predictor(predictor, model, "compensate")
     chosen = fitting(predictor) if method is None else method_of(method)
     if predictor is not None and chosen.learned and chosen is not fitting(predictor):
-        allowed = f"{fitting(predictor).value}: as the predictor was trained"
+        allowed = f"{fitting(predictor).value}: because the predictor was trained so"
         raise InputError("compensate", "method", chosen.value, allowed)
     goals, contexts, numbers = goals_of(model, targets, context)
     placements = placements_of(model, targets, goals, contexts, frame or "")

@@ -71,18 +71,19 @@ def compensate_path(
     locked: Sequence[int | str] = (),
     **settling: Any,
 ) -> PathCommands:
-    """Joints that bring the real tip of an arm along a path, and when they are due.
+    """Joints that bring the real tip of an arm along a path, with their times.
 
     Args:
         model, predictor, method, frame, context, history, locked, settling: as in `compensate`.
         path: way-points in their order: positions (N, 3) in m or poses (N, 4, 4), or `Targets`
             that were read from a file; their t_s are the times.
-        times: (N,) s, rising. They stay where the limits allow and no play is taken up. None: with
-            both limits as fast as these allow, else a second a way-point.
-        max_velocity, max_acceleration: one for every joint, or (n,); rad/s, m/s, and a second.
-        max_correction_m: most that the declared arm's tip may be moved, m.
-        max_longer: share by which it may take longer, so that play is taken up without a kick
-            where joints turn; 0: exact times.
+        times: (N,) s, rising. They are kept if the limits allow and no play is taken up. None: as
+        fast as both limits allow; without limits, one second for each way-point.
+        max_velocity, max_acceleration: one for every joint, or (n,); rad/s and m/s, or rad/s^2 and
+        m/s^2.
+        max_correction_m: largest correction of a way-point, m.
+        max_longer: share of time that may be added, so that play is taken up smoothly where joints
+        turn; 0: exact times.
         seed: (n,) joints to start the first search from.
         position_only: leave the orientation free.
 

@@ -149,19 +149,19 @@ def diagnose(
     note: Note = log_note,
     progress: Telling = False,
 ) -> DiagnosisResult:
-    """Find the effects that a model lacks in a session, add them, and prove them on a hold-out.
+    """Find in a session the effects that a model lacks, add them, and prove them on held-out rows.
 
     Args:
         arm: as declared.
         session: measurements, or their CSV or bag.
-        test: hold-out. Without it, blocks of the session are held out.
-        model: known model, or its file. Its effects are never added twice.
-        kind_of: as in `calibrate`. What these arms give way by is part of what is expected of this
-            one, and no finding.
+        test: held-out rows. Without them, blocks of the session are held out.
+        model: known model, or its file. Its effects are not added again.
+        kind_of: as in `calibrate`. Compliance that these arms have is expected of this arm too, and
+        is no finding.
         network: whether to train a network on the remaining error.
         seed: seed of all random choices.
         note: called with each finding of the admission.
-        progress: true: tell each step; or called with it.
+        progress: True: print each step; or a function that is called with it.
 
     Raises:
         InputError: the data were refused, or a file cannot be used.

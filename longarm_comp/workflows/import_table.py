@@ -30,7 +30,7 @@ def import_table(
     """Read CSV, TXT or XLSX of another program; several files make one session.
 
     Args:
-        units: of columns that name none, such as ``("mm", "deg")``.
+        units: units of columns whose names have none, such as ``("mm", "deg")``.
         names: session column by the file's, ``{"A": "q1", "B": "q2:mm"}``.
         rotation, sheet, decimal, join, sort, like: as the options of `longarm import-data`.
     """

@@ -60,29 +60,30 @@ def plan(
     points: Mapping[str, Vec3] | None = None,
     note: Note = log_note,
 ) -> Plan:
-    """n poses to measure an arm at, each with the side to approach it from.
+    """n poses at which to measure an arm, each with the sides of arrival.
 
     Args:
         arm: as declared.
         n: number of poses.
-        kind: ``sobol`` fills the joint box evenly; ``grid`` draws from the paper's levels;
-            ``i-optimal`` leaves the least expected error of the tip, ``d-optimal`` the least
-            volume of all parameters (docs/studies.md).
+        kind: ``sobol`` fills the joints' ranges evenly; ``grid`` draws from the paper's grid;
+        ``i-optimal`` leaves the least expected error of the tip, ``d-optimal`` the least
+        uncertainty of all parameters together (docs/collect.md).
         seed: seed of the random choices.
         report: folder of a diagnosis. Its requested poses are used, whatever the kind; for an
             optimal kind its model and session are what is known.
-        model: calibrated model, or its file: the arm has its effects and no others. Without one
-            every effect of the library may be there.
+        model: calibrated model, or its file: the arm is assumed to have its effects and no others.
+        Without one it may have every effect of the library.
         measured: rows that were measured so far, for an optimal kind.
         measure: what each pose measures: ``position``, ``pose``, ``distance`` to every anchor, or
             ``touch`` of one of `points`, for an optimal kind.
-        noise: of a length (m) and an angle (rad), where nothing was measured yet.
-        view_deg: half of the view of the cameras in arm.yaml; the tip must be in it.
-        keep_out: boxes that the arm must not enter, beside those of arm.yaml: x, y, z of two
-            corners each, m, base frame.
+        noise: noise of a length (m) and an angle (rad), if nothing was measured yet.
+        view_deg: half of the view angle of the cameras in arm.yaml; the tip must be in view.
+        keep_out: further boxes that the arm must not enter, besides those of arm.yaml: x, y, z of
+        two corners each, m, base frame.
         floor: height (m, base frame) that the arm must stay above.
-        seen: says of tip poses (M, 4, 4) which ones (M,) the cameras see; the others are left out.
-        points: points to touch by name, about where they are or might be bolted down, m, base.
+        seen: function that says which (M,) of the tip poses (M, 4, 4) the cameras see; others are
+        left out.
+        points: points to touch by name, and roughly where they are, m, base frame.
         note: called with each finding of the admission.
 
     Returns:

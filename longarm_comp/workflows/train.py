@@ -103,10 +103,10 @@ def train(
             trained with a file stores the hash of that file.
         deflection: False is the paper's "network only": the physics is rigid.
         inputs: ``context``: joints, approach, temperature, payload; ``joints``: as in the paper.
-        init: where back-propagation starts: sparrow search or Xavier.
+        init: initial weights: from sparrow search or Xavier.
         ensemble: number of networks, each from its own start.
         hidden: number of hidden units; chosen by evidence if not given.
-        weights: (N,) precision factors of the session's rows; 0 leaves one out.
+        weights: (N,) factors of the precision of the session's rows; 0 leaves a row out.
         seed: seed of all random choices.
         note: called with each finding of the admission.
         progress: called with the number of the network being trained.

@@ -35,8 +35,8 @@ def command(
 ) -> shape.Figures:  # fmt: skip
     """Command a simulated arm for a day while it wears, warms up and carries other loads.
 
-    Compares no compensation, one calibration, a calibration that is told the circumstances, one
-    that is diagnosed again when the drift monitor asks, and one that learns at work. Errors are of
+    Compares no compensation, one calibration, a calibration that knows the circumstances, one that
+    is diagnosed again when the drift monitor asks, and one that learns at work. Errors are of
     the true tip, at the targets that were served. Each arm takes some minutes.
 
     \b

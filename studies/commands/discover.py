@@ -28,7 +28,7 @@ def command(
     arm: Arm, chosen: tuple[str, ...], plans: tuple[str, ...], seeds: int, no_network: bool,
     seed: int, show: shape.Show,
 ) -> shape.Figures:  # fmt: skip
-    """Causes in no library: what calibration, library, discovery and learning leave of them.
+    """Hide causes that are in no library, and print the error left by each method.
 
     Errors are rms in mm against the truth without noise: on fresh poses of the plan that was
     measured, and at random poses off it. "nothing" hides nothing.

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @shape.study(shape.arm, shape.arms(5), options.seed)
 def command(arm: Arm, arms: int, seed: int, show: shape.Show) -> shape.Figures:
-    """Rows that a calibration needs where a row is a pose, a position, one distance, or a touch.
+    """How many rows a calibration needs if a row is a pose, a position, one distance, or a touch.
 
     Errors are of the true tip at poses that were not measured.
 

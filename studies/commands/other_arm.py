@@ -10,7 +10,7 @@ from studies.commands import shape
 
 @shape.study(options.path_option("--data", "Folder with dlr_justin.", required=True))
 def command(data: Path, show: shape.Show) -> shape.Figures:
-    """What the right arm of DLR Justin says of few rows of its left.
+    """Calibrate DLR Justin's left arm with few rows and the compliance of its right arm.
 
     \b
     Example:

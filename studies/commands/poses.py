@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def command(arm: Arm, arms: int, seed: int, show: shape.Show) -> shape.Figures:
     """Error of the true tip after 40, 60, 100, 200 poses by grid, Sobol and I-optimal choice.
 
-    The arms hide geometry errors and compliant joints, which the calibration is told of or has to
+    The arms have hidden geometry errors and soft joints, which the calibration knows or has to
     find. Each arm takes a few minutes.
 
     \b

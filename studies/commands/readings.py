@@ -13,7 +13,7 @@ from studies.commands import shape
     shape.number("--moves", 8, "Trimmed moves."),
 )
 def command(cases: int, moves: int, show: shape.Show) -> shape.Figures:
-    """What joint readings bring: names, the tip without a camera, trim.
+    """What joint readings improve: names of effects, the tip without a camera, trim.
 
     \b
     Example:

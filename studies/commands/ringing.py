@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 def command(arm: Arm, arms: int, moves: int, seed: int, show: shape.Show) -> shape.Figures:
     """How long the tip rings after a move, unshaped and shaped, to 0.1 mm.
 
-    The moves are shaped by the modes of the declared model, of one that was identified at rest,
-    and of the same with the frequencies of one ring that was seen; and with these 10 % wrong.
+    The moves are shaped with the modes of the declared model, of a model calibrated at rest, and of
+    the same model with the frequencies of one ring that was seen, also with these 10 % wrong.
 
     \b
     Example:

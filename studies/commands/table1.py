@@ -46,8 +46,8 @@ def command(
 ) -> shape.Figures:  # fmt: skip
     """Repeat the paper's Table I on simulated arms that execute the commands.
 
-    Each arm takes one to two minutes of one core. Errors are true tip minus target; "seen" uses
-    the tip that the stereo head reports.
+    Each arm takes one to two minutes of one core. Errors are true tip minus target; "seen" uses the
+    tip that the two cameras report.
 
     \b
     Examples:

@@ -14,7 +14,7 @@ _STEPS = 25  # places of the six arms: for the bar only
     options.path_option("--data", "Folder with a CSV an arm: location, socket, q1..q7.", True)
 )
 def command(data: Path, show: shape.Show) -> shape.Figures:
-    """What calibration and diagnosis leave at sockets held out in turn, on real arms.
+    """Errors of calibration and diagnosis at sockets held out in turn, on real arms.
 
     nominal: the data sheet, with the place of the ball; rigid: its geometry calibrated;
     diagnosed: with what a diagnosis of the same rows added.

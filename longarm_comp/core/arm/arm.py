@@ -139,7 +139,7 @@ class Joint(Declared):
         ends = [math.degrees(self.cylinder.angle(q)) for q in self.limits]
         if not 0 < min(ends) < max(ends) < 180:
             said = " to ".join(f"{end:.1f}" for end in sorted(ends))
-            allowed = "over the joint's limits within 0 to 180, where the pins are in line"
+            allowed = "over the joint's limits within 0 to 180 (there the pins are in line)"
             raise Misdeclared("cylinder.angle_deg", said, allowed)
 
     def _check_step(self, key: str | None) -> None:
@@ -322,7 +322,7 @@ class Arm(Declared):
 
     @property
     def mid(self) -> np.ndarray:
-        """Middle of the joint box, (n,)."""
+        """Middle of every joint's range, (n,)."""
         return (self.lower + self.upper) / 2
 
     @cached_property
@@ -342,7 +342,7 @@ class Arm(Declared):
         return matrix, offset
 
     def anchor(self, name: str) -> Vec3:
-        """Declared place of an anchor (m), the origin where it is to be solved."""
+        """Declared place of an anchor (m); the origin if it is to be solved."""
         held = self.anchors.get(name)
         return held.xyz_m if held is not None and held.xyz_m is not None else (0.0, 0.0, 0.0)
 
@@ -353,7 +353,8 @@ class Arm(Declared):
         return (*(str(row) for row in range(len(self.joints) + 1)), *named)
 
     def camera_frame(self, name: str) -> np.ndarray:
-        """Pose (3, 4) of a declared camera in the base frame; the base where there is none."""
+        """Pose (3, 4) of a declared camera in the base frame; the base frame itself if none is
+        declared."""
         held = self.sensors.get(name)
         return (held.frame() if isinstance(held, CameraSensor) else IDENTITY).matrix()[:3]
 

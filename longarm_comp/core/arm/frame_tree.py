@@ -20,7 +20,7 @@ class UnknownPlace(LongarmError):  # noqa: N818
 
 
 class NotYet(UnknownPlace):
-    """It is not known yet: what was told last is older than the time asked for."""
+    """It is not known yet: what was last published is older than the time asked for."""
 
 
 @dataclass
@@ -48,7 +48,7 @@ class _Child:
             return quaternion.pose(*self.places[0])
         if t_ns > self.times[-1]:
             late = 1e-9 * (t_ns - self.times[-1])
-            raise NotYet(f"frame {name!r} was told last {late:.2f} s before")
+            raise NotYet(f"frame {name!r} was last published {late:.2f} s before")
         if t_ns < self.times[0]:
             early = 1e-9 * (self.times[0] - t_ns)
             raise UnknownPlace(f"frame {name!r} is known only from {early:.2f} s later on")
@@ -82,7 +82,7 @@ class FrameTree:
         if not quaternion.is_unit(turn):
             raise InputError("tf", f"rotation of {child}", turn.tolist(), "a unit quaternion")
         if parent == child or child in self._line(parent):
-            raise InputError("tf", "parent", parent, f"a frame that does not hang on {child!r}")
+            raise InputError("tf", "parent", parent, f"a frame that does not depend on {child!r}")
         known = self._children.get(child)
         if known is None or known.parent != parent or known.static != static:
             known = self._children[child] = _Child(parent, static)
@@ -93,7 +93,7 @@ class FrameTree:
 
         Raises:
             UnknownPlace: a name is unknown, the two are not connected, or it is too long ago.
-            NotYet: what was told last is older.
+            NotYet: what was last published is older.
         """
         lines = {name: self._line(name) for name in (frame, within)}
         for name, line in lines.items():

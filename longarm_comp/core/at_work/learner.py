@@ -88,7 +88,7 @@ class Learner:
         known: what is known; None before the first sighting.
         versions: of the model, the first as it was given.
         frozen: whether sightings change nothing.
-        step_m: largest step of the tip by one sighting.
+        step_m: largest correction of the tip by one sighting.
         sightings: taken in, and `doubtful`: left out.
     """
 

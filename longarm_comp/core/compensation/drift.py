@@ -45,10 +45,10 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Monitor:
-    """The state of the test. Frozen: `seen` returns the next one.
+    """The state of the test. It never changes: `seen` returns the next state.
 
     Attributes:
-        run_length: mean number of samples between false alarms, at least.
+        run_length: least mean number of samples between two false alarms.
         sums: (7,) cumulative sums: +x, -x, +y, -y, +z, -z, growth.
         onset: (7,) sample at which each sum last left zero.
         total: (7, 3) sum of residuals (m) and `squares`: (7,) of ``|z|^2`` since then.
@@ -67,7 +67,7 @@ class Monitor:
 
     @property
     def threshold(self) -> float:
-        """Of every cumulative sum."""
+        """Threshold of every cumulative sum."""
         return math.log(_TESTS * self.run_length)
 
     def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:
@@ -101,7 +101,7 @@ class Monitor:
         )
 
     def verdict(self) -> Verdict:
-        """What the sums say now."""
+        """The verdict at present."""
         k = int(np.argmax(self.sums))
         evidence = float(self.sums[k] / self.threshold)
         if evidence < 1.0:

@@ -81,7 +81,7 @@ class Readings:
 def _stale(column: str, old: Mapping[str, float]) -> StaleContext:
     if column in old:
         return StaleContext(f"{column} is {old[column]:.1f} s old", column=column)
-    return StaleContext(f"{column} was never told, and the model needs it", column=column)
+    return StaleContext(f"{column} was never published, and the model needs it", column=column)
 
 
 def compensate_now(

@@ -136,7 +136,7 @@ def choose(
         search.price_m / np.where(slides, search.length_m, 1.0),
     )
     joints, rounded, errors, nodes = problem.solve(predict, targets, ideal, search)
-    why = "rounding is the best that was found" if stepped.any() else "no joint's steps are known"
+    why = "no choice was better than rounding" if stepped.any() else "no joint's steps are known"
     note = _note(arm, declared & ~lattice.known, declared & lattice.known & (low > high))
     better = (joints != rounded).any(axis=1)
     return [

@@ -210,7 +210,9 @@ def missed(what: str, found: Solution) -> str:
     """How far a target or pseudo-target is missed, and why."""
     # No declared length reaches so far; only a linear deflection of an arm far too weak does
     if not found.position_residual_m < 1e7:
-        return f"{what} missed: the arm as declared bends without bound (loads, masses, stiffness)"
+        return (
+            f"{what} missed: the declared arm bends without limit (check loads, masses, stiffness)"
+        )
     return (
         f"{what} missed by {1e3 * found.position_residual_m:.3f} mm, "
         f"{np.degrees(found.angle_residual_rad):.4f} deg: {found.reason.value}"

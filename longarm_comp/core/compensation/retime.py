@@ -114,7 +114,7 @@ def _found(path: Timed, limits: MotionLimits) -> Timed:
         from toppra import algorithm, constraint
     except ImportError:
         raise JobError(
-            "the path is faster than the limits and toppra is not there to slow it down: "
+            "the path is faster than the limits, and toppra, which can slow it down, is missing: "
             "pip install 'longarm_comp[path]'"
         ) from None
     top = np.append(limits.velocity, 1.0)
@@ -132,7 +132,7 @@ def _found(path: Timed, limits: MotionLimits) -> Timed:
     search = algorithm.TOPPRA(kept, _with_clock(path), gridpoints=grid)
     paces = search.compute_parameterization(0.0, 0.0)[1]
     if paces is None or not (np.asarray(paces, float)[1:-1] > 0.0).all():
-        raise JobError("no times keep the limits of velocity and acceleration along the path")
+        raise JobError("along the path the limits of velocity and acceleration cannot be kept")
     passed = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(grid) / (paces[1:] + paces[:-1]))])
     at = _LOOKED_AT * np.arange(len(path.times))
     stretch = path.stretch * float(passed[-1] / path.times[-1])

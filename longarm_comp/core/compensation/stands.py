@@ -24,9 +24,9 @@ class TipByReadings:
         within = f", within {1e3 * self.doubt.p90_m:.2f} mm" if self.doubt.p90_m > 0 else ""
         if target is not None:
             off = 1e3 * float(np.linalg.norm(self.tip - target))
-            return f"by readings the tip stands {off:.2f} mm from the target{within}"
+            return f"by the readings the tip is {off:.2f} mm from the target{within}"
         where = ", ".join(f"{1e3 * v:.2f}" for v in self.tip)
-        return f"by readings the tip stands at {where} mm{within}"
+        return f"by the readings the tip is at {where} mm{within}"
 
 
 def tip_by_readings(model: Model, readings: np.ndarray, context: Context) -> TipByReadings:

@@ -43,7 +43,7 @@ def outside_data(model: Model, q: np.ndarray, context: Context) -> list[str]:
         for effect in bounded:
             for row, parts in zip(beyond, effect.outside(posture), strict=True):
                 row.update(parts)
-    text = "outside the data of what was found"
+    text = "outside the data from which an effect was found"
     return [f"{text}: {', '.join(sorted(row))}" if row else "" for row in beyond]
 
 
@@ -60,7 +60,7 @@ def history_joints(model: Model) -> dict[str, tuple[int, ...]]:
 def unknown_history(
     model: Model, q: np.ndarray, context: Context, doubtful: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[str]]:
-    """How far the tip depends on what is not known of the joints' history.
+    """How far the tip depends on circumstances that are not known of the joints' history.
 
     Args:
         q: (M, n) commanded joints, rad and m.
@@ -96,7 +96,7 @@ def unknown_history(
     size = np.linalg.norm(half, axis=2)
     spread = np.where((size > _LEAST_M).any(axis=0)[:, None], np.sqrt((half**2).sum(axis=0)), 0.0)
     parts = [f"{_WORDS[name]} of {model.arm.joint_names[joint]}" for name, joint, _ in open_]
-    text = "the tip depends on what is not known"
+    text = "the tip depends on circumstances that are not known"
     why = [
         f"{text}: {', '.join(compress(parts, of))} (sigma {sigma:.2f} mm)" if sigma else ""
         for of, sigma in zip((size > _LEAST_M).T, 1e3 * np.linalg.norm(spread, axis=1), strict=True)

@@ -243,7 +243,7 @@ def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
     if lost == len(case.session):
         raise case.refuse(field, f"blank in all {lost} rows", "measured tip positions (m)")
     if not case.session.placed.any():
-        text = "nothing says where the tip is: its place and the base's stay as declared"
+        text = "no row measures the tip: tip and base stay as declared"
         yield AdmissionFinding("blanks", "x, y, z", text)
     if lost:
         share = lost / len(case.session)
@@ -255,12 +255,10 @@ def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
 
 def _constant(case: _Case) -> Iterator[AdmissionFinding]:
     for j in np.flatnonzero(np.ptp(case.session.q, axis=0) < 1e-9):
-        yield AdmissionFinding(
-            "constant", f"q{j + 1}", "never moved: what it causes cannot be told"
-        )
+        yield AdmissionFinding("constant", f"q{j + 1}", "never moved: its effects do not show")
     for name, values in case.session.columns.items():
         if len(case.session) > 1 and np.ptp(values) == 0:
-            yield AdmissionFinding("constant", name, "never changed: what it causes cannot be told")
+            yield AdmissionFinding("constant", name, "never changed: its effects do not show")
 
 
 def _touches(case: _Case) -> Iterator[AdmissionFinding]:
@@ -355,7 +353,7 @@ def _belongs(case: _Case, judge: bool) -> Iterator[AdmissionFinding]:
     if belief is None:
         return
     for j, moved in belief.signs:
-        text = f"its sign cannot be told: negated it moves the tip by {1e3 * moved:.2g} mm only"
+        text = f"its sign does not show: negated it moves the tip by {1e3 * moved:.2g} mm only"
         yield AdmissionFinding("sign", f"q{j + 1}", text)
     if belief.belong:
         return

@@ -56,7 +56,7 @@ def filled(
         free, tried = np.flatnonzero(allowed(plan))[:n], count
         if len(free) == n:
             return plan if count == n else plan.take(free)
-    why = "keep-out boxes, floor and cameras leave no more"
+    why = "keep-out boxes, floor and cameras allow no more"
     raise JobError(f"only {len(free)} of {tried} poses are allowed: {why}", asked=n)
 
 

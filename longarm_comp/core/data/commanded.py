@@ -19,7 +19,7 @@ from longarm_comp.core.model.model import Model
 
 _TOLD = ("t_s", "temperature_c", "payload_kg")
 """Circumstances that a command is told, besides inclinations: by topics, or by its target."""
-MEASURING_SIDE, NEVER_TOLD = "(measuring side)", "(a circumstance that no command is told)"
+MEASURING_SIDE, NEVER_TOLD = "(measuring side)", "(a circumstance that no command knows)"
 
 
 def commanded_errors(model: Model, session: Session) -> np.ndarray:

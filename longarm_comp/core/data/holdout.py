@@ -99,7 +99,7 @@ class Sealed:
             SealedError: before `release`.
         """
         if self._finished is None:
-            raise SealedError(f"the hold-out is sealed until the fit is finished: {reason}")
+            raise SealedError(f"the held-out rows may be read once the fit is finished: {reason}")
         self._uses.append(reason)
         return self._session
 
@@ -107,4 +107,4 @@ class Sealed:
         """Refuse every other attribute."""
         if name.startswith("__"):
             raise AttributeError(name)
-        raise SealedError(f"the hold-out is sealed: {name} can be read through open(reason) only")
+        raise SealedError(f"the held-out rows can be read through open(reason) only, not by {name}")

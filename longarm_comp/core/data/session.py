@@ -43,18 +43,18 @@ class Session(MeasuredRows):
         columns: further numbers by name, (N,) each, finite: `t_s`, `temperature_c`,
             `payload_kg`, `incl_<frame>_x`, any other quantity that was recorded.
         labels: text by name, (N,) each: `group`, `marker`, `role`, any other.
-        source: file or bag that it came from, for messages.
+        source: file or bag from which it was read, for messages.
         legs: (N, n, LEGS) signed ways of each joint from turn to turn, rad and m, the latest
             first (`core/arm/history.py`); 0 where unknown.
-        told: (N, n) of +-1 where only the side of arrival was recorded, by a run-up of unknown
-            length, else 0.
+        told: (N, n) of +-1 if only the side of arrival was recorded, with a run-up of unknown
+        length, else 0.
         readings: what else was measured, by kind (`core/data/kinds.py`), (N, c) each; a row of
             NaN was not. `orientation`: x, y, z, w; `distance`: m, to the row's `anchor`.
         sigmas: standard deviations of these, by kind, (N,) each in m or rad.
-        touch_distances: known ones between touched points (`core/data/touched.py`).
+        touch_distances: known distances between touched points (`core/data/touched.py`).
         blocks: the channels of the equations; a part of a session keeps those of the whole.
-        lost: why rows of the recording hold no measurement, by index, where that is known; a part
-            of a session keeps those of the whole.
+        lost: why rows of the recording hold no measurement, by index, if known; a part of a session
+        keeps those of the whole.
     """
 
     index: np.ndarray
@@ -165,7 +165,7 @@ class Session(MeasuredRows):
         )
 
     def taken(self, lengths: np.ndarray) -> Session:
-        """The whole session, with run-ups of unknown length taken to be so long."""
+        """The whole session, with this length for run-ups of unknown length."""
         if not self.told.any():
             return self
         history = recorded(self.q, self.index, self.told, self.run_up, lengths)

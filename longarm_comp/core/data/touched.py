@@ -85,7 +85,7 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
             if not session.seen.any():
                 allowed = f"{rows} of one name"
                 raise InputError(session.source, kind.label, "each in too few rows", allowed)
-            text = f"{', '.join(few)}: in fewer than {rows}, which tells nothing"
+            text = f"{', '.join(few)}: in fewer than {rows}, which is too few"
             yield kind.label, text
     stood = [kind for kind in session.kinds if not kind.cells]
     if not stood:
@@ -94,7 +94,9 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
     if len(np.unique(session.labels.get("group", np.array([""])))) > 1 and not any(
         kind.framed(arm) for kind in session.kinds
     ):
-        allowed = "one base placement where all is touched: nothing shows how the bases stand"
+        allowed = (
+            "one base placement if all rows are touches: touches do not show where the bases stand"
+        )
         raise InputError(session.source, "group", "several", allowed)
     points = {name for kind in stood for name in session.named(kind)}
     for one, other, *_ in session.touch_distances:

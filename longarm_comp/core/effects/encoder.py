@@ -30,7 +30,7 @@ class Encoder(Bias):
 
     name: ClassVar[str] = "encoder"
     title: ClassVar[str] = "encoder"
-    action: ClassVar[str] = "Nothing to repair: set its zero where it matters."
+    action: ClassVar[str] = "Nothing to repair; set its zero if it matters."
     geometry: ClassVar[bool] = True
     sees: ClassVar[frozenset[str]] = frozenset({"joint"})
 

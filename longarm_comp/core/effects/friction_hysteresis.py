@@ -16,7 +16,7 @@ from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 
 @dataclass(frozen=True)
 class FrictionHysteresis(JointTerm):
-    """Lost motion against the way that the joint came: a stack of play operators.
+    """A joint stops short of its goal, on the side that it came from: a sum of play operators.
 
     A joint with friction and wind-up lags behind its motion (Prandtl-Ishlinskii): in part by its
     side of arrival at once, in part as it winds through twice a radius, so that a short move turns

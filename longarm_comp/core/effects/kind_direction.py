@@ -21,7 +21,7 @@ class KindDirection(Effect):
     """
 
     name: ClassVar[str] = "kind_direction"
-    title: ClassVar[str] = "way in which arms of this kind differ"
+    title: ClassVar[str] = "usual difference between arms of this kind"
     geometry: ClassVar[bool] = True
     passing: ClassVar[bool] = True
     searched: ClassVar[bool] = False

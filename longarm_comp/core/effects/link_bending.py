@@ -28,7 +28,7 @@ class LinkBending(Effect):
     """
 
     name: ClassVar[str] = "link_bending"
-    title: ClassVar[str] = "link that bends, not declared"
+    title: ClassVar[str] = "undeclared bending of a link"
     action: ClassVar[str] = (
         "Declare the link's beam in arm.yaml; check its clamping. A stiffer profile lowers it."
     )

@@ -33,7 +33,7 @@ class MeasuredTilt(Effect):
     """
 
     name: ClassVar[str] = "measured_tilt"
-    title: ClassVar[str] = "tilt seen by an inclinometer"
+    title: ClassVar[str] = "tilt that an inclinometer measures"
     action: ClassVar[str] = "Brace the structure there; keep the inclinometer at work."
 
     frame: int = place(frames, default=0)

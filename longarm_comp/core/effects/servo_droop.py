@@ -1,4 +1,4 @@
-"""A position-controlled servo that gives way until its error is worth a correction."""
+"""A position-controlled servo that yields to its load until its error is worth a correction."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ServoDroop(JointTerm):
     """
 
     name: ClassVar[str] = "servo_droop"
-    title: ClassVar[str] = "servo that gives way"
+    title: ClassVar[str] = "servo that yields to its load"
     acts: ClassVar[Drive] = "servo"
     action: ClassVar[str] = (
         "Raise the gain of the servo or add integral action; otherwise fit a stronger one."

@@ -1,4 +1,4 @@
-"""Calibration: what is always fitted, and a ladder of ever fuller fits judged on unseen poses."""
+"""Calibration: what is always fitted, and a ladder of ever fuller fits judged on held-out poses."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ def _summary(found: Diagnosis) -> str:
     unnamed = f" {left} and has no name." if left else ""
     gain = f"Held-out mean error {_change(found)}"
     if found.verdict == "noise":
-        text = "After calibration nothing but noise is left; no effect was added."
+        text = "After calibration only noise is left; no effect was added."
         return f"{text} {gain} by the calibration."
     if found.verdict == "unknown":
         return f"The model lacks something that no effect of the library explains: {left}."

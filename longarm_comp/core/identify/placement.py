@@ -106,7 +106,7 @@ def _check_tolerance(model: Model, declared: Effect, solved: Effect, source: str
         away = abs(getattr(solved, p.name) - getattr(declared, p.name))
         if away > BEYOND * p.width + ROUGHLY:
             allowed = f"within tolerance.base of arm.yaml, {p.name} {p.width:.3g} {p.unit}; leave "
-            allowed += "the tolerance out where the base may stand anywhere"
+            allowed += "no tolerance, if the base may stand anywhere"
             raise InputError(source, declared.where, f"{p.name} {away:.3g} {p.unit} off", allowed)
 
 

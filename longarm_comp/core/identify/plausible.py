@@ -29,7 +29,7 @@ def check_worth(
     than: str = "placed frames alone",
     unit: str = "mm",
 ) -> None:
-    """A model must not be worse on unseen rows than a plainer one.
+    """A model must not be worse on held-out rows than a plainer one.
 
     Args:
         held_out: (M, 3) its errors there, m or rad.
@@ -44,8 +44,8 @@ def check_worth(
     there, here = 1e3 * _median(held_out), 1e3 * _median(plain)
     if len(held_out) >= ENOUGH and there > WORSE * here:
         raise JobError(
-            f"calibration is worse on unseen rows than {than}: {here:.3g} -> "
-            f"{there:.3g} {unit}; the rows do not determine the geometry, or are not this arm's",
+            f"calibration is worse on held-out rows than {than}: {here:.3g} -> "
+            f"{there:.3g} {unit}; the rows do not determine the geometry, or are not of this arm",
             session=source,
         )
 
@@ -67,8 +67,8 @@ def check_carries_over(
     here, there = 1e3 * _median(fitted), 1e3 * _median(held_out)
     if len(held_out) >= ENOUGH and there > RISES * here:
         raise JobError(
-            f"calibration does not carry over to unseen rows: {here:.3g} -> {there:.3g} {unit}; "
-            "the rows are too few, or something changed between them",
+            f"calibration fails at held-out rows: {here:.3g} -> {there:.3g} {unit}; "
+            "there are too few rows, or something changed between them",
             session=source,
         )
 
@@ -99,8 +99,8 @@ def check_fits(model: Model, session: Session) -> None:
     """
     if off := _off(model, session):
         raise JobError(
-            f"{1e3 * off:.3g} mm is left after calibration; the rows are not this arm's: "
-            "look at their order, the units and the names of joints and anchors",
+            f"{1e3 * off:.3g} mm is left after calibration, so the rows are not of this arm: "
+            "check their order, the units and the names of joints and anchors",
             session=session.source,
         )
 
@@ -109,8 +109,8 @@ def displaced(model: Model, session: Session) -> str:
     """How far the arm is from where a model puts it, in words; empty where it is there."""
     off = _off(model, session)
     return (
-        f"the arm is {1e3 * off:.3g} mm from where the model puts it; "
-        "calibrate first, which solves where base and tip are, and use that model"
+        f"the arm is {1e3 * off:.3g} mm from where the model expects it; "
+        "calibrate first, which finds base and tip, and use that model"
         if off
         else ""
     )
@@ -142,7 +142,7 @@ def check_noise(sigma: np.ndarray, session: Session) -> None:
     spread, size = _median(seen - np.median(seen, axis=0)), float(np.linalg.norm(sigma[:3]))
     if size > NO_NOISE * spread:
         raise JobError(
-            f"{1e3 * size:.3g} mm is left, which is no noise: the sightings spread over "
+            f"{1e3 * size:.3g} mm is left, which is more than noise: the sightings spread over "
             f"{1e3 * spread:.3g} mm only; look at the placement, the units and the order of the "
             "rows",
             session=session.source,

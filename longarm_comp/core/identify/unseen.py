@@ -54,7 +54,7 @@ def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure
         structure,
         flag=True,
         p_value=min(p, structure.p_value),
-        inputs=("unseen poses",),
+        inputs=("held-out poses",),
         size_m=excess,
         sign="shows in the held-out poses",
     )

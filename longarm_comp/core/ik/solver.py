@@ -49,7 +49,7 @@ class Reason(Enum):
     CONVERGED = "converged"
     AT_LIMITS = "joint limits keep the tip from the target"
     OUT_OF_REACH = "no joints bring the tip nearer to the target"
-    ITERATIONS = "the permitted iterations are used up"
+    ITERATIONS = "the search did not end within the permitted iterations"
 
 
 _CONVERGED = Reason.CONVERGED

@@ -71,7 +71,7 @@ class LearnedGain:
 
     def __str__(self) -> str:
         return (
-            f"at poses left out of the training the network leaves {1e3 * self.left:.3f} mm, "
+            f"at poses left out of its training the network leaves {1e3 * self.left:.3f} mm, "
             f"the physics alone {1e3 * self.without:.3f} mm"
         )
 

@@ -19,8 +19,15 @@ best and the worst are refreshed after the foragers have moved; each sparrow kee
 best; positions are clipped to the bounds. One iteration evaluates discoverers, followers and
 vigilantes as three batches.
 
-``form="printed"`` is the paper's Eq. (6)-(8) as they are printed; `docs/ssa_bp.md` says what is
-wrong with them, and ``python -m bench.ssa_pays`` what that costs.
+``form="printed"`` is the paper's Eq. (6)-(8) as they are printed. They differ in four lines:
+
+- (7), first: ``exp((Xw - X) / (alpha T))`` for ``exp((Xw - X) / i^2)``. A starving sparrow becomes
+  ``Q`` times ones, or overflows.
+- (7), second: ``X^{t+1}`` on both sides for ``Xp + ...``. Followers never move to the discoverer.
+- (8), first: ``exp(|Xw - X| / (f - fw))`` for ``|X - Xw| / (f - fw)``, without bound as f -> fw.
+- (8), second: one ``beta`` for one per dimension. Sparrows move along one line only.
+
+``python -m bench.ssa_pays`` prints what that costs.
 
 Known weakness: the update is biased towards the origin and the diagonal (all coordinates alike),
 so as a general-purpose optimiser it loses to differential evolution on shifted problems.

@@ -9,6 +9,7 @@ from longarm_comp.core.model.model import Model
 
 
 def declared_model(arm: Arm, *, deflection: bool = True) -> Model:
-    """The arm as declared: its servos' steps, and the sag of its beams if ``deflection`` is set."""
+    """The model of the declared arm: its servos' steps, and the deflection of its beams if
+    ``deflection`` is set."""
     sag = (LinkDeflection(),) if deflection and arm.links else ()
     return Model(arm, (*sag, *ServoQuantisation.as_declared(arm)))

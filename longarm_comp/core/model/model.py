@@ -57,7 +57,7 @@ class Slot:
 
 @dataclass(frozen=True)
 class Model:
-    """Arm, arm-side effects and measuring-side biases.
+    """An arm with its effects and the biases of what measures it.
 
     Attributes:
         arm: as declared.
@@ -67,11 +67,11 @@ class Model:
         elements_per_beam: number of elements of each beam.
         arrivals: per commanded joint, number of fitted rows that arrived from above (-1) and
             from below (+1); empty if not recorded.
-        tolerances: share of the drawing's tolerances that geometry may be off by; less than 1
-            beside what other arms of the kind tell.
-        beyond: (parameter, factor) of geometry whose tolerance does not hold: times wider. Each
-            calibration judges it anew; no file holds it.
-        uncertainty: how far off its tip may be; None where that is not known.
+        tolerances: share of the drawing's tolerances by which the geometry may be wrong; less than
+        1 if other arms of the kind are known.
+        beyond: (parameter, factor) of geometry that needs a wider tolerance, by this factor. Each
+        calibration finds them again; no file holds them.
+        uncertainty: how far its tip may be from the true tip; None if that is not known.
     """
 
     arm: Arm
@@ -136,12 +136,12 @@ class Model:
         )
 
     def with_missing(self, terms: Iterable[Effect | Bias]) -> Model:
-        """A copy with those of the terms that it does not hold at their place already."""
+        """A copy with those of the terms that it does not hold yet."""
         known = {(t.name, t.where) for t in self.terms}
         return self.plus(*(t for t in terms if (t.name, t.where) not in known))
 
     def lasting(self) -> Model:
-        """A copy without facts of one session, as where a touched point was."""
+        """A copy without facts of one session, such as the place of a touched point."""
         kept = [t for t in self.terms if not t.passing]
         return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
@@ -264,7 +264,7 @@ class Model:
         return tip
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """What the encoder of a row reads where it sees its joint at a value (rad or m)."""
+        """Reading of a DH row's encoder if it sees its joint at a value (rad or m)."""
         for bias in self.biases:
             value = bias.read(value, row)
         return value

@@ -60,7 +60,7 @@ def visited(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
                 raise InputError(path, connection.topic, str(error), allowed) from error
             way = planned.get(index)
             if way is None or command.shape != way.shape or np.abs(command - way).max() > SAME_POSE:
-                allowed = "the plan, seed and options that it was begun with"
+                allowed = "the plan, seed and options with which it began"
                 raise InputError(path, f"visit {index}", command.tolist(), allowed)
             done.add(index)
     return done
@@ -77,7 +77,7 @@ _GIVE_UP = 6
 """Visits without one sighting, after which nothing is expected of the others."""
 _HEARD_S = 0.2
 """Time for the last message to be heard before the node ends."""
-_HINT = "longarm plan --seen leaves such poses out; --give-up 0 goes on"
+_HINT = "longarm plan --seen leaves such poses out; --give-up 0 never ends early"
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ class _Run:
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         (self._pause.set if request.data else self._pause.clear)()
         response.success = True
-        response.message = "rests after the pose at hand" if request.data else "goes on"
+        response.message = "rests after this pose" if request.data else "goes on"
         return response
 
     def _now(self, state: str = "running", why: str = "") -> Progress:

@@ -55,7 +55,7 @@ class Journal:
             raise InputError(path, "json", str(error), "a file that longarm loop wrote") from error
         for name, value in facts.items():
             if begun.get(name) != value:
-                raise InputError(path, name, value, f"{begun.get(name)}, as it was begun")
+                raise InputError(path, name, value, f"{begun.get(name)}, as in the first call")
 
     def __contains__(self, step: str) -> bool:
         """Whether a step was done."""
@@ -233,7 +233,7 @@ class Loop:
         if nothing:
             return ended(f"nothing to apply: {report.summary}")
         if f"applied {k}" not in self._journal and not self._agree(report):
-            return ended("not applied: no yes was given")
+            return ended("not applied: there was no answer yes")
         applied = self._journal.once(f"applied {k}", partial(self._apply, k))
         self._done(f"train_{k}")
         trials = [self._drive(names.found.format(k=k), targets, Method.DEFLECTION)]

@@ -11,10 +11,10 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import Pace
 
 NEAR_NOISE = 2.0
-"""A mean error below so many times what the noise alone shows is as good as measured."""
+"""A mean error below so many times what the the noise alone shows is as good as measured."""
 
 RULE = (
-    "another round follows where the last one brought the tip nearer beyond chance and the mean "
+    "another round follows if the last one brought the tip nearer by more than chance and the mean "
     f"error is still more than {NEAR_NOISE:g} times what the noise of the measurement alone shows"
 )
 
@@ -39,12 +39,14 @@ def another_round(
     """
     rms = math.sqrt(sum(s * s for s in sigma_m) / 3.0)
     alone = math.sqrt(8.0 / math.pi) * rms  # mean length of a normal vector in three dimensions
-    shown = f"the mean error is {1e3 * mean_m:.3f} mm, noise alone shows {1e3 * alone:.3f} mm"
+    shown = f"the mean error is {1e3 * mean_m:.3f} mm, the noise alone shows {1e3 * alone:.3f} mm"
     if gain_ci95_m[0] <= 0.0:
-        return Decision(False, f"this round did not bring the tip nearer beyond chance; {shown}")
+        return Decision(
+            False, f"this round did not bring the tip nearer by more than chance; {shown}"
+        )
     if mean_m <= NEAR_NOISE * alone:
-        return Decision(False, f"what is left is near the noise: {shown}")
-    return Decision(True, f"more is left than noise: {shown}")
+        return Decision(False, f"the error that is left is near the noise: {shown}")
+    return Decision(True, f"the error that is left is more than noise: {shown}")
 
 
 @dataclass(frozen=True)

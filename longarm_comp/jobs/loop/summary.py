@@ -83,5 +83,5 @@ def _left(last: Round) -> str:
     """What the last diagnosis could not explain, in one sentence."""
     structure = last.report.structure_left
     if not structure.flag:
-        return "The last diagnosis found no structure in what is left of its session."
+        return "The last diagnosis found no structure in the residual of its session."
     return f"Of the last diagnosis: {structure.text}; no effect of the library explains it."

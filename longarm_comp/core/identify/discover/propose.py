@@ -27,7 +27,7 @@ def doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
             made.append(f"{shape.of} was measured at few positions; between them it is a guess")
         if isinstance(shape, Switch):
             low, high = shape.threshold - shape.half, shape.threshold + shape.half
-            made.append(f"it changes over somewhere between {shape.of} {low:.4g} and {high:.4g}")
+            made.append(f"it changes somewhere between {shape.of} {low:.4g} and {high:.4g}")
     return tuple(dict.fromkeys(made))
 
 

@@ -101,7 +101,7 @@ READINGS = (
         "a common supply that sags as the loads add up",
         lambda t: t.quantity(LoadSum) and len(t.places) > 1,
     ),
-    Likeness("lost motion: backlash or friction", lambda t: t.quantity(JointSide)),
+    Likeness("play or friction", lambda t: t.quantity(JointSide)),
     Likeness(
         "a seat or clearance that flips with the load",
         lambda t: t.switched_by(JointLoad, Moment, Gravity),
@@ -111,13 +111,13 @@ READINGS = (
     Likeness("a part that changes over at one position", lambda t: t.shape(Switch)),
     Likeness("something thermal", lambda t: t.quantity(Warmth)),
     Likeness("drift", lambda t: TIME in t.columns),
-    Likeness("something that the recorded column drives", lambda t: bool(t.columns)),
+    Likeness("something that depends on the recorded column", lambda t: bool(t.columns)),
     Likeness(
         "a hose, chain or cable that is lifted",
         lambda t: t.acts(Weight) and t.quantity(JointPosition),
     ),
     Likeness("a mass that is not declared", lambda t: t.acts(Weight)),
-    Likeness("something that gives under load", lambda t: t.acts(Give)),
+    Likeness("a soft part that yields under load", lambda t: t.acts(Give)),
     Likeness(
         "a hose or cable that pulls",
         lambda t: t.acts(Wrench) and t.quantity(JointPosition),
@@ -126,7 +126,7 @@ READINGS = (
         "an eccentric gear, pulley or encoder", lambda t: t.shape(Cosine, Sine) and t.acts(Turn)
     ),
     Likeness(
-        "something that gives under load",
+        "a soft part that yields under load",
         lambda t: t.acts(Turn) and t.quantity(JointLoad, Moment, LoadSum),
     ),
     Likeness("an undeclared weight or spring", lambda t: t.acts(Force) and not t.shapes),
