@@ -20,7 +20,9 @@ from longarm_comp.cli.output import note, print_json, print_rows
     help="Share of critical damping; default: that of arm.yaml, else 0.01.",
 )  # fmt: skip
 @options.path_option(
-    "--ring", "After a move to the first posture: CSV t_s and the tip's x,y,z, or read_q1..qn."
+    "--ring",
+    "After a move to the first posture: CSV t_s and the tip's x,y,z, or read_q1..qn. "
+    "Or a bag, after its last command.",
 )
 @options.effects
 @options.as_json
@@ -37,7 +39,8 @@ def command(
 
     Stiffness is that of the model; the drives are held. settle_s is the time after a move from the
     posture before, straight and in --move seconds, until the tip stays within 0.1 mm. With --ring
-    the frequencies and damping that were seen are printed beside them and correct the others.
+    the frequencies and damping that were seen are printed beside them and correct the others; of a
+    bag the first posture is where it rang.
 
     \b
     Examples:
@@ -59,10 +62,12 @@ def command(
     ends = np.stack([declared.lower, declared.mid, declared.upper])
     joints = ends if at is None else read_poses(at, declared).q
     chosen = damping if damping is not None else declared.damping or USUAL_DAMPING
+    heard = None if ring is None else read_ring(ring, declared)
+    if heard is not None and heard.at is not None:
+        joints = np.vstack([heard.at, joints])
     found = ring_of_moves(known, joints, move, chosen)
     seen: list[SeenWave] = []
-    if ring is not None:
-        heard = read_ring(ring, declared)
+    if heard is not None:
         seen, here = waves(heard.times, heard.seen), found[0][0]
         tips = as_tips(seen, here) if heard.of_joints and len(here.omega) else seen
         found = [(corrected(each, here, tips), left) for each, left in found]
@@ -85,7 +90,7 @@ def command(
         for row, (each, left) in enumerate(found)
         for k, (hz, way) in enumerate(zip(each.hz, _directions(each.tip), strict=True))
     ]  # fmt: skip
-    size = "size_rad_m" if ring is not None and heard.of_joints else "size_mm"
+    size = "size_rad_m" if heard is not None and heard.of_joints else "size_mm"
     scale = 1e3 if size == "size_mm" else 1.0
     told = [{"hz": w.hz, "hz_sd": w.hz_sd, "damping": w.damping, "damping_sd": w.damping_sd,
              size: (scale * w.size).tolist()} for w in seen]  # fmt: skip
