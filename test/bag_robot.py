@@ -103,10 +103,12 @@ def row_said(put: Any, t: float, **row: Any) -> None:
     put("session_row", "std_msgs/msg/String", t, data=json.dumps(row))
 
 
-def state(put: Any, t: float, q: list[float], late: float = 0.0) -> None:
+def state(
+    put: Any, t: float, q: list[float], late: float = 0.0, known: tuple[str, ...] = ARM.joint_names
+) -> None:
     """The joints as read back at t, in another order and with one that is not the arm's."""
     none = np.array([])
-    names = [*reversed(ARM.joint_names), "gripper"]
+    names = [*reversed(known), "gripper"]
     position = np.array([*reversed(q), 0.3])
     kind = "sensor_msgs/msg/JointState"
     put(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from bag_robot import command, robot, sighting, state
 from cli_shell import Shell
 
 from longarm_comp.core.arm.arm import Arm
@@ -82,6 +83,55 @@ def test_a_ring_of_joint_readings_is_printed_with_what_encoders_cannot_see(shell
     assert told(1e-2) == [] and "than one step" in shell.err
     at.write_text("t_s,read_q1\n0,1\n")
     assert "read_q2" in shell.refused("modes", shell.folder / "arm.yaml", "--ring", at)
+
+
+def recorded_ring(
+    path: Path, arm: Arm, *, camera_hz: float, swing: tuple[float, float], states: bool = True
+) -> None:
+    """A bag of two commands, and of the ring after the second: of the tip, m, and the joints, rad.
+
+    The first also leaves one, at another frequency.
+    """
+    with robot(path) as put:
+        for begin, q, w in ((0.0, arm.lower, 11.0), (5.0, arm.mid, 19.0)):
+            command(put, begin, [*q], names=arm.joint_names)
+            before = arm.mid if begin == 0.0 else arm.lower
+            for k in range(250):
+                t = begin + 0.02 * k
+                since = 0.02 * (k - 50)
+                wave = (k >= 50) * np.exp(-0.02 * w * since) * np.cos(w * since)
+                way = before + min(1.0, t - begin) * (q - before)
+                if states:
+                    state(put, t, [*(way + swing[1] * wave)], known=arm.joint_names)
+                if k % round(50 / camera_hz) == 0:
+                    tip = [0.4, 0.3 * min(1.0, t - begin), 0.2 + swing[0] * wave]
+                    sighting(put, t + 1e-3, tip)
+
+
+def test_a_ring_is_taken_from_a_bag_after_its_last_command(shell: Shell) -> None:
+    arm, hz = Arm.load(shell.folder / "arm.yaml"), 19.0 / (2.0 * np.pi)
+    ask = ("modes", shell.folder / "arm.yaml", "--ring")
+    recorded_ring(shell.folder / "tip", arm, camera_hz=25, swing=(4e-3, 0.0))
+    printed = shell.json(*ask, shell.folder / "tip")
+    (seen,) = printed["seen"]
+    assert seen["hz"] == pytest.approx(hz, rel=0.01)
+    assert seen["damping"] == pytest.approx(0.02, rel=0.05)
+    assert seen["size_mm"] == pytest.approx([0.0, 0.0, 4.0], abs=0.2)
+    rows, unseen = printed["rows"], shell.json(*ask[:2])["rows"]
+    assert [row["posture"] for row in rows[::6]] == [0, 1, 2, 3]  # where it rang comes first
+    factor = rows[0]["hz"] / modes(declared_model(arm), arm.mid).hz[0]
+    assert factor != pytest.approx(1.0, abs=0.01)
+    assert rows[6]["hz"] == pytest.approx(factor * unseen[0]["hz"])
+
+    recorded_ring(shell.folder / "joints", arm, camera_hz=1, swing=(0.0, 1e-3))
+    (seen,) = shell.json(*ask, shell.folder / "joints")["seen"]
+    assert seen["hz"] == pytest.approx(hz, rel=0.01) and len(seen["size_rad_m"]) == arm.n
+
+    recorded_ring(shell.folder / "blind", arm, camera_hz=25, swing=(4e-3, 0.0), states=False)
+    assert "joint_states" in shell.refused(*ask, shell.folder / "blind")
+    with robot(shell.folder / "idle") as put:
+        sighting(put, 1.0, [0.4, 0.0, 0.2])
+    assert "joint_trajectory" in shell.refused(*ask, shell.folder / "idle")
 
 
 def test_bad_input_is_refused_in_words(shell: Shell) -> None:

@@ -310,6 +310,10 @@ def test_paths_from_python_and_from_files_are_the_same(
         declared_model(arm), xyz, times=plan.times, max_velocity=0.2, max_acceleration=1.0
     )
     told = np.array([[float(line[f"q{j}"]) for j in range(1, 8)] for line in lines])
+    sides = [[float(line[f"approach_q{j}"]) for j in range(1, 8)] for line in lines]
+    ways = np.diff(found.command, axis=0, prepend=found.command[:1])
+    np.testing.assert_array_equal(sides, np.where(np.abs(ways) < 1e-6, 0.0, np.sign(ways)))
+    assert {-1.0, 0.0, 1.0} == set(np.ravel(sides)) and not any(x["run_up_q1"] for x in lines)
     np.testing.assert_allclose(told, found.command, atol=1e-8)
     np.testing.assert_allclose([float(x["t_s"]) for x in lines], found.timed.times, atol=1e-6)
     speeds = np.array([[float(line[f"v_q{j}"]) for j in range(1, 8)] for line in lines])

@@ -19,10 +19,10 @@ from longarm_comp.core.compensation.compensate import commandable
 from longarm_comp.core.compensation.realisable import Lattice, Search
 from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.ik import solver as ik
-from longarm_comp.core.ik.forward import tip_poses
+from longarm_comp.core.ik.forward import posture_at, tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import Model, unstack
 from studies.many import chosen
 
 STEP = 2 * math.pi / 1000
@@ -165,7 +165,9 @@ def test_locked_joints_and_limits_of_the_demonstration_arm(
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_tip_poses_are_the_models(compiled: bool, model: Model, rng: np.random.Generator) -> None:
+def test_tip_poses_and_postures_are_the_models(
+    compiled: bool, model: Model, rng: np.random.Generator
+) -> None:
     fresh = dataclasses.replace(model, effects=(*model.effects, TipPayload(mass=0.05 + compiled)))
     q = rng.uniform(fresh.arm.lower, fresh.arm.upper, (21, fresh.arm.n))
     context = Context(columns={"payload_kg": rng.uniform(0, 1, 21)})
@@ -173,5 +175,12 @@ def test_tip_poses_are_the_models(compiled: bool, model: Model, rng: np.random.G
         assert ik.solve_many(fresh, fresh.tip(q, context), context=context,
                              engine=ik.Engine.COMPILED).ok.any()  # fmt: skip
     np.testing.assert_allclose(tip_poses(fresh, q, context), fresh.pose(q, context), atol=1e-12)
+    for rows in (slice(None), 7):
+        at = posture_at(fresh, q[rows], context.take(rows))
+        own = fresh.posture(unstack(q[rows]), context.take(rows))
+        for frame, expected in zip(at.frames, own.frames, strict=True):
+            np.testing.assert_allclose(frame.matrix(), expected.matrix(), atol=1e-12)
+        np.testing.assert_allclose(at.moment(2), own.moment(2), rtol=1e-9, atol=1e-12)
     labelled = Context(labels={"group": np.array(["a", "b"] * 10 + ["a"])})
     np.testing.assert_array_equal(tip_poses(model, q, labelled), model.pose(q, labelled))
+    assert len(posture_at(model, q, labelled).frames[-1].p[0]) == 21

@@ -23,7 +23,8 @@ from longarm_comp.cli.output import note, print_json, print_rows
 )  # fmt: skip
 @options.path_option(
     "--ring",
-    "Sightings after a move to the first pose: CSV with t_s and x,y,z, or read_q1..qn.",
+    "After a move to the first pose: CSV with t_s and x,y,z, or read_q1..qn; or a bag, after its "
+    "last command.",
 )
 @options.effects
 @options.as_json
@@ -40,7 +41,8 @@ def command(
 
     The stiffness is that of the model, with the drives held. settle_s is the time until the tip
     stays within 0.1 mm, after a straight move of --move seconds from the pose before. With --ring
-    the frequencies and damping that were seen are printed too, and correct the others.
+    the frequencies and damping that were seen are printed too, and correct the others. The first
+    pose of a bag is where the arm rang.
 
     \b
     Examples:
@@ -62,10 +64,12 @@ def command(
     ends = np.stack([declared.lower, declared.mid, declared.upper])
     joints = ends if at is None else read_poses(at, declared).q
     chosen = damping if damping is not None else declared.damping or USUAL_DAMPING
+    heard = None if ring is None else read_ring(ring, declared)
+    if heard is not None and heard.at is not None:
+        joints = np.vstack([heard.at, joints])
     found = ring_of_moves(known, joints, move, chosen)
     seen: list[SeenWave] = []
-    if ring is not None:
-        heard = read_ring(ring, declared)
+    if heard is not None:
         seen, here = waves(heard.times, heard.seen), found[0][0]
         tips = as_tips(seen, here) if heard.of_joints and len(here.omega) else seen
         found = [(corrected(each, here, tips), left) for each, left in found]
@@ -88,7 +92,7 @@ def command(
         for row, (each, left) in enumerate(found)
         for k, (hz, way) in enumerate(zip(each.hz, _directions(each.tip), strict=True))
     ]  # fmt: skip
-    size = "size_rad_m" if ring is not None and heard.of_joints else "size_mm"
+    size = "size_rad_m" if heard is not None and heard.of_joints else "size_mm"
     scale = 1e3 if size == "size_mm" else 1.0
     told = [{"hz": w.hz, "hz_sd": w.hz_sd, "damping": w.damping, "damping_sd": w.damping_sd,
              size: (scale * w.size).tolist()} for w in seen]  # fmt: skip

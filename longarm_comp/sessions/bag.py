@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
 from longarm_comp.core.arm.arm import Arm
@@ -84,7 +85,10 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
     """
     where = str(path)
     with open_bag(path) as reader:
-        buffer, rows = _read_messages(reader, arm, namespace, where)
+        chosen = _of_one_arm(reader, namespace, where)
+        has_rows = any(_last(c.topic) == "session_row" and c.msgcount for c in chosen)
+        buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
+        rows = _rows(_recorded(reader, chosen), buffer)
     for topic, found in (("joint_trajectory", buffer.commanded), ("tip_measured", buffer.sighted)):
         if not found:
             raise InputError(where, topic, "no message", "commands and the sightings they led to")
@@ -118,9 +122,24 @@ def _broken(where: str, error: Exception) -> InputError:
     return InputError(where, "bag", said, "a complete rosbag2 (mcap or sqlite3)")
 
 
-def _read_messages(
-    reader: Reader, arm: Arm, namespace: str | None, where: str
-) -> tuple[MessageBuffer, Rows]:
+def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
+    """The last command of a bag, and what was recorded after it."""
+    where = str(path)
+    with open_bag(path) as reader:
+        buffer = MessageBuffer(arm, where, reader.start_time, every_command=True)
+        recorded = _recorded(reader, _of_one_arm(reader, None, where))
+        for name, stamp, message in decoded(recorded, arm, where):
+            buffer.take(name, stamp, message)
+            while len(buffer.commands) > 1:
+                buffer.commands.popleft()
+                buffer.forget(buffer.commands[0][0])
+    if not buffer.commanded:
+        raise InputError(where, "joint_trajectory", "no message", "the command of a move")
+    return buffer
+
+
+def _of_one_arm(reader: Reader, namespace: str | None, where: str) -> list[Connection]:
+    """The topics of one arm that are read."""
     chosen = {}
     for connection in reader.connections:
         space, _, name = connection.topic.rpartition("/")
@@ -133,11 +152,12 @@ def _read_messages(
     if not chosen:
         topics = ", ".join(sorted({c.topic for c in reader.connections})) or "no topic"
         raise InputError(where, "topics", topics, ", ".join(TYPES))
-    has_rows = any(_last(c.topic) == "session_row" and c.msgcount for c in chosen.values())
-    buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
-    raw = reader.messages(connections=list(chosen.values()))
-    recorded = ((c.topic, c.msgtype, stamp, data) for c, stamp, data in raw)
-    return buffer, _rows(recorded, buffer)
+    return list(chosen.values())
+
+
+def _recorded(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
+    raw = reader.messages(connections=chosen)
+    return ((c.topic, c.msgtype, stamp, data) for c, stamp, data in raw)
 
 
 def read_visit(messages: Sequence[Message], arm: Arm) -> Session:

@@ -1,4 +1,8 @@
-"""A ring after a move: a CSV with t_s and the tip's x, y, z, or joint readings read_q1..qn."""
+"""A ring after a move: a CSV with t_s and the tip's x, y, z, or joint readings read_q1..qn; a bag.
+
+Of a bag it is the one after the last command, from where the joints stand: of the tip, or of the
+joints where it was not seen often enough.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +12,31 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.vibration.seen import LEAST
 from longarm_comp.sessions.names import check_header
 from longarm_comp.sessions.table import read_table
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedRing:
-    """What was seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m."""
+    """What was seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m.
+
+    Attributes:
+        at: (n,) joints that were commanded; None: the file does not say.
+    """
 
     times: np.ndarray
     seen: np.ndarray
     of_joints: bool
+    at: np.ndarray | None = None
 
 
 def read_ring(path: str | Path, arm: Arm) -> RecordedRing:
     """Read it; rows with a blank are left out."""
+    path = Path(path)
+    if path.is_dir() or path.suffix in (".mcap", ".db3"):
+        return _of_bag(path, arm)
     table = read_table(path)
     readings = [f"read_q{joint}" for joint in range(1, arm.n + 1)]
     of_joints = bool(set(readings) & set(table.header))
@@ -33,3 +47,22 @@ def read_ring(path: str | Path, arm: Arm) -> RecordedRing:
     seen = np.stack([table.numbers(name, unit, blanks=True) for name in names], axis=-1)
     kept = np.isfinite(seen).all(axis=1)
     return RecordedRing(times[kept], seen[kept], of_joints)
+
+
+def _of_bag(path: Path, arm: Arm) -> RecordedRing:
+    from longarm_comp.sessions.bag import read_last  # a CSV needs none of its libraries
+    from longarm_comp.sessions.settled import still_since
+
+    buffer = read_last(path, arm)
+    begin, points = buffer.commands[0]
+    times, joints = buffer.states_between(begin, np.inf)
+    if not len(times):
+        allowed = "what tells when the joints stand after the last command"
+        raise InputError(str(path), "joint_states", "no message", allowed)
+    since = still_since(times, joints, begin)
+    seen = [s for s in buffer.sightings_between(since, np.inf) if np.isfinite(s.xyz).all()]
+    if len(seen) >= LEAST:
+        at, xyz = np.array([s.t for s in seen]), np.array([s.xyz for s in seen])
+        return RecordedRing(at, xyz, False, points[-1])
+    stands = times > since
+    return RecordedRing(times[stands], joints[stands], True, points[-1])

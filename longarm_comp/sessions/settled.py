@@ -104,6 +104,11 @@ def settled(
     return Settled(mean)
 
 
+def still_since(times: np.ndarray, joints: np.ndarray, begin: float) -> float:
+    """Time (s) from which on the joints stand after a command at `begin` (s), as in `settled`."""
+    return _still(times, joints, _rest(times, joints, begin)[0])
+
+
 def stood(times: np.ndarray, joints: np.ndarray, begin: float) -> np.ndarray:
     """(n,) mean of the measured joints at rest after a command at `begin` (s); NaN: no rest.
 

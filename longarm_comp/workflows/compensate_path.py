@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.history import History
-from longarm_comp.core.arm.moves import plan_move
+from longarm_comp.core.arm.history import SAME_POSE, History
+from longarm_comp.core.arm.moves import Move
 from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions
 from longarm_comp.core.compensation.path import MAX_LONGER
 from longarm_comp.core.compensation.path import compensate_path as solve_path
@@ -116,12 +116,16 @@ def compensate_path(
         position_only=position_only,
         options=CompensationOptions(chosen, Settling(**settling), tuple(locked)),
     )  # fmt: skip
-    before, arrivals = start, []
+    joints = found.answers.command
+    steps = np.diff(joints, axis=0, prepend=(joints[0] if start is None else start)[None])
+    sides = np.where(np.abs(steps) < SAME_POSE, 0.0, np.sign(steps))
     outcomes = found.answers.each(model, chosen, carried)
-    for outcome, context in zip(outcomes, found.answers.context.each(len(carried)), strict=True):
-        move = plan_move(model.arm, before, outcome.command, np.zeros(n))
-        arrivals.append(Arrival(outcome, move, context, found.history))
-        before = outcome.command
+    contexts = found.answers.context.each(len(carried))
+    moves = [Move(q, None, side, np.zeros(n, bool)) for q, side in zip(joints, sides, strict=True)]
+    arrivals = [
+        Arrival(outcome, move, context, found.history)
+        for outcome, move, context in zip(outcomes, moves, contexts, strict=True)
+    ]
     return PathCommands(
         numbers, tuple(arrivals), placements,
         timed=found.timed, correction_m=found.correction_m, notes=found.notes,

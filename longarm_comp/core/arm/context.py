@@ -128,6 +128,9 @@ class Context:
             return every
 
         fields: dict[str, Iterable[Any]] = {}
+        every = [*self.approach, *self.legs, *self.columns.values(), *self.labels.values()]
+        if not any(map(_of_each, every)):
+            return [self] * count
         for f in dataclasses.fields(self):
             held = getattr(self, f.name)
             named = f.name not in PER_JOINT

@@ -18,7 +18,8 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.model.model import Model, slots_of, unstack
+from longarm_comp.core.ik.forward import posture_at
+from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, sizes
 
@@ -84,7 +85,7 @@ def expected_miss(
         pseudo: (3,) or (M, 3) m, the target less the learned error.
         learned: of the same shape, m, its sigma (of a measurement), if a predictor is used.
     """
-    at = model.posture(unstack(q), context)
+    at = posture_at(model, q, context)
     mean = stack(model.tip_frame(at).p) - pseudo
     known = model.uncertainty or of_tolerances(model)
     if learned is not None and model.uncertainty is None:

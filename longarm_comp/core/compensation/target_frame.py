@@ -111,7 +111,12 @@ def _usual(arm: Arm) -> float:
 
     It is the size of an ordinary error of every declared placement and row.
     """
-    model, slots = Model(arm), slots_of(arm, geometry_of(arm))
-    columns = model.columns(model.posture(tuple(arm.mid.tolist())), slots)[1].reshape(3, -1)
-    moved = columns * [slot.parameter.prior for slot in slots]
-    return float(sizes(moved @ moved.T)[1])
+    if arm.hash not in _usual_of:
+        model, slots = Model(arm), slots_of(arm, geometry_of(arm))
+        columns = model.columns(model.posture(tuple(arm.mid.tolist())), slots)[1].reshape(3, -1)
+        moved = columns * [slot.parameter.prior for slot in slots]
+        _usual_of[arm.hash] = float(sizes(moved @ moved.T)[1])
+    return _usual_of[arm.hash]
+
+
+_usual_of: dict[str, float] = {}

@@ -127,7 +127,7 @@ def run(
                 point, radius = p.points[s - 1, :-1], p.points[s - 1, -1]
                 start = start + radius * (low + point * (high - low) - start)
                 start = np.clip(start, low, high)
-            here = context.take(ids)
+            here = context if ids.size == count else context.take(ids)
             given = _given(here, p, ids, start)
             found, left, used = search(model, here, p, given, ids.size)
             report[ids, 2] += used

@@ -1,14 +1,15 @@
-"""Tip poses of many postures at once, by the programs of the inverse kinematics."""
+"""Tip poses and postures of many joints at once, by the programs of the inverse kinematics."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.ik.engines import Engine, is_compiled
 from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.ik.newton import LEVELS, evaluation
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import Model, unstack
 
 _BLOCKS = 16  # blocks at a time, which fit in the cache
 
@@ -29,7 +30,7 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
         return model.pose(q, context)
     kernel = kernel_of(model, layout)
     machine = is_compiled(kernel, Engine.AUTO)
-    out = (_machine if machine else _arrays)(kernel, q, layout.pack(context, len(q)))
+    out = (_machine if machine else _arrays)(kernel, q, layout.pack(context, len(q)), "out")
     poses = np.zeros((len(q), 4, 4))
     poses[:, :3, 3] = out[:, :3]
     poses[:, :3, :3] = out[:, 3:12].reshape(-1, 3, 3).swapaxes(1, 2)
@@ -37,29 +38,46 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
     return poses
 
 
+def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
+    """`Model.posture` at joints (n,) or (M, n), without its load passes if the model is compiled.
+
+    Args:
+        context: circumstances of the M postures, scalars or (M,) arrays.
+    """
+    layout, rows = context.layout, np.atleast_2d(q)
+    kernel = model.__dict__.get("_kernels", {}).get(layout) if layout.traceable else None
+    if kernel is None or not is_compiled(kernel, Engine.AUTO) or not len(rows):
+        return model.posture(unstack(q), context)
+    x = _machine(kernel, rows, layout.pack(context, len(rows)), "x")
+    carried = np.ascontiguousarray(x.T) if q.ndim == 2 else x[0].tolist()
+    return model.loaded(unstack(q), context, kernel.twists(carried))
+
+
 def _programs(kernel: Kernel) -> tuple[str, ...]:
     return evaluation(LEVELS[-1], kernel.passes, anew=True)
 
 
-def _arrays(kernel: Kernel, q: np.ndarray, c: np.ndarray) -> np.ndarray:
+def _arrays(kernel: Kernel, q: np.ndarray, c: np.ndarray, name: str) -> np.ndarray:
+    """(M, k) rows of the state of that name after an evaluation at joints and contexts."""
     s = np.zeros((kernel.size, len(q)))
     s[kernel.slice("trial")], s[kernel.slice("c")] = q.T, c.T
-    for name in _programs(kernel):
-        kernel.arrays[name](s)
-    return s[kernel.slice("out")].T
+    for program in _programs(kernel):
+        kernel.arrays[program](s)
+    return s[kernel.slice(name)].T
 
 
-def _machine(kernel: Kernel, q: np.ndarray, c: np.ndarray) -> np.ndarray:
+def _machine(kernel: Kernel, q: np.ndarray, c: np.ndarray, name: str) -> np.ndarray:
+    """As `_arrays`."""
     width = kernel.code.width
     number = -(-len(q) // width)
     blocks = np.zeros((number, kernel.size, width))
-    for name, values in (("trial", q), ("c", c)):
+    for given, values in (("trial", q), ("c", c)):
         lanes = np.zeros((number * width, values.shape[1]))
         lanes[: len(q)] = values
-        blocks[:, kernel.slice(name)] = lanes.reshape(number, width, -1).swapaxes(1, 2)
-    calls = [kernel.code.function(f"many_{name}") for name in _programs(kernel)]
+        blocks[:, kernel.slice(given)] = lanes.reshape(number, width, -1).swapaxes(1, 2)
+    calls = [kernel.code.function(f"many_{program}") for program in _programs(kernel)]
     for at in range(0, number, _BLOCKS):
         for call in calls:
             call(blocks[at:].ctypes.data, min(_BLOCKS, number - at))
-    out = blocks[:, kernel.slice("out")].swapaxes(1, 2)
-    return out.reshape(number * width, -1)[: len(q)]
+    held = blocks[:, kernel.slice(name)].swapaxes(1, 2)
+    return held.reshape(number * width, -1)[: len(q)]

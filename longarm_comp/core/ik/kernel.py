@@ -18,7 +18,7 @@ from typing import Any
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Layout
-from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Vec
 from longarm_comp.core.ik import newton
 from longarm_comp.core.ik.codegen import python as emit
@@ -105,6 +105,7 @@ class Kernel:
         size: length of the state.
         passes: load passes of the model.
         layout: layout of the context.
+        twisted: components of twists that are constant, and places of the others in ``x``.
         lower, upper, mid: the joint box.
         workload: work done before it is compiled, in single targets.
         flows: `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and
@@ -114,7 +115,7 @@ class Kernel:
     def __init__(self, model: Model, layout: Layout) -> None:
         self.layout, self.n = layout, model.arm.n
         self.lower, self.upper, self.mid = model.arm.lower, model.arm.upper, model.arm.mid
-        fixed, slot = _twist_slots(model, layout)
+        fixed, slot = self.twisted = _twist_slots(model, layout)
         self.place = newton.rows(self.n, layout.count, len(slot))
         self.size = 1 + max(r[-1] for r in self.place.values() if r)
         self.passes, self.workload = model.load_passes, 0.0
@@ -149,15 +150,7 @@ class Kernel:
             context = self.layout.unpack(s["c"])
             if x is None:
                 return model.unsagged(tuple(s["trial"]), context)
-            stations = {station for station, _ in (*fixed, *slot)}
-            twists = {
-                station: tuple(
-                    fixed[station, i] if (station, i) in fixed else x[slot[station, i]]
-                    for i in range(6)
-                )
-                for station in stations
-            }
-            return model.loaded(tuple(s["trial"]), context, twists)  # type: ignore[arg-type]
+            return model.loaded(tuple(s["trial"]), context, self.twists(x))
 
         def carried(posture: Posture) -> newton.Outcome:
             twists = model.twists(posture)
@@ -169,6 +162,18 @@ class Kernel:
             "again": lambda s: carried(at(s, s["x"])),
             "tip": lambda s: seen(at(s, s["x"])),
         }
+
+    def twists(self, x: Sequence[Any]) -> Twists:
+        """The effects' twists by station, of the row ``x`` of a state."""
+        fixed, slot = self.twisted
+        made: dict[int, Any] = {
+            station: tuple(
+                fixed[station, i] if (station, i) in fixed else x[slot[station, i]]
+                for i in range(6)
+            )
+            for station in {station for station, _ in (*fixed, *slot)}
+        }
+        return made
 
     @cached_property
     def floats(self) -> dict[str, Any]:

@@ -36,6 +36,7 @@ class _Workspace:
         self.position = self.given[:3, 3]
         self.seed, self.q = column[kernel.slice("seed")], column[kernel.slice("q")]
         self.context = column[kernel.slice("c")]
+        self.packed: Context | None = None  # the one that is in there
         self.report = column[kernel.place["size"].start : kernel.place["fault"].stop]
         self.block = block  # keeps the memory of the views
         self.address = block.ctypes.data
@@ -63,8 +64,9 @@ class _Task:
         else:
             workspace.given[...] = target
         workspace.seed[...] = seed
-        if context is not None:
+        if context is not workspace.packed and context is not None:
             workspace.context[...] = self.kernel.layout.pack(context, 1)[0]
+            workspace.packed = context
         workspace.search(workspace.address)
         report, q = workspace.report.tolist(), workspace.q.copy()
         self.spare.append(workspace)
