@@ -20,6 +20,7 @@ def command(cases: int, moves: int, show: shape.Show) -> shape.Figures:
       longarm study readings --cases 6
     """
     from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.identify.posterior.found import CREDIBLE
     from longarm_comp.share import folder
     from studies import readings
 
@@ -29,22 +30,34 @@ def command(cases: int, moves: int, show: shape.Show) -> shape.Figures:
     with tempfile.TemporaryDirectory() as scratch:
         trim = [readings.trimmed(config, Path(scratch), moves, on) for on in (False, True)]
     named, soft = list(readings.names(arm, cases)), list(readings.softness(arm))
-    right, servos, held = (sum(r[key] for r in named) for key in ("right", "servo", "held"))
-    said = f"{right} of {cases} right and alone; the servos' in {servos}; true in a set in {held}"
+    sure = {row["joint"]: row["name"] >= CREDIBLE for row in reversed(soft)}  # the first stays
+    apart = [r["planted"] == "servo_droop" or sure[r["joint"]] for r in named]
+    counts = [
+        {
+            "rows": f"tell them apart: {said}",
+            "n": sum(one is told for one in apart),
+            **{
+                key: sum(r["is"] == key for r, one in zip(named, apart, strict=True) if one is told)
+                for key in (readings.RIGHT, readings.SET, readings.WRONG)
+            },
+        }
+        for said, told in (("yes", True), ("no", False))
+    ]
+    servos = sum(r["servo"] for r in named)
     return shape.Figures(
         {
             "tip": tip,
             "trim": trim,
             "names": named,
-            "right": right,
+            "counts": counts,
             "servo": servos,
-            "held": held,
             "softness": soft,
         },
         {
             "The tip of servos that droop and stick": [tip],
             "Servos that droop by 8 mm": trim,
-            f"Names: {said}": named,
             "How sure the name of a soft joint can be": soft,
+            "Names": named,
+            f"Names, all together; the servos' are right in {servos} of {cases}": counts,
         },
     )
