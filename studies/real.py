@@ -10,11 +10,12 @@ placement alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.joint_compliance import JointCompliance
@@ -29,10 +30,12 @@ from longarm_comp.core.identify.calibrate import (
     warm,
 )
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.fit import fit_together
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.placement import placed
-from longarm_comp.core.model.model import Slot
+from longarm_comp.core.identify.proof import CALIBRATED
+from longarm_comp.core.model.model import Model, Slot
 from studies.interval import mean_ci95
 from studies.real_sessions import Measured, justin, laser_tracked
 
@@ -44,6 +47,34 @@ LAST_SHARED_ROW = 4
 
 
 @dataclass(frozen=True)
+class Commanded:
+    """Mean errors of a command on the test rows, m.
+
+    Attributes:
+        calibrated: with the geometry that the diagnosis calibrated.
+        written: with the model that it wrote.
+        gain_ci95: 95 % of the mean that the latter takes off, row by row.
+    """
+
+    calibrated: float
+    written: float
+    gain_ci95: tuple[float, float]
+
+    @classmethod
+    def of(cls, found: Sequence[Diagnosis], parts: Sequence[Measured]) -> Commanded:
+        """Of the arms of one robot, all their test rows together."""
+
+        def lengths(models: Sequence[Model]) -> np.ndarray:
+            left = [commanded_errors(m, p.test) for m, p in zip(models, parts, strict=True)]
+            return np.linalg.norm(np.concatenate(left), axis=1)
+
+        before = lengths([d.fits[CALIBRATED].model for d in found])
+        after = lengths([d.model for d in found])
+        _, low, high = mean_ci95(before - after)
+        return cls(float(before.mean()), float(after.mean()), (low, high))
+
+
+@dataclass(frozen=True)
 class Line:
     """One model's errors on the test rows, all arms of the robot pooled.
 
@@ -52,12 +83,14 @@ class Line:
         errors: on the test rows.
         ci95: of their mean, m: the rows drawn anew.
         effects: effects of the model besides geometry.
+        commanded: the same as a command would have it; of what a diagnosis wrote.
     """
 
     model: str
     errors: Errors
     ci95: tuple[float, float]
     effects: tuple[str, ...] = ()
+    commanded: Commanded | None = None
 
 
 def study(folder: Path, progress: Progress | None = None) -> dict[str, list[Line]]:
@@ -109,10 +142,11 @@ def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[
         lines.append(_line(name, parts, fits))
     say("diagnosed")
     found = [
-        diagnose(p.arm, p.train, test=p.test, model=declared_model(p.arm, deflection=False)).fit
+        diagnose(p.arm, p.train, test=p.test, model=declared_model(p.arm, deflection=False))
         for p in parts
     ]
-    return [*lines, _line("diagnosed", parts, found)]
+    diagnosed = _line("diagnosed", parts, [d.fit for d in found])
+    return [*lines, replace(diagnosed, commanded=Commanded.of(found, parts))]
 
 
 def _fitted(

@@ -61,6 +61,17 @@ def test_ur5_is_rigid(study: dict[str, dict[str, dict]]) -> None:
     assert not soft & set(lines["diagnosed"]["effects"])
 
 
+@pytest.mark.parametrize("robot", ["dlr_justin", "wam", "ur5"])
+def test_commands_are_never_worse_than_calibrated(
+    study: dict[str, dict[str, dict]], robot: str
+) -> None:
+    """What is written helps a command on rows that were not fitted, on every real set."""
+    line = study[robot]["diagnosed"]
+    assert line["commanded_mm"] <= line["calibrated_commanded_mm"]
+    low, high = line["commanded_gain_ci95_mm"]
+    assert low <= line["calibrated_commanded_mm"] - line["commanded_mm"] <= high
+
+
 def test_no_stiffness_is_negative_and_the_torso_is_one(data_dir: Path) -> None:
     """Fitted compliances of both arms; what they share is one value."""
     parts = justin(data_dir / "real")

@@ -43,9 +43,18 @@ def command(data: Path, show: shape.Show) -> shape.Figures:
             for row, ci95, line in zip(errors, ends, lines, strict=True)
         ]
         tables[f"{robot}: errors on the test rows"] = errors
+        said = lines[-1].commanded
+        before, after, *gain = (1e3 * v for v in (said.calibrated, said.written, *said.gain_ci95))
+        record[robot][-1] |= {
+            "commanded_mm": after,
+            "calibrated_commanded_mm": before,
+            "commanded_gain_ci95_mm": gain,
+        }
         held = ", ".join(lines[-1].effects) or "nothing beyond geometry"
         notes += [
             f"{robot}: 95 % of the diagnosed mean {ends[-1][0]:.3f} to {ends[-1][1]:.3f} mm",
+            f"{robot}: as commanded {before:.3f} mm calibrated, {after:.3f} diagnosed "
+            f"(95 % of the gain {gain[0]:.3f} to {gain[1]:.3f})",
             f"{robot}: diagnosed as {held}",
         ]
     return shape.Figures(record, tables, notes)
