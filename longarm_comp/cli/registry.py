@@ -44,7 +44,6 @@ COMMANDS = (
     Entry("export-urdf", "urdf:export_urdf", "Write a calibrated arm as a URDF."),
     Entry("bag info", "bag:info", "Contents of a bag, and the topics a session is read from."),
     Entry("bag to-csv", "bag:to_csv", "Convert a bag to samples.csv."),
-    Entry("bag from-csv", "bag:from_csv", "Convert a samples.csv to a bag."),
     Entry("find-port", "servo:find_port", "Which serial port is the servo bus: unplug it and see."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study", "study", "What prints the figures of docs/studies.md, from a checkout."),
