@@ -6,7 +6,6 @@ the readers and writers that come with the mcap format for ROS 2.
 
 from __future__ import annotations
 
-import io
 import shutil
 import tempfile
 import time
@@ -23,10 +22,8 @@ from bench.arms import demo_arm
 from bench.comparison import Result, beside, missing
 from bench.subprocess_cost import cost_of
 from bench.synthetic_bag import Raw, recording, write_raw
-from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
-from longarm_comp.sessions.bag_write import write_bag
 from longarm_comp.sessions.message_buffer import TYPES
 from longarm_comp.sessions.message_types import message_types
 
@@ -117,66 +114,6 @@ def record(count: int = MESSAGES, repeats: int = REPEATS) -> Result:
         )
     peer = "rosbags writer"
     return beside("messages/s CPU", mine, peer, other, more_is_better=True)
-
-
-def write(rows: int = 4_000, repeats: int = REPEATS) -> Result:
-    """A session to a bag, message by message, against the library of the mcap format."""
-    try:
-        from mcap_ros2.writer import Writer
-    except ImportError:
-        return missing(MCAP, f"{MCAP} is not installed")
-    arm, rng = demo_arm(), np.random.default_rng(0)
-    q = rng.uniform(arm.lower, arm.upper, (rows, arm.n))
-    session = Session.record(q, rng.standard_normal((rows, 3)))
-    definitions = _definitions()
-
-    with _scratch() as scratch:
-
-        def ours(turn: int) -> int:
-            path = Path(scratch) / f"bag{turn}"
-            write_bag(session, path, arm)
-            with Reader(path) as reader:
-                return reader.message_count
-
-        def theirs(_: int) -> int:
-            buffer = io.BytesIO()
-            writer = Writer(buffer)
-            schemas = {
-                kind: writer.register_msgdef(kind, text) for kind, text in definitions.items()
-            }
-            for row, (joints, xyz) in enumerate(zip(session.q, session.xyz, strict=True)):
-                for topic, message in _messages(arm.joint_names, joints, xyz):
-                    stamp = 10**12 + row * 10**9
-                    writer.write_message(f"/{topic}", schemas[TYPES[topic]], message, stamp)
-            writer.finish()
-            return 3 * rows
-
-        mine, other = _rates((ours, theirs), repeats)
-    return beside("messages/s CPU", mine, MCAP, other, more_is_better=True)
-
-
-def _definitions() -> dict[str, str]:
-    """Message definitions in the format's form."""
-    types = message_types()
-    topics = ("joint_trajectory", "tip_measured", "session_row")
-    return {TYPES[t]: types.generate_msgdef(TYPES[t], ros_version=2)[0] for t in topics}
-
-
-def _messages(
-    names: tuple[str, ...], q: np.ndarray, xyz: np.ndarray
-) -> list[tuple[str, dict[str, object]]]:
-    """The messages of `write_bag` for a row, in the form of that library."""
-    header = {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "base"}
-    after = {"sec": 0, "nanosec": 0}
-    point = {"positions": q.tolist(), "velocities": [], "accelerations": [], "effort": [],
-             "time_from_start": after}  # fmt: skip
-    position = dict(zip("xyz", xyz.tolist(), strict=True))
-    pose = {"position": position, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
-    return [
-        ("joint_trajectory", {"header": header, "joint_names": list(names), "points": [point]}),
-        ("tip_measured", {"header": header, "pose": {"pose": pose, "covariance": [0.0] * 36}}),
-        ("session_row", {"data": '{"index": 1, "repeat_id": -1, "columns": {}, "labels": {}}'}),
-    ]
 
 
 # ------------------------------------------------------------------ a long session

@@ -63,7 +63,6 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[Any, ...]]] = {
         "bag_read_vs_rosbags": ("bags.read", "rosbags"),
         "bag_read_vs_mcap_ros2": ("bags.read", "mcap"),
         "bag_record_vs_rosbags": ("bags.record",),
-        "bag_write_vs_mcap_ros2": ("bags.write",),
         "bag_read_1gb": ("bags.read_large",),
     },
     "startup": {

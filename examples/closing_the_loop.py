@@ -7,14 +7,13 @@ not, and is found as a function of the posture. The network learns what is left.
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 import longarm_comp as la
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.measure import TrueCamera, measure_session, write_session
+from longarm_comp.sim.measure import Noise, TrueCamera
 from longarm_comp.sim.plant import hidden_effects
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
@@ -25,11 +24,9 @@ def main() -> None:
     arm = la.Arm.load(ARM)
     rng = np.random.default_rng(2)
     real = TrueArm(arm, hidden_effects(arm, {"joint_gain": 8.0, "cable_drag": 2.0}, rng))
-    poses = la.plan(arm, 200).q
-    with tempfile.TemporaryDirectory() as folder:
-        samples = Path(folder) / "samples.csv"
-        write_session(samples, measure_session(real, TrueCamera.of(arm), poses, rng=rng).columns)
-        session = la.read_session(samples, arm)
+    poses, camera = la.plan(arm, 200).q, TrueCamera.of(arm)
+    seen = camera.seen(real.tip(poses))
+    session = la.Session.record(poses, seen + Noise().draw(camera.sight(seen), rng))
 
     calibrated = la.calibrate(arm, session)
     found = la.diagnose(arm, session, network=False)

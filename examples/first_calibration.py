@@ -6,14 +6,13 @@ base differ from the drawing by some millimetres at the tip, and a stereo camera
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 import longarm_comp as la
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.measure import TrueCamera, measure_session, write_session
+from longarm_comp.sim.measure import Noise, TrueCamera
 from longarm_comp.sim.plant import hidden_effects
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
@@ -25,12 +24,11 @@ def main() -> None:
     rng = np.random.default_rng(2)
     sizes = {"joint_zero": 6.0, "dh_error": 3.0, "base_pose": 4.0}  # mm rms at the tip
     real = TrueArm(arm, hidden_effects(arm, sizes, rng))
-    poses = la.plan(arm, 120).q
-    with tempfile.TemporaryDirectory() as folder:
-        samples = Path(folder) / "samples.csv"
-        measured = measure_session(real, TrueCamera.of(arm), poses, rng=rng, lost=0.03)
-        write_session(samples, measured.columns)
-        session = la.read_session(samples, arm)
+    poses, camera = la.plan(arm, 120).q, TrueCamera.of(arm)
+    seen = camera.seen(real.tip(poses))
+    measured = seen + Noise().draw(camera.sight(seen), rng)
+    measured[rng.random(len(poses)) < 0.03] = np.nan  # the marker is lost
+    session = la.Session.record(poses, measured)
     calibrated = la.calibrate(arm, session)
 
     print(f"{len(session)} rows, the marker was seen in {session.seen.sum()}\n")

@@ -37,7 +37,7 @@ from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
-from longarm_comp.sim.measure import arrival
+from studies.simulated import arrival
 
 HIDDEN = ("joint_gain", "gear_eccentricity", "thermal_growth", "friction_hysteresis")
 """What the arm hides from the morning on; softer beams too where it has beams."""

@@ -20,10 +20,11 @@ from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.hidden.catalogue import Hidden, hidden
-from longarm_comp.sim.measure import Noise, SimulatedSession, TrueCamera, arrival, measure_session
+from longarm_comp.sim.measure import Noise, TrueCamera
 from studies.loop_cases import SPOILED, Case
 from studies.loop_truth import at_one_place, size
 from studies.random_arms import random_arm
+from studies.simulated import SimulatedSession, arrival, measure_session
 
 HELD_OUT = 100
 """Number of further poses, uniform over the joint box."""

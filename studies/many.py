@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import compensate
-from longarm_comp.core.compensation.realisable import choose
+from longarm_comp.core.compensation.realisable import Lattice, Predict, choose
 from longarm_comp.core.model.model import Model
 
 
@@ -41,6 +42,10 @@ def compensate_many(
     return made
 
 
-def chosen(*given: Any, **options: Any) -> SimpleNamespace:
-    """What `choose` finds for N targets, as arrays."""
-    return stacked(choose(*given, **options))
+def chosen(
+    arm: Arm, lattice: Lattice, predict: Predict, targets: np.ndarray, ideal: np.ndarray,
+    *given: Any, **options: Any,
+) -> SimpleNamespace:  # fmt: skip
+    """What `choose` finds for each of N targets, as arrays."""
+    pairs = zip(targets, ideal, strict=True)
+    return stacked([choose(arm, lattice, predict, t, q, *given, **options) for t, q in pairs])

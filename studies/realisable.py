@@ -89,23 +89,19 @@ class StudyTargets:
         return chosen(
             case.model.arm,
             Lattice.of(case.model.arm),
-            lambda q, _: tip_poses(case.model, q),
+            lambda q: tip_poses(case.model, q),
             self.requested[rows],
             self.ideal[rows],
             self.search(**options),
             locked=case.locked,
         )
 
-    def seconds(self) -> tuple[float, float]:
-        """Processor time of a target: on its own (median over targets), and as one of all.
-
-        Each is the best of several runs.
-        """
+    def seconds(self) -> float:
+        """Processor time of a target: the median over targets, each the best of several runs."""
         single = np.empty((len(self.ideal), TIMINGS))
         for i, run in np.ndindex(*single.shape):
             single[i, run] = _spent(lambda i=i: self.choose(slice(i, i + 1)))  # type: ignore[misc]
-        together = min(_spent(self.choose) for _ in range(TIMINGS)) / len(self.ideal)
-        return float(np.median(single.min(axis=1))), together
+        return float(np.median(single.min(axis=1)))
 
 
 def _spent(work: Callable[[], object]) -> float:
@@ -155,7 +151,6 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
                 continue  # no two sets of joints for a pose
             t = case.targets(count, np.random.default_rng(seed), pose)
             got = t.choose()
-            alone, together = t.seconds()
             error, rounded = got.error, got.rounded_error
             rows.append(
                 {
@@ -169,8 +164,7 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
                     "mean_mrad": 1e3 * error[:, 1].mean() if pose else None,
                     "moved_deg": _moved(case, got, got.joints),
                     "nodes": float(got.nodes.mean()),
-                    "cpu_us": 1e6 * alone,
-                    "batch_cpu_us": 1e6 * together,
+                    "cpu_us": 1e6 * t.seconds(),
                 }
             )
     return rows

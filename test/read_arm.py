@@ -12,7 +12,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.measure import TrueEncoders
+from studies.simulated import TrueEncoders
 
 SIGMA = 2e-4
 ENCODERS = TrueEncoders(step=1e-4, zero=np.array([2e-3, -1e-3, 5e-4, 0.0]), scale=1e-3)

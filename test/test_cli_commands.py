@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from cli_shell import Shell, real
+from session_bag import write_bag
 from small_arm import ARM
 
 from bench import catalogue
@@ -78,7 +79,7 @@ def test_evaluate_shows_every_stage(work: Path, shell: Shell) -> None:
 
 def test_a_bag_does_where_a_csv_does(work: Path, shell: Shell) -> None:
     arm, test = work / "arm.yaml", work / "test.csv"
-    assert shell("bag", "from-csv", arm, test, "-o", "bag", "--storage", "sqlite3") == 0
+    write_bag(read_csv(test, ARM), "bag", ARM, "sqlite3")
     bag = shell.json("evaluate", arm, "--test", "bag", "--model", work / "model.yaml")
     table = shell.json("evaluate", arm, "--test", test, "--model", work / "model.yaml")
     assert bag["rows"] == table["rows"]

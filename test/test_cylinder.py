@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,54 @@ from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.ik.solver import solve_many
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import TrueContext
-from longarm_comp.sim.hidden import drives
+from longarm_comp.sim.context import State, TrueContext
+from longarm_comp.sim.hidden.base import HiddenEffect
 
 NEAR, FAR, ANGLE = 0.12, 0.30, 40.0
 DRAWN = (NEAR, FAR, np.radians(ANGLE))
+
+
+@dataclass(frozen=True)
+class TruePins(HiddenEffect):
+    """A joint's cylinder has the length that the drawing asks for, between pins elsewhere.
+
+    The triangle is solved exactly for the angle.
+
+    Attributes:
+        joint: index in q.
+        drawn: near, far (m) and angle at q = 0 (rad), as declared; the angle grows with q.
+        true: near, far (m), and what the sensor's zero adds to the length (m).
+    """
+
+    joint: int
+    drawn: tuple[float, float, float]
+    true: tuple[float, float, float]
+
+    def joints(self, q: np.ndarray, state: State) -> np.ndarray:
+        near, far, zero = self.drawn
+        length = np.hypot(near - far * np.cos(zero + q[:, self.joint]),
+                          far * np.sin(zero + q[:, self.joint]))  # fmt: skip
+        a, b, more = self.true
+        turned = q.copy()
+        turned[:, self.joint] = np.arccos((a**2 + b**2 - (length + more) ** 2) / (2 * a * b)) - zero
+        return turned
+
+
+@dataclass(frozen=True)
+class TruePlay(TruePins):
+    """Worn pins: the cylinder is half the play shorter or longer, as the approach left it."""
+
+    play: float = 0.0
+
+    def joints(self, q: np.ndarray, state: State) -> np.ndarray:
+        came = np.broadcast_to(state.approach, q.shape)[:, self.joint]
+        made = q.copy()
+        for side in (-1.0, 1.0):
+            a, b, more = self.true
+            short = TruePins(self.joint, self.drawn, (a, b, more - side * self.play / 2))
+            rows = came == side
+            made[rows] = short.joints(q, state)[rows]
+        return made
 
 
 def boom(**change: Any) -> Arm:
@@ -67,7 +111,7 @@ def test_truth_and_model_agree_on_moved_pins(moved: tuple[float, float, float]) 
     arm = boom()
     q, _ = poses(arm, 40, 4)
     near, far, length = moved
-    truth = TrueArm(arm, [drives.CylinderPins(1, DRAWN, (NEAR + near, FAR + far, length))]).tip(q)
+    truth = TrueArm(arm, [TruePins(1, DRAWN, (NEAR + near, FAR + far, length))]).tip(q)
     tip = Model(arm).plus(CylinderPins(joint=2, near=near, far=far, length=length)).tip(q)
     effect = np.linalg.norm(truth - Model(arm).tip(q), axis=1)
     assert np.linalg.norm(tip - truth, axis=1).max() < 0.03 * effect.max()
@@ -78,7 +122,7 @@ def test_truth_and_model_agree_on_play() -> None:
     arm = boom()
     q, side = poses(arm, 40, 4)
     sides = np.repeat(side[:, None], arm.n, axis=1)
-    hidden = drives.CylinderPlay(1, DRAWN, (NEAR, FAR, 0.0), play=2e-3)
+    hidden = TruePlay(1, DRAWN, (NEAR, FAR, 0.0), play=2e-3)
     truth = TrueArm(arm, [hidden]).tip(q, TrueContext(approach=sides))
     model = Model(arm).plus(CylinderPlay(joint=2, width=2e-3))
     tip = model.tip(q, Context(approach=tuple(sides.T)))
@@ -104,7 +148,7 @@ def test_the_inverse_kinematics_reach_through_it(term: Effect) -> None:
 def test_calibration_takes_pins_that_no_other_geometry_can() -> None:
     """At poses left out it errs by less than half of what it does without the cylinder."""
     arm, left = boom(), []
-    hidden = drives.CylinderPins(1, DRAWN, (NEAR + 4e-3, FAR - 6e-3, 3e-3))
+    hidden = TruePins(1, DRAWN, (NEAR + 4e-3, FAR - 6e-3, 3e-3))
     (q, _), (fresh, _) = poses(arm, 60, 6), poses(arm, 100, 7)
     truth = TrueArm(arm, [hidden])
     noise = 2e-5 * np.random.default_rng(8).standard_normal((len(q), 3))

@@ -24,6 +24,7 @@ from bag_robot import asked, command, robot, sighting, state
 from cli_shell import Shell
 from damage import damaged
 from openpyxl import Workbook
+from session_bag import write_bag
 from small_arm import ARM
 
 from longarm_comp.arm_folder.camera_files import SIDES
@@ -35,6 +36,7 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo.camera_file import write_camera
 from longarm_comp.report import record
 from longarm_comp.report.record import read_report
+from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sim.cameras import CameraPair
 from longarm_comp.sim.servo_emulator.joints import read_arm
 
@@ -108,7 +110,6 @@ READINGS = (
         ("diagnose", ARM_FILE, "few.csv", "--model", MODEL, "--no-network", "-o", "found"),
         ("few.csv", ARM_FILE, MODEL),
     ),
-    Reading(("bag", "from-csv", ARM_FILE, "few.csv", "-o", "made_bag"), ("few.csv",)),
     Reading(
         ("bag", "to-csv", ARM_FILE, "bag", "-o", "b.csv"), ("bag/metadata.yaml", "bag/bag.mcap")
     ),
@@ -142,9 +143,6 @@ READINGS = (
     Reading(("fleet", "arms", "--no-network", "-o", "fleet"), ("arms/a/arm.yaml", "arms/a/s.csv")),
     Reading(("stereo", "marker", FOLDER, "-o", "page.pdf"), (f"{FOLDER}/stereo_bridge.yaml",)),
     Reading(("stereo", "hand-eye", FOLDER, "few.csv", "--dry-run"), (*FILES, "few.csv")),
-    Reading(("compare", MODEL, "kept.yaml"), (MODEL,)),
-    Reading(("compare", "few.csv", "other.csv", "--arm", ARM_FILE), ("few.csv", ARM_FILE)),
-    Reading(("compare", "found_1", "found_2"), ("found_1/report.json",)),
     Reading(("collect", ARM_FILE, "next_poses.csv", "--dry-run"), ("next_poses.csv", ARM_FILE)),
     Reading(("day-report", ARM_FILE, "day"), ("day/metadata.yaml", "day/day.mcap", ARM_FILE)),
     Reading(("compensate", ARM_FILE, "--targets", "targets.csv", "--like", MAPPING, "-o", "l.csv"),
@@ -191,14 +189,9 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     pair = CameraPair((0.2, -2.0, 0.3), (0.0, 1.0, 0.0))
     for side, info in zip(SIDES, pair.camera_infos(), strict=True):
         write_camera(folder / FOLDER / "cameras" / f"{side}.yaml", side, info, "")
-    shutil.copy(folder / "few.csv", folder / "other.csv")
     (folder / "arms" / "a").mkdir(parents=True)
     shutil.copy(arm, folder / "arms" / "a")
     shutil.copy(folder / "few.csv", folder / "arms" / "a" / "s.csv")
-    for k in (1, 2):
-        report, _ = report_samples.named(np.random.default_rng(k))
-        (folder / f"found_{k}").mkdir()
-        (folder / f"found_{k}" / "report.json").write_text(record.text(record.checked(report)))
     for name, source in (("ball.yaml", "arm.yaml"), ("touches.yaml", "touches.yaml")):
         shutil.copy(TOUCHED / source, folder / name)
     touched = (TOUCHED / "panda_1.csv").read_text().splitlines()
@@ -209,7 +202,7 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         book.active.append(line)
     book.save(folder / "log.xlsx")
     (folder / "lift.urdf").write_text(LIFT)
-    assert made("bag", "from-csv", arm, folder / "few.csv", "-o", folder / "bag") == 0
+    write_bag(read_csv(folder / "few.csv", Arm.load(arm)), folder / "bag", Arm.load(arm))
     with robot(folder / "day") as put:
         for t, target in zip((10.0, 20.0), aims, strict=True):
             asked(put, t, ARM.mid, target)

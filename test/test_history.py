@@ -207,8 +207,9 @@ def test_a_bag_carries_run_ups_and_sides_without_a_length(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
     pytest.importorskip("rosbags")
+    from session_bag import write_bag
+
     from longarm_comp.sessions.bag import read_bag
-    from longarm_comp.sessions.bag_write import write_bag
 
     session = driven(25, rng)
     write_bag(session, tmp_path / "bag", ARM)

@@ -19,9 +19,12 @@ import pytest
 import test_rooms
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from session_bag import write_bag
 
 import longarm_comp
 from longarm_comp import libraries
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.sessions.csv import read_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "longarm_comp"
@@ -258,12 +261,14 @@ def test_without_ros_files_are_worked_on_and_the_rest_says_what_it_lacks(
         return below(prefix, sys.executable, "-c", WITHOUT_ROS, ros, *words)
 
     assert longarm("--version").stdout == f"longarm, version {longarm_comp.__version__}\n"
-    arm, session = work / "arm.yaml", work / "samples.csv"
+    arm = work / "arm.yaml"
+    declared = Arm.load(arm)
+    write_bag(read_csv(work / "samples.csv", declared), tmp_path / "bag", declared)
     for words in (
         ("init", tmp_path / "mine", "--arm", arm),
         ("plan", arm, "--kind", "sobol", "-n", 8, "-o", tmp_path / "poses.csv"),
-        ("bag", "from-csv", arm, session, "-o", tmp_path / "bag"),
         ("evaluate", arm, "--test", tmp_path / "bag", "--model", work / "model.yaml"),
+        ("bag", "to-csv", arm, tmp_path / "bag", "-o", tmp_path / "back.csv"),
     ):
         done = longarm(*words)
         assert done.returncode == 0, done.stderr

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -77,7 +76,7 @@ class Linear:
         targets = tip0 + ideal @ J.T + rng.normal(size=(count, 3)) * 2e-3
         return cls(arm, Lattice(step, offset, np.zeros(4)), J, tip0, ideal, targets)
 
-    def predict(self, q: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def predict(self, q: np.ndarray) -> np.ndarray:
         assert (q >= self.arm.lower).all() and (q <= self.arm.upper).all()
         return self.at(q)
 
@@ -137,11 +136,11 @@ def test_the_choice_is_the_best_of_all_combinations(price: float, rng: np.random
 def test_a_second_look_mends_what_the_first_took_for_linear(rng: np.random.Generator) -> None:
     case = Linear.draw(rng, count=40)
 
-    def bent(q: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def bent(q: np.ndarray) -> np.ndarray:
         off = q - case.arm.mid
-        return case.predict(q, rows) + 8.0 * off[:, :1] * off[:, 1:2] * [1.0, -1.0, 0.5]
+        return case.predict(q) + 8.0 * off[:, :1] * off[:, 1:2] * [1.0, -1.0, 0.5]
 
-    targets = bent(case.ideal, np.zeros(0))
+    targets = bent(case.ideal)
     left = [
         chosen(
             case.arm, case.lattice, bent, targets, case.ideal, Search(LENGTH, kept=1, rounds=r)
@@ -149,7 +148,7 @@ def test_a_second_look_mends_what_the_first_took_for_linear(rng: np.random.Gener
         for r in (1, 2)
     ]
     grid = case.brute()
-    best = [np.linalg.norm(bent(grid, np.zeros(0)) - target, axis=1).min() for target in targets]
+    best = [np.linalg.norm(bent(grid) - target, axis=1).min() for target in targets]
     excess = [np.mean(e - best) for e in left]
     assert excess[1] < 0.6 * excess[0]
 
@@ -259,39 +258,15 @@ def test_locked_joints_stay_and_the_others_make_up_for_them(rng: np.random.Gener
         np.testing.assert_allclose(got.joints[i], some[np.argmin(case.cost(some, i))], atol=1e-12)
 
 
-def test_each_target_has_its_own_circumstances(rng: np.random.Generator) -> None:
-    """The prediction is told whose joints it is given, for one target as for many."""
-    case = Linear.draw(rng)
-    push = rng.normal(size=(len(case.ideal), 3)) * 1e-3
-
-    def predict(q: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        return case.predict(q, rows) + push[rows]
-
-    search = Search(LENGTH)
-    many = chosen(case.arm, case.lattice, predict, case.targets, case.ideal, search)
-    for i in range(len(case.ideal)):
-        one = chosen(
-            case.arm,
-            case.lattice,
-            lambda q, rows, i=i: case.predict(q, rows) + push[i],
-            case.targets[i : i + 1],
-            case.ideal[i : i + 1],
-            search,
-        ).rows[0]
-        np.testing.assert_array_equal(one.joints, many.joints[i])
-        np.testing.assert_allclose(one.error, many.error[i], atol=1e-15)
-        assert one.nodes == many.nodes[i] > 0
-    assert not np.array_equal(many.joints, case.choose().joints)
-
-
 def test_a_step_where_the_model_says_nothing_is_never_taken(rng: np.random.Generator) -> None:
     case = Linear.draw(rng)
     best = case.choose()
     other = (best.joints != best.rounded).any(axis=1)
 
-    def predict(q: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        tip = case.predict(q, rows)
-        tip[(np.abs(q - best.joints[rows]) < 1e-9).all(axis=1) & other[rows]] = math.nan
+    def predict(q: np.ndarray) -> np.ndarray:
+        tip = case.predict(q)
+        apart = np.abs(q[:, None] - best.joints[other])
+        tip[(apart < 1e-9).all(axis=2).any(axis=1)] = math.nan
         return tip
 
     got = chosen(case.arm, case.lattice, predict, case.targets, case.ideal, Search(LENGTH))
@@ -301,39 +276,17 @@ def test_a_step_where_the_model_says_nothing_is_never_taken(rng: np.random.Gener
     assert (got.error[:, 0] <= got.rounded_error[:, 0]).all()
 
 
-def test_no_targets_are_no_commands(rng: np.random.Generator) -> None:
-    case = Linear.draw(rng, count=0)
-    given = (case.predict, case.targets, case.ideal, Search(LENGTH))
-    assert choose(case.arm, case.lattice, *given) == []
-
-
-BAD: list[tuple[Callable[[Linear], None], str, str]] = [
-    (lambda c: c.targets.__setitem__((3, 1), math.nan), "target 3", "finite"),
-    (lambda c: c.ideal.__setitem__((2, 0), math.inf), "ideal joints 2", "finite"),
-    (lambda c: c.ideal.__setitem__((5, 3), 1.0), "ideal joints 5", "to"),
-    (lambda c: setattr(c, "ideal", c.ideal[:, :3]), "ideal", "shape (12, 4)"),
-    (lambda c: setattr(c, "targets", c.targets[:, :2]), "targets", "(N, 3) or (N, 4, 4)"),
-    (lambda c: setattr(c, "predict", lambda q, rows: q), "predict", "3)"),
-    (lambda c: setattr(c, "predict", lambda q, rows: q[:, :3] * math.nan), "predict", "finite"),
-]
-
-
-@pytest.mark.parametrize(("spoil", "field", "allowed"), BAD)
-def test_bad_input_is_one_clear_error(
-    spoil: Callable[[Linear], None], field: str, allowed: str, rng: np.random.Generator
+def test_a_model_that_says_nothing_of_the_ideal_joints_is_an_error(
+    rng: np.random.Generator,
 ) -> None:
     case = Linear.draw(rng)
-    spoil(case)
-    with pytest.raises(InputError) as caught:
-        case.choose()
-    assert caught.value.field == field
-    assert allowed in caught.value.allowed
+    given = (case.arm, case.lattice, lambda q: case.predict(q) * math.nan)
+    with pytest.raises(InputError, match="finite"):
+        choose(*given, case.targets[0], case.ideal[0], Search(LENGTH))
 
 
 def test_bad_options_are_one_clear_error(rng: np.random.Generator) -> None:
     case = Linear.draw(rng)
-    with pytest.raises(InputError, match=r"locked: 4; allowed: 0\.\.3"):
-        case.choose(locked=[4])
     for field, value in (("price_m", 0.0), ("price_m", math.nan), ("kept", 0), ("rounds", 0)):
         with pytest.raises(InputError, match=field):
             Search(LENGTH, **{field: value})

@@ -62,7 +62,7 @@ def commanded(
     length = LENGTH if pose else characteristic_length(model)
     search = Search(length, price_m=price)
     lattice = Lattice.of(model.arm, offset)
-    predict = lambda q, rows: tip_poses(model, q)  # noqa: E731
+    predict = lambda q: tip_poses(model, q)  # noqa: E731
     return chosen(model.arm, lattice, predict, targets, ideal, search, locked=locked), targets
 
 
@@ -122,7 +122,7 @@ def test_few_steps_by_the_arms_own_model(model: Model, rng: np.random.Generator)
         targets = model.pose(q) if pose else model.tip(q)
         search = Search(LENGTH, max_nodes=100_000)
         got = chosen(
-            small, Lattice.of(arm), lambda q, _: model.pose(q), targets, q, search
+            small, Lattice.of(arm), lambda q: model.pose(q), targets, q, search
         )  # fmt: skip
         steps = [
             np.arange(math.ceil(a / s), math.floor(b / s) + 1) * s
@@ -156,7 +156,7 @@ def test_locked_joints_and_limits_of_the_demonstration_arm(
         q[:, joint] = np.where(rng.random(30) < 0.5, arm.lower[joint], arm.upper[joint])
         q[:, (joint + 1) % arm.n] = arm.lower[(joint + 1) % arm.n]
         lattice = Lattice.of(arm, 0.4 * arm.steps)
-        edge = chosen(arm, lattice, lambda q, _: model.tip(q), model.tip(q), q, Search(LENGTH))
+        edge = chosen(arm, lattice, lambda q: model.tip(q), model.tip(q), q, Search(LENGTH))
         assert (edge.joints >= arm.lower).all() and (edge.joints <= arm.upper).all()
         assert on_steps(model, edge.joints, 0.4 * arm.steps).max() < 1e-6
         assert (edge.error[:, 0] <= edge.rounded_error[:, 0]).all()

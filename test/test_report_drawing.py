@@ -38,18 +38,19 @@ def test_errors_of_zero_have_arrows_of_no_length() -> None:
     assert trace["x"][:2] == [1.0, 1.0] and "NaN" not in json.dumps(trace)
 
 
-def test_scene_has_every_stage_at_both_scales_and_shows_one(rng: np.random.Generator) -> None:
+def test_scene_has_every_stage_at_its_own_scale_and_shows_one(rng: np.random.Generator) -> None:
     rows = named(rng)[1].held_out
     assert rows is not None
     traces = json.loads(scene_json(rows, "calibrated"))["data"]
     arms = [trace for trace in traces if "meta" not in trace]
     staged = [trace for trace in traces if "meta" in trace]
     assert len(arms) == len(rows.arms_m)
-    assert {(t["meta"]["stage"], t["meta"]["scale"]) for t in staged} == {
-        (stage, scale) for stage in rows.errors_m for scale in ("own", "same")
-    }
+    assert [t["meta"]["stage"] for t in staged] == list(rows.errors_m)
     assert [t["meta"]["stage"] for t in staged if t["visible"]] == ["calibrated"]
-    (shown,) = (t for t in staged if t["visible"])
-    ends = np.column_stack([shown[k] for k in "xyz"])[1::10].astype(float)
-    times = shown["meta"]["times"]
-    assert ends == pytest.approx(rows.measured_m + times * rows.errors_m["calibrated"], abs=1e-5)
+    for trace in staged:
+        stage, times = trace["meta"]["stage"], trace["meta"]["times"]
+        assert times == exaggeration(rows, (stage,))
+        start, stop = (np.column_stack([trace[k][n::3] for k in "xyz"]) for n in (0, 1))
+        assert start.astype(float) == pytest.approx(rows.measured_m, abs=1e-5)
+        assert (stop - start).astype(float) == pytest.approx(times * rows.errors_m[stage], abs=2e-5)
+        assert set(trace["x"][2::3]) == {None}

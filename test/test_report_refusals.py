@@ -16,7 +16,7 @@ BAD: list[tuple[str, tuple[str | int, ...], Any, str]] = [
     ("not a number", ("held_out", "rows", 0, "mean_mm"), float("nan"), "mean_mm"),
     ("infinite", ("findings", 0, "log_bayes_factor"), float("inf"), "log_bayes_factor"),
     ("unknown verdict", ("verdict",), "maybe", "'noise', 'named'"),
-    ("unknown key", ("noise", "sigma"), 1.0, "known: rho, sigma_mm, source"),
+    ("unknown key", ("noise", "sigma"), 1.0, "known keys: rho, sigma_mm, source"),
     ("unknown key in a list", ("findings", 0, "place"), "x", "compensated, doubts, effect"),
     ("unknown model", ("held_out", "rows", 0, "model"), "best", "'nominal'"),
     ("another schema", ("schema",), "longarm/diagnosis/2", "longarm/diagnosis/1"),

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from bag_robot import STORAGES, command, refusal, robot, sighting
-from rosbags.rosbag2 import Writer
+from session_bag import write_bag
 from small_arm import ARM, measured
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.bag import read_bag
-from longarm_comp.sessions.bag_write import write_bag
 
 
 def test_joints_of_another_arm(tmp_path: Path) -> None:
@@ -122,26 +121,3 @@ def test_no_bag_at_all(tmp_path: Path) -> None:
     refusal(tmp_path / "folder")
     (tmp_path / "file.mcap").write_bytes(b"")
     refusal(tmp_path / "file.mcap")
-
-
-def test_writing_refuses_what_it_must_not_replace(tmp_path: Path, rng: np.random.Generator) -> None:
-    session = measured(3, rng)
-    (tmp_path / "bag").mkdir()
-    with pytest.raises(InputError, match="does not exist yet"):
-        write_bag(session, tmp_path / "bag", ARM)
-    with pytest.raises(InputError, match="output folder"):
-        write_bag(session, Path("/proc/longarm/bag"), ARM)
-    with pytest.raises(InputError, match="mcap or sqlite3"):
-        write_bag(session, tmp_path / "new", ARM, "hdf5")  # type: ignore[arg-type]
-
-
-def test_an_interrupted_write_leaves_nothing(
-    tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Writer, "close", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        write_bag(measured(3, rng), tmp_path / "bag", ARM)
-    assert list(tmp_path.iterdir()) == []

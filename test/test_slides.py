@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,24 @@ from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.hidden import loads
+from longarm_comp.sim.context import State
+from longarm_comp.sim.hidden.base import HiddenEffect, Place
+from longarm_comp.sim.rods import Walker
+
+
+@dataclass(frozen=True)
+class Rocking(HiddenEffect):
+    """What the slide of row `row` carries rocks by `angle` (rad) to its heavy side."""
+
+    row: int
+    angle: float
+
+    def give(self, place: Place, beyond: Walker, state: State) -> np.ndarray | None:
+        if place.kind != "frame" or place.row != self.row:
+            return None
+        across = beyond.moment.copy()
+        across[2] = 0.0
+        return self.angle * across / np.maximum(np.sqrt(np.sum(across**2, axis=0)), 1e-12)
 
 
 def poses(n: int) -> np.ndarray:
@@ -66,7 +84,7 @@ def leaning(q: np.ndarray, about_x: float = 4e-3, about_y: float = -3e-3) -> np.
 
 
 def rocking(q: np.ndarray) -> np.ndarray:
-    return TrueArm(arm(), [loads.SlidePlay(1, 6e-3)]).tip(q)
+    return TrueArm(arm(), [Rocking(1, 6e-3)]).tip(q)
 
 
 SLIDES: dict[str, tuple[Any, Effect]] = {

@@ -44,7 +44,6 @@ COMMANDS = (
     Entry("export-urdf", "urdf:export_urdf", "Write a calibrated arm as a URDF."),
     Entry("bag info", "bag:info", "List the contents of a bag and the topics of a session."),
     Entry("bag to-csv", "bag:to_csv", "Convert a bag to samples.csv."),
-    Entry("bag from-csv", "bag:from_csv", "Convert a samples.csv to a bag."),
     Entry("find-port", "servo:find_port", "Find the serial port of the servo bus."),
     Entry("up", "up", "Start an arm's ROS graph, real or simulated."),
     Entry("study", "study", "Print the figures of docs/studies.md, from a checkout."),
@@ -82,7 +81,6 @@ COMMANDS = (
     ),
     Entry("effects", "effects", "Print the library of effects: parameters, units, priors, inputs."),
     Entry("schema", "schema", "Print the JSON schema of arm.yaml, for editors."),
-    Entry("compare", "compare", "Compare two diagnoses, models or sessions."),
     Entry(
         "servo scan", "servo:scan", "List the servos on a bus: id, model, firmware, ids used twice."
     ),

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from longarm_comp.report.detail import Correlation, Input, Marked, SeenRows
-from longarm_comp.report.record import ReportCandidate
 from longarm_comp.report.scene import arrows, exaggeration, points_of
-from longarm_comp.report.style import GRID, INK, LOOKS, SKY, VERMILLION
+from longarm_comp.report.style import GRID, INK, LOOKS, VERMILLION
 
 _LEVELS = 8
 """An input with at most this many distinct values is drawn level by level."""
@@ -142,24 +141,6 @@ def correlations(entry: Correlation) -> Figure:
             color="white" if strong else INK,
         )
     drawn.colorbar(image, ax=axes, label="correlation", shrink=0.9, pad=0.01)
-    return drawn
-
-
-def scores(best: Sequence[ReportCandidate]) -> Figure:
-    """Log Bayes factors as bars, best first; hatched: accepted."""
-    drawn = Figure(figsize=(9, 0.8 + 0.24 * len(best)), layout="constrained")
-    axes = drawn.subplots()
-    labels = [f"{one.effect}, {one.where}" for one in best]
-    values = [one.log_bayes_factor or 0.0 for one in best]
-    bars = axes.barh(range(len(labels)), values, color="white", edgecolor=INK, linewidth=0.8)
-    for bar, one in zip(bars, best, strict=True):
-        if one.state == "accepted":
-            bar.set(facecolor=SKY, hatch="//")
-    axes.set_yticks(range(len(labels)), labels, fontsize=8)
-    axes.invert_yaxis()
-    axes.axvline(0, color=INK, linewidth=0.8)
-    axes.set_xscale("symlog", linthresh=10)
-    axes.set_xlabel("log Bayes factor against leaving it out (symmetric log scale)")
     return drawn
 
 

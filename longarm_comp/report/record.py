@@ -7,10 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.yaml_file import parse_declared
 
 SCHEMA = "longarm/diagnosis/1"
 DIGITS = 12
@@ -264,15 +265,7 @@ def checked(report: dict[str, Any]) -> DiagnosisReport:
     Raises:
         InputError: a key is missing or unknown, a value of the wrong kind, a number not finite.
     """
-    try:
-        return DiagnosisReport.model_validate(report)
-    except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        field = ".".join(str(part) for part in fault["loc"]) or "report"
-        allowed = str(fault["msg"])
-        if fault["type"] == "extra_forbidden":
-            allowed = f"no key of this name; known: {', '.join(_known(fault['loc'][:-1]))}"
-        raise InputError("report.json", field, fault["input"], allowed) from error
+    return parse_declared(DiagnosisReport, report, "report.json")
 
 
 def read_report(folder: str | Path) -> DiagnosisReport:
@@ -316,15 +309,3 @@ def rounded(value: Any, to: Callable[[float], float]) -> Any:
     if isinstance(value, dict):
         return {key: rounded(entry, to) for key, entry in value.items()}
     return value
-
-
-def _known(path: tuple[int | str, ...]) -> list[str]:
-    """Keys that the schema has at `path`."""
-    schema = DiagnosisReport.model_json_schema(by_alias=True)
-    node = schema
-    for step in path:
-        inner = node.get("items", {}) if isinstance(step, int) else node["properties"][step]
-        inner = next((part for part in inner.get("anyOf", []) if "$ref" in part), inner)
-        reference = inner.get("$ref")
-        node = schema["$defs"][reference.rsplit("/", 1)[1]] if reference else inner
-    return sorted(node.get("properties", {}))

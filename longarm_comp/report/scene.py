@@ -73,30 +73,21 @@ def arrows(rows: SeenRows, stage: str, times: float) -> Arrows:
 
 
 _ARM = "#8a8a8a"
-_POINTS = 10
-"""Number of points of the polyline of one arrow."""
 
 
 def scene_json(rows: SeenRows, shown: str) -> str:
     """A plotly figure as JSON, safe to stand in a script element.
 
-    Every stage has its arrows twice: at a scale of its own, and at one for all stages. `meta`
-    of a trace says which: ``{"stage", "scale": "own|same", "times"}``.
+    Every stage has its arrows at a scale of its own: `meta` of a trace says ``{"stage", "times"}``.
 
     Args:
         rows: what to draw.
-        shown: the stage that is visible first, at its own scale.
+        shown: the stage that is visible first.
     """
-    stages = stages_of(rows)
-    same = exaggeration(rows, stages)
-    # Length of an arrow's head as a share of the scene
-    head = 0.018 * _extent_m(rows)
     traces = [_arm_line(line) for line in rows.arms_m]
-    for stage in stages:
-        for scale, times in (("own", exaggeration(rows, (stage,))), ("same", same)):
-            meta = {"stage": stage, "scale": scale, "times": times}
-            visible = stage == shown and scale == "own"
-            traces.append(_arrow_lines(arrows(rows, stage, times), meta, visible, head))
+    for stage in stages_of(rows):
+        found = arrows(rows, stage, exaggeration(rows, (stage,)))
+        traces.append(_arrow_lines(found, stage == shown))
     # To a hundredth of a millimetre, to keep the file small
     plain = rounded({"data": traces, "layout": _layout()}, lambda v: round(v, 5))
     return json.dumps(plain, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -114,11 +105,10 @@ def _arm_line(line: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _arrow_lines(
-    found: Arrows, meta: dict[str, Any], visible: bool, head_m: float
-) -> dict[str, Any]:
-    points = _outlines(found, head_m)
-    xyz = [[None if np.isnan(v) else float(v) for v in axis] for axis in points.reshape(-1, 3).T]
+def _arrow_lines(found: Arrows, visible: bool) -> dict[str, Any]:
+    """A line for each arrow, with a dot where it starts and a gap after it."""
+    ends = np.stack([found.start_m, found.stop_m], axis=1).tolist()
+    points = [point for start, stop in ends for point in (start, stop, [None] * 3)]
     notes = [
         f"row {k}: ({x:+.2f}, {y:+.2f}, {z:+.2f}) mm"
         for k, (x, y, z) in zip(found.index, 1e3 * found.error_m, strict=True)
@@ -126,39 +116,16 @@ def _arrow_lines(
     color = LOOKS[found.stage].color
     return {
         "type": "scatter3d",
-        **dict(zip("xyz", xyz, strict=True)),
+        **dict(zip("xyz", map(list, zip(*points, strict=True)), strict=True)),
         "mode": "lines+markers",
         "line": {"color": color, "width": 4},
-        "marker": {
-            "color": color,
-            "size": [4, *[0] * (_POINTS - 1)] * len(notes),
-            "line": {"width": 0},
-        },
-        "text": [entry for note in notes for entry in (note, note, *[""] * (_POINTS - 2))],
+        "marker": {"color": color, "size": [4, 0, 0] * len(notes), "line": {"width": 0}},
+        "text": [entry for note in notes for entry in (note, note, "")],
         "hoverinfo": "text",
-        "meta": meta,
+        "meta": {"stage": found.stage, "times": found.exaggeration},
         "visible": visible,
         "showlegend": False,
     }
-
-
-def _outlines(found: Arrows, head_m: float) -> np.ndarray:
-    """(M, 10, 3) shaft, then out and back to the tip along four barbs, then a gap (NaN)."""
-    shaft = found.stop_m - found.start_m
-    length = np.linalg.norm(shaft, axis=1, keepdims=True)
-    ahead = np.divide(shaft, length, out=np.zeros_like(shaft), where=length > 0)
-    least = np.eye(3)[np.abs(ahead).argmin(axis=1)]
-    aside = np.cross(ahead, least)
-    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
-    across = np.cross(ahead, aside)
-    size = np.minimum(head_m, 0.5 * length)
-    neck = found.stop_m - size * ahead
-    gap = np.full_like(shaft, np.nan)
-    points = [found.start_m, found.stop_m]
-    for sideways in (aside, across, -aside, -across):
-        # Half width of a head over its length
-        points += [neck + 0.45 * size * sideways, found.stop_m]
-    return np.stack([*points[:-1], gap], axis=1)
 
 
 def _layout() -> dict[str, Any]:

@@ -15,7 +15,6 @@ from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.page import against, page, place_name, still_stages
 from longarm_comp.report.scene import stages_of
-from longarm_comp.report.tables import best_first
 
 
 def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLike[str]) -> Path:
@@ -72,7 +71,4 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
                     )
         if detail.correlation is not None and detail.correlation.matrix.size:
             figures["correlation"] = plots.correlations(detail.correlation)
-        scored = [one for one in best_first(report) if one.log_bayes_factor is not None]
-        if scored:
-            figures["scores"] = plots.scores(scored[:15])
         return {name: style.svg(figure) for name, figure in figures.items()}

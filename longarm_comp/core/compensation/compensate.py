@@ -278,7 +278,7 @@ class _Target:
         learned = self.predictor if self.method.learned and not status.physics_only else None
         context_at = self.context_at or (lambda _: self.context)
 
-        def tip(q: np.ndarray, _: np.ndarray) -> np.ndarray:
+        def tip(q: np.ndarray) -> np.ndarray:
             poses = tip_poses(self.model, q, context_at(q))
             if learned is not None:
                 poses[:, :3, 3] += learned.predict(q, self.context).error
@@ -289,7 +289,7 @@ class _Target:
         arm = self.model.arm
         locked = ik.locked_joints(self.model, self.locked)
         search = Search(characteristic_length(self.model))
-        chosen = choose(arm, lattice, tip, target[None], joints[None], search, locked=locked)[0]
+        chosen = choose(arm, lattice, tip, target, joints, search, locked=locked)
         self.context = context_at(chosen.joints[None]).take(0)
         if learned is not None:
             expected = learned.predict(chosen.joints[None], self.context)

@@ -16,18 +16,26 @@ close targets is smoother with rounding (docs/realisable.md).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.lattice_search import EDGE, LatticeProblem, Predict, Search
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik.box_step import rotation_error
+from longarm_comp.core.ik.lattice import nearest
 
-__all__ = ["KNOWN_TO", "Lattice", "Predict", "Realisable", "Search", "choose"]
+Predict = Callable[[np.ndarray], np.ndarray]
+"""The tip at joints (M, n): positions (M, 3) in m or poses (M, 4, 4)."""
 
+_DIFFERENCE = 1e-4
+"""Half the difference (rad, m) from which the tip's derivative is taken."""
+EDGE = 1e-9
+"""Share of a step, or rad or m, by which rounding may put a joint beyond a limit."""
 KNOWN_TO = 0.15
 """Share of a step to which a lattice's offset must be known (standard deviation)."""
 
@@ -69,6 +77,36 @@ class Lattice:
 
 
 @dataclass(frozen=True)
+class Search:
+    """How realisable joints are looked for.
+
+    Attributes:
+        price_m: tip error (m) that a revolute joint may cost by moving 1 rad off the ideal; a slide
+            pays as much for as many metres as a radian is at ``length_m``.
+        length_m: metres that a radian of tool angle counts for; best the arm's own
+            (`ik.kernel.characteristic_length`).
+        kept: points of the lattice that the model judges in each round.
+        rounds: linearisations, the first at the rounded joints, the others at the best so far.
+        max_nodes: of the search tree of one target and round.
+    """
+
+    length_m: float
+    price_m: float = math.degrees(1e-4)
+    kept: int = 16
+    rounds: int = 2
+    max_nodes: int = 5000
+
+    def __post_init__(self) -> None:
+        for name in ("length_m", "price_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise InputError("realisable", name, value, "a finite number above 0")
+        for name in ("kept", "rounds", "max_nodes"):
+            if getattr(self, name) < 1:
+                raise InputError("realisable", name, getattr(self, name), "1 or more")
+
+
+@dataclass(frozen=True)
 class Realisable:
     """What was chosen for one target.
 
@@ -100,52 +138,44 @@ def choose(
     arm: Arm,
     lattice: Lattice,
     predict: Predict,
-    targets: np.ndarray,
+    target: np.ndarray,
     ideal: np.ndarray,
     search: Search,
     *,
     locked: Sequence[int] = (),
-) -> list[Realisable]:
-    """Realisable joints for each of N targets, the tip as near to the target as they let it be.
+) -> Realisable:
+    """Realisable joints for a target, the tip as near to it as they let it be.
 
     Args:
         arm: its limits hold exactly.
         lattice: where its servos can stand; a joint whose offset is not known to `KNOWN_TO` of its
             step stays at its ideal value.
         predict: the model, with all that is expected of the tip: learned error, circumstances.
-        targets: positions (N, 3) in m or poses (N, 4, 4), base frame.
-        ideal: (N, n) joints that bring the tip to the targets, inside the limits.
+        target: position (3,) in m or pose (4, 4), base frame.
+        ideal: (n,) joints that bring the tip to the target, inside the limits.
         locked: 0-based numbers of joints that stay at their ideal value.
     """
-    targets, ideal = np.asarray(targets, float), np.asarray(ideal, float)
-    _check(arm, targets, ideal, locked)
     held = np.isin(np.arange(arm.n), locked)
     low, high = _whole_limits(arm, lattice)
     declared = (lattice.step > 0) & ~held
     stepped = declared & lattice.known & (low <= high)
     slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
-    problem = LatticeProblem(
-        arm.lower,
-        arm.upper,
-        np.flatnonzero(stepped),
-        np.flatnonzero((lattice.step == 0) & ~held),
-        lattice.offset[stepped],
-        lattice.step[stepped],
-        low[stepped],
-        high[stepped],
-        search.price_m / np.where(slides, search.length_m, 1.0),
-    )
-    joints, rounded, errors, nodes = problem.solve(predict, targets, ideal, search)
-    why = "no choice was better than rounding" if stepped.any() else "no joint's steps are known"
+    problem = _Problem(
+        arm.lower, arm.upper, np.flatnonzero(stepped), np.flatnonzero((lattice.step == 0) & ~held),
+        lattice.offset[stepped], lattice.step[stepped], low[stepped], high[stepped],
+        search.price_m / np.where(slides, search.length_m, 1.0), predict, target,
+        np.clip(ideal, arm.lower, arm.upper), search,
+    )  # fmt: skip
+    joints, errors, nodes = problem.solved()
+    why = "no choice was better than rounding" if len(problem.stepped) else (
+        "no joint's steps are known"
+    )  # fmt: skip
+    better = (joints != problem.rounded).any()
     note = _note(arm, declared & ~lattice.known, declared & lattice.known & (low > high))
-    better = (joints != rounded).any(axis=1)
-    return [
-        Realisable(
-            joints[i], ideal[i], rounded[i], errors[i, 0], errors[i, 1], errors[i, 2],
-            int(nodes[i]), stepped, "" if better[i] else why, note,
-        )
-        for i in range(len(joints))
-    ]  # fmt: skip
+    return Realisable(
+        joints, problem.ideal, problem.rounded, errors[0], errors[1], errors[2], nodes, stepped,
+        "" if better else why, note,
+    )  # fmt: skip
 
 
 def _whole_limits(arm: Arm, lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
@@ -166,23 +196,167 @@ def _note(arm: Arm, unknown: np.ndarray, empty: np.ndarray) -> str:
     return "; ".join(made)
 
 
-def _check(arm: Arm, targets: np.ndarray, ideal: np.ndarray, locked: Sequence[int]) -> None:
-    where = "realisable"
-    if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
-        allowed = "shape (N, 3) or (N, 4, 4)"
-        raise InputError(where, "targets", f"shape {targets.shape}", allowed)
-    if ideal.shape != (len(targets), arm.n):
-        raise InputError(where, "ideal", f"shape {ideal.shape}", f"shape {(len(targets), arm.n)}")
-    for name, values in (("target", targets), ("ideal joints", ideal)):
-        bad = np.flatnonzero(~np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
-        if bad.size:
-            i = int(bad[0])
-            raise InputError(where, f"{name} {i}", values[i].tolist(), "finite numbers")
-    outside = ((ideal < arm.lower - EDGE) | (ideal > arm.upper + EDGE)).any(axis=1)
-    if outside.any():
-        i = int(np.flatnonzero(outside)[0])
-        allowed = f"{arm.lower.tolist()} to {arm.upper.tolist()}"
-        raise InputError(where, f"ideal joints {i}", ideal[i].tolist(), allowed)
-    for joint in locked:
-        if not 0 <= joint < arm.n:
-            raise InputError(where, "locked", joint, f"0..{arm.n - 1}")
+@dataclass(frozen=True)
+class _Problem:
+    """One target, and where the joints may stand.  Shapes: M candidates, m equations.
+
+    Attributes:
+        lower, upper: (n,) limits.
+        stepped: numbers of the joints with steps: ``offset + step k``, k from low to high, each
+            of these of length s.
+        free: numbers of the joints that are solved for beside them; the others stay.
+        price: (n,) m per rad or m off the ideal joints.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    stepped: np.ndarray
+    free: np.ndarray
+    offset: np.ndarray
+    step: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    price: np.ndarray
+    predict: Predict
+    target: np.ndarray
+    ideal: np.ndarray
+    search: Search
+
+    @cached_property
+    def moving(self) -> np.ndarray:
+        """Numbers of the joints that are not held: the free ones, then the stepped ones."""
+        return np.concatenate([self.free, self.stepped])
+
+    @cached_property
+    def whole(self) -> np.ndarray:
+        """(s,) the k inside the limits that are nearest to the ideal joints."""
+        nearest_k = np.rint((self.ideal[self.stepped] - self.offset) / self.step)
+        return np.clip(nearest_k, self.low, self.high)
+
+    @cached_property
+    def rounded(self) -> np.ndarray:
+        """(n,) the ideal joints with each rounded by itself."""
+        return self.at(self.ideal, self.whole)
+
+    def at(self, q: np.ndarray, k: np.ndarray) -> np.ndarray:
+        """Joints (..., n) with the stepped ones at k (..., s)."""
+        q = q.copy()
+        q[..., self.stepped] = self.offset + self.step * k
+        return np.clip(q, self.lower, self.upper)
+
+    def solved(self) -> tuple[np.ndarray, np.ndarray, int]:
+        """Round after round the best of rounding, of what was the best, and of what is near.
+
+        Returns:
+            Joints (n,), errors (3, 2) at the ideal joints, the rounded ones and these (m and rad),
+            nodes.
+        """
+        errors = self.errors(np.vstack([self.ideal, self.around(self.rounded)]))
+        if not np.isfinite(errors[:2]).all():
+            allowed = "a finite tip at the ideal and the rounded joints"
+            raise InputError("realisable", "predict", "not finite", allowed)
+        best, error, local, nodes = self.rounded, errors[1], errors[1:], 0
+        for turn in range(self.search.rounds if len(self.stepped) else 0):
+            if turn:
+                local = self.errors(self.around(best))
+            near, visited = self.near(best, local)
+            tried = np.vstack([best, near])
+            left = self.errors(tried)
+            moved = self.price * (tried - self.ideal)
+            cost = (left**2).sum(axis=1) + (moved**2).sum(axis=1)
+            place = int(np.argmin(np.where(np.isnan(cost), np.inf, cost)))
+            best, error, nodes = tried[place], left[place], nodes + visited
+        rows = np.vstack([errors[:2], error])
+        angle = np.linalg.norm(rows[:, 3:], axis=1) / self.search.length_m
+        return best, np.stack([np.linalg.norm(rows[:, :3], axis=1), angle], axis=1), nodes
+
+    def errors(self, q: np.ndarray) -> np.ndarray:
+        """Tip less target at joints (M, n): m, and rad times a length, (M, m)."""
+        tip = self.predict(q)
+        position = self.target if self.target.ndim == 1 else self.target[:3, 3]
+        made = (tip if tip.ndim == 2 else tip[:, :3, 3]) - position
+        if self.target.ndim == 1:
+            return np.asarray(made)
+        turn, axes = np.zeros((3, len(q))), _axes(self.target[None]).repeat(len(q), axis=0)
+        rotation_error(axes.T, 0, _axes(tip).T, 0, turn, 0)
+        return np.concatenate([made, self.search.length_m * turn.T], axis=1)
+
+    def near(self, at: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, int]:
+        """Candidates (M, n) by the model linearised at joints (n,), and nodes that it took.
+
+        Of joints ``rounded + size x`` the tip's error and the price are ``A x + b``; with the free
+        joints before the stepped ones the triangular factor of (A b) parts them.
+
+        Args:
+            local: errors at the joints that `around` gives.
+        """
+        moving, m, f = self.moving, local.shape[1], len(self.free)
+        size = np.concatenate([np.ones(f), self.step])
+        price, slope = self.price[moving], self.slope(at, local)
+        A = np.empty((m + len(moving), len(moving) + 1))
+        A[:m, :-1] = slope * size
+        A[:m, -1] = local[0] + slope @ (self.rounded - at)[moving]
+        A[m:, :-1] = np.diag(price * size)
+        A[m:, -1] = price * (self.rounded - self.ideal)[moving]
+        factor: np.ndarray = np.linalg.qr(A, mode="r")  # type: ignore[assignment]
+        R = factor[: len(moving)]
+        points = nearest(
+            R[f:, f:], self.low - self.whole, self.high - self.whole,
+            kept=self.search.kept, max_nodes=self.search.max_nodes,
+        )  # fmt: skip
+        q = np.repeat(self.rounded[None], len(points.k), axis=0)
+        if f:
+            b = points.k @ R[:f, f:-1].T + R[:f, -1]
+            low, high = ((v - self.ideal)[self.free] for v in (self.lower, self.upper))
+            q[:, self.free] += _in_box(R[:f, :f], b, low, high)
+        return self.at(q, self.whole + points.k), points.nodes
+
+    def around(self, at: np.ndarray) -> np.ndarray:
+        """Joints (n,), then with each moving one a little up, then a little down, in limits."""
+        count = len(self.moving)
+        q = np.repeat(at[None], 1 + 2 * count, axis=0)
+        up, down = self._aside(at)
+        q[1 + np.arange(count), self.moving] = up
+        q[1 + count + np.arange(count), self.moving] = down
+        return q
+
+    def slope(self, at: np.ndarray, local: np.ndarray) -> np.ndarray:
+        """Derivative (m, moving) from the errors at the joints that `around` gives."""
+        count = len(self.moving)
+        up, down = self._aside(at)
+        slope = ((local[1 : 1 + count] - local[1 + count :]) / (up - down)[:, None]).T
+        return np.where(np.isfinite(slope), slope, 0.0)
+
+    def _aside(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The moving joints a little up and a little down, in limits."""
+        up, down = (
+            np.minimum(at + _DIFFERENCE, self.upper),
+            np.maximum(at - _DIFFERENCE, self.lower),
+        )
+        return up[self.moving], down[self.moving]
+
+
+def _axes(T: np.ndarray) -> np.ndarray:
+    """n, o, a one after the other, (N, 9), of poses (N, 4, 4)."""
+    return T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
+
+
+def _in_box(R: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """x (M, f) between low and high (f,) with ``|R x + b|`` small; R (f, f), b (M, f).
+
+    What leaves the box is put on its edge, the furthest out first, and the rest solved again.
+    """
+    G, g = R.T @ R, b @ R
+    x, held = np.zeros_like(g), np.zeros(g.shape, bool)
+    for _ in range(g.shape[1] + 1):
+        open_ = ~held
+        matrix = np.where(open_[:, :, None] & open_[:, None, :], G, np.eye(len(G)))
+        rest = -(g + (held * x) @ G)
+        x = np.linalg.solve(matrix, np.where(held, x, rest)[..., None])[..., 0]
+        inside = np.clip(x, low, high)
+        out = np.abs(x - inside)
+        if not out.any():
+            break
+        worst = (out > 0) & (out == out.max(axis=1, keepdims=True))
+        x, held = np.where(worst, inside, x), held | worst
+    return np.clip(x, low, high)

@@ -8,53 +8,44 @@ from __future__ import annotations
 
 import bisect
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 _SLACK = 1e-9  # of a step
-NOTHING = 1e300
-"""Squared distance of an entry without a point."""
 
 
-@dataclass(frozen=True)
-class Points:
-    """The best points of N lattices, nearest first.
+class Points(NamedTuple):
+    """The best points of a lattice, nearest first.
 
     Attributes:
-        k: integers, (N, kept, n).
-        distance2: ``|R k + y|^2``, (N, kept); `NOTHING` for entries without a point.
-        nodes: number of visited nodes of the search tree, (N,).
+        k: integers, (P, n).
+        distance2: ``|R k + y|^2``, (P,).
+        nodes: number of visited nodes of the search tree.
     """
 
     k: np.ndarray
     distance2: np.ndarray
-    nodes: np.ndarray
+    nodes: int
 
 
 def nearest(
     R: np.ndarray, low: np.ndarray, high: np.ndarray, *, kept: int = 16, max_nodes: int = 4000
 ) -> Points:
-    """The `kept` points nearest to zero of each of N lattices.
+    """The points nearest to zero, `kept` at most.
 
     They are searched within the radius that holds twice as many on average (the ball's volume
     over that of a cell), and within a larger one if too few of them are in the box.
 
     Args:
-        R: (N, n, n + 1): upper triangular without a zero on the diagonal, and y beside it.
-        low, high: (N, n), integers, the box of k.
+        R: (n, n + 1): upper triangular without a zero on the diagonal, and y beside it.
+        low, high: (n,), integers, the box of k.
         max_nodes: number of nodes after which a search ends with the points found so far.
     """
-    count, n = low.shape
-    k, distance2 = np.zeros((count, kept, n)), np.full((count, kept), NOTHING)
-    nodes = np.zeros(count, int)
-    for i in range(count):
-        tree = _Tree(R[i], low[i], high[i], kept, max_nodes)
-        tree.search()
-        for place, (d2, point) in enumerate(tree.best):
-            distance2[i, place], k[i, place] = d2, point
-        nodes[i] = tree.nodes
-    return Points(k, distance2, nodes)
+    tree = _Tree(R, low, high, kept, max_nodes)
+    tree.search()
+    points = np.array([k for _, k in tree.best]).reshape(-1, len(low))
+    return Points(points, np.array([d2 for d2, _ in tree.best]), tree.nodes)
 
 
 class _Tree:

@@ -8,38 +8,49 @@ import json
 import os
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path, check_unpacked
-from longarm_comp.core.learn.inputs import INPUT_KINDS, Encoding, raw_names
+from longarm_comp.core.learn.inputs import Encoding, raw_names
 from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
-
-FORMAT = "longarm/predictor"
-VERSION = 1
+from longarm_comp.core.yaml_file import Declared, parse_declared
 
 _LARGEST = 1e6
 """Inputs, weights and lengths (m) are far below it: no arm is a thousand kilometres long."""
 
-_ARRAYS = (
-    "kept", "mean", "input_scale", "lower", "upper", "weights", "posterior", "offset", "noise",
-    "widen",
-)  # fmt: skip
+
+class _Header(Declared):
+    """What a file says in JSON beside its arrays."""
+
+    format: Literal["longarm/predictor"]
+    version: Literal[1]
+    arm_hash: str
+    session_hash: str
+    joint_names: tuple[str, ...]
+    settings: dict[str, Any]
+    joints: int = Field(ge=1, le=10_000)
+    context: tuple[Literal["approach", "temperature_c", "payload_kg"], ...]
+    hidden: int = Field(ge=1, le=10_000)
+    scale: float = Field(gt=0)
+    variance_limit: float = Field(gt=0)
+    input_names: tuple[str, ...]
 
 
 def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
     """Write ``predictor`` to ``path``, whole or not at all."""
     origin, encoding = predictor.provenance, predictor.encoding
     header = {
-        "format": FORMAT, "version": VERSION, "arm_hash": origin.arm_hash,
-        "session_hash": origin.session_hash, "joint_names": list(origin.joint_names),
+        "format": "longarm/predictor", "version": 1, "arm_hash": origin.arm_hash,
+        "session_hash": origin.session_hash, "joint_names": origin.joint_names,
         "settings": dict(origin.settings), "joints": encoding.joints,
-        "context": list(encoding.context), "hidden": predictor.hidden, "scale": predictor.scale,
-        "variance_limit": predictor.variance_limit, "input_names": list(encoding.names),
+        "context": encoding.context, "hidden": predictor.hidden, "scale": predictor.scale,
+        "variance_limit": predictor.variance_limit, "input_names": encoding.names,
     }  # fmt: skip
     text = json.dumps(header, sort_keys=True).encode()
     buffer = io.BytesIO()
@@ -72,64 +83,51 @@ def load(
     """Read a predictor. A given ``arm_hash`` or ``joint_names`` must match the file."""
     arrays = _arrays(path)
     header = _header(path, arrays)
-    joints, context, hidden = header["joints"], tuple(header["context"]), header["hidden"]
-    columns = len(raw_names(joints, context))
-    kept = arrays["kept"]
+    columns = len(raw_names(header.joints, header.context))
+    kept = _held(path, arrays, "kept")
     if kept.dtype.kind != "i" or kept.ndim != 1 or not len(kept) or kept.min() < 0:
         raise InputError(path, "kept", kept.dtype, "column indices")
     if kept.max() >= columns or len(np.unique(kept)) != len(kept):
         raise InputError(path, "kept", kept.tolist(), f"distinct columns below {columns}")
     d = len(kept)
-    size = NetworkShape(d, hidden, 3).size
-    members, rank = (max(1, len(np.atleast_1d(arrays[n]))) for n in ("weights", "posterior"))
+    size = NetworkShape(d, header.hidden, 3).size
+    members, rank = (
+        max(1, len(np.atleast_1d(_held(path, arrays, n)))) for n in ("weights", "posterior")
+    )
     shapes = {
         "mean": (d,), "input_scale": (d,), "lower": (columns,), "upper": (columns,),
         "weights": (members, size), "posterior": (rank, size), "offset": (3,),
-        "noise": (3,), "widen": (3,),
+        "noise": (3,), "widen": (3,), "alone": (3,), "gain": (3,),
     }  # fmt: skip
     for name, shape in shapes.items():
-        value = arrays[name]
+        value = _held(path, arrays, name)
         if value.shape != shape or value.dtype.kind != "f":
             raise InputError(path, name, f"{value.dtype} {value.shape}", f"floats {shape}")
-        if not (np.abs(value) <= _LARGEST).all():
+        unknown = np.isposinf(value) if name in ("alone", "gain") else False
+        if not (unknown | (np.abs(value) <= _LARGEST)).all():
             raise InputError(path, name, "NaN or too large", f"numbers up to {_LARGEST:g}")
-    if not (arrays["input_scale"] > 0).all():
-        raise InputError(path, "input_scale", arrays["input_scale"].min(), "> 0")
-    alone = arrays.get("alone", np.full(3, np.inf))  # files of earlier versions hold none
-    if alone.shape != (3,) or alone.dtype.kind != "f" or not _lengths(alone, alone >= 0):
-        raise InputError(path, "alone", alone.tolist(), "three lengths of 0 m or more")
-    gain = arrays.get("gain", np.array(dataclasses.astuple(LearnedGain())))
-    if gain.shape != (3,) or gain.dtype.kind != "f" or not _lengths(gain):
-        raise InputError(path, "gain", gain.tolist(), "three lengths in m")
-    if arm_hash is not None and header["arm_hash"] != arm_hash:
-        raise InputError(path, "arm_hash", header["arm_hash"], f"{arm_hash} (the arm in use)")
-    names = tuple(header["joint_names"])
+    for name, fits in (("input_scale", arrays["input_scale"] > 0), ("alone", arrays["alone"] >= 0)):
+        if not fits.all():
+            raise InputError(path, name, arrays[name].min(), "above 0")
+    if arm_hash is not None and header.arm_hash != arm_hash:
+        raise InputError(path, "arm_hash", header.arm_hash, f"{arm_hash} (the arm in use)")
+    names = header.joint_names
     if joint_names is not None and names != tuple(joint_names):
         raise InputError(path, "joint_names", names, f"{tuple(joint_names)} (the arm in use)")
     return Predictor(
-        encoding=Encoding(joints, context, kept, arrays["mean"], arrays["input_scale"]),
-        lower=arrays["lower"],
-        upper=arrays["upper"],
-        weights=arrays["weights"],
-        hidden=hidden,
-        posterior=arrays["posterior"].astype(np.float32),
-        offset=arrays["offset"],
-        scale=header["scale"],
-        noise=arrays["noise"],
-        widen=arrays["widen"],
-        variance_limit=header["variance_limit"],
-        alone=alone,
-        gain=LearnedGain(*gain.tolist()),
-        provenance=Provenance(
-            header["arm_hash"], header["session_hash"], names, header["settings"]
+        encoding=Encoding(
+            header.joints, header.context, kept, arrays["mean"], arrays["input_scale"]
         ),
+        hidden=header.hidden,
+        posterior=arrays["posterior"].astype(np.float32),
+        scale=header.scale,
+        variance_limit=header.variance_limit,
+        gain=LearnedGain(*arrays["gain"].tolist()),
+        provenance=Provenance(header.arm_hash, header.session_hash, names, header.settings),
+        **{
+            n: arrays[n] for n in ("lower", "upper", "weights", "offset", "noise", "widen", "alone")
+        },
     )
-
-
-def _lengths(values: NDArray[Any], fits: NDArray[Any] | bool = True) -> bool:
-    """Whether these are lengths; infinite is what is unknown."""
-    known = np.isposinf(values) | (np.abs(values) <= _LARGEST)
-    return bool((known & fits).all())
 
 
 def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str, to: str) -> None:
@@ -164,37 +162,18 @@ def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     except Exception as error:  # whatever zipfile, zlib and numpy raise on damaged bytes
         found = f"corrupt or truncated ({error})"
         raise InputError(path, "predictor file", found, "an npz that longarm wrote") from error
-    for name in ("header", *_ARRAYS):
-        if not isinstance(arrays.get(name), np.ndarray):
-            raise InputError(path, name, "missing", f"the arrays {['header', *_ARRAYS]}")
     return arrays
 
 
-_HEADER_TYPES: dict[str, type | tuple[type, ...]] = {
-    "arm_hash": str, "session_hash": str, "joint_names": list, "settings": dict, "joints": int,
-    "context": list, "hidden": int, "scale": float, "variance_limit": float,
-}  # fmt: skip
+def _held(path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]], name: str) -> NDArray[Any]:
+    if not isinstance(arrays.get(name), np.ndarray):
+        raise InputError(path, name, "missing", "an npz that longarm wrote")
+    return arrays[name]
 
 
-def _header(path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def _header(path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]]) -> _Header:
     try:
-        header = json.loads(arrays["header"].tobytes().decode())
+        header = json.loads(_held(path, arrays, "header").tobytes().decode())
     except (ValueError, RecursionError) as error:
         raise InputError(path, "header", "not JSON", "a JSON object") from error
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        found = header.get("format") if isinstance(header, dict) else type(header).__name__
-        raise InputError(path, "format", found, FORMAT)
-    if header.get("version") != VERSION:
-        raise InputError(path, "version", header.get("version"), VERSION)
-    for name, kind in _HEADER_TYPES.items():
-        if not isinstance(header.get(name), kind):
-            raise InputError(path, name, header.get(name), f"a {kind}")
-    for name in ("joints", "hidden"):
-        if not 1 <= header[name] <= 10_000:
-            raise InputError(path, name, header[name], "1..10000")
-    for name in ("scale", "variance_limit"):
-        if not np.isfinite(header[name]) or header[name] <= 0:
-            raise InputError(path, name, header[name], "a finite number > 0")
-    if not all(name in INPUT_KINDS["context"] for name in header["context"]):
-        raise InputError(path, "context", header["context"], f"of {INPUT_KINDS['context']}")
-    return header
+    return parse_declared(_Header, header, str(path))

@@ -11,20 +11,13 @@
     const { data: traces, layout } = JSON.parse(data.textContent);
     const plot = byId("plot");
     byId("turning").hidden = false;
-    const first = layout.scene.camera.eye;
-    const chosen = () => {
-      const stage = document.querySelector("input[name=stage]:checked").value;
-      return { stage, scale: byId("same").checked ? "same" : "own" };
-    };
-    const fits = (trace) => {
-      const { stage, scale } = chosen();
-      return !trace.meta || (trace.meta.stage === stage && trace.meta.scale === scale);
-    };
+    const chosen = () => document.querySelector("input[name=stage]:checked").value;
+    const fits = (trace) => !trace.meta || trace.meta.stage === chosen();
     const tell = () => {
       const trace = traces.find((entry) => entry.meta && fits(entry));
       if (trace) byId("times").textContent = `arrows × ${trace.meta.times}`;
     };
-    // The wheel scrolls the page; the buttons bring the scene nearer.
+    // The wheel scrolls the page.
     const options = { responsive: true, displayModeBar: false, scrollZoom: false };
     Plotly.newPlot(plot, traces, layout, options).then(() => {
       document.documentElement.classList.add("alive");
@@ -33,28 +26,7 @@
       Plotly.restyle(plot, { visible: traces.map(fits) });
       tell();
     });
-    byId("turning").addEventListener("click", (event) => {
-      const turn = event.target.dataset.turn;
-      if (turn) Plotly.relayout(plot, { "scene.camera.eye": turned(plot, turn, first) });
-    });
     tell();
-  }
-
-  function turned(plot, turn, first) {
-    if (turn === "reset") return { ...first };
-    const { x, y, z } = plot._fullLayout.scene._scene.getCamera().eye;
-    let far = Math.hypot(x, y, z);
-    let round = Math.atan2(y, x);
-    let high = Math.asin(z / far);
-    const step = Math.PI / 12;
-    if (turn === "left") round -= step;
-    if (turn === "right") round += step;
-    if (turn === "up") high = Math.min(high + step, 1.5);
-    if (turn === "down") high = Math.max(high - step, -1.5);
-    if (turn === "in") far /= 1.25;
-    if (turn === "out") far *= 1.25;
-    const flat = far * Math.cos(high);
-    return { x: flat * Math.cos(round), y: flat * Math.sin(round), z: far * Math.sin(high) };
   }
 
   function candidateTables() {

@@ -142,22 +142,6 @@ class ThermalSoftening(HiddenEffect):
 
 
 @dataclass(frozen=True)
-class SlidePlay(HiddenEffect):
-    """What the slide of row `row` carries rocks by `angle` (rad) to its heavy side."""
-
-    doses: ClassVar[tuple[str, ...]] = ("angle",)
-    row: int
-    angle: float
-
-    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
-        if place.kind != "frame" or place.row != self.row:
-            return None
-        across = beyond.moment.copy()
-        across[2] = 0.0
-        return self.angle * across / np.maximum(np.sqrt(np.sum(across**2, axis=0)), 1e-12)
-
-
-@dataclass(frozen=True)
 class TipPayload(HiddenEffect):
     """An undeclared mass (kg) in the payload's place (the tip where none is declared)."""
 

@@ -1,4 +1,4 @@
-"""A session as a rosbag2 of the robot's own topics, whole or not at all.
+"""A session as a rosbag2 of the robot's own topics, for tests of reading.
 
 Per row: a command, the circumstances, one sighting, and a `session_row` with what no topic of the
 robot says. A run-up is a via point that the trajectory passes first.
@@ -7,10 +7,6 @@ robot says. A run-up is a via point that the trajectory passes first.
 from __future__ import annotations
 
 import json
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +15,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.sessions.message_buffer import TYPES
 from longarm_comp.sessions.message_types import message_types, offered
 from longarm_comp.sessions.touches import write_touches
@@ -36,37 +31,10 @@ def write_bag(
     namespace: str = "",
 ) -> None:
     """Write a session as a bag folder; `read_bag` gives the same one back."""
-    if session.n != arm.n:
-        raise InputError(str(path), "joints", session.n, f"{arm.n} joints of arm {arm.name}")
-    if storage not in _STORAGE:
-        raise InputError(str(path), "storage", storage, " or ".join(_STORAGE))
-    with (
-        _whole_folder(Path(path)) as folder,
-        Writer(folder, version=9, storage_plugin=_STORAGE[storage]) as writer,
-    ):
+    folder = Path(path)
+    with Writer(folder, version=9, storage_plugin=_STORAGE[storage]) as writer:
         _Recorder(writer, arm, namespace).write(session)
-        write_touches(session.touch_distances, folder)
-
-
-@contextmanager
-def _whole_folder(path: Path) -> Iterator[Path]:
-    """A folder to fill, of the same name, moved to its place when it is complete."""
-    if path.exists():
-        raise InputError(str(path), "bag", "exists", "a folder that does not exist yet")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    except OSError as error:
-        raise InputError(
-            str(path), "output folder", error.strerror or str(error), "a folder to write in"
-        ) from error
-    try:
-        yield partial / path.name
-        (partial / path.name).replace(path)
-    except OSError as error:  # another writer was quicker, the disk is full
-        raise JobError(f"{path} was not written: {error.strerror}") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    write_touches(session.touch_distances, folder)
 
 
 class _Recorder:
