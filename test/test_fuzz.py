@@ -142,9 +142,6 @@ READINGS = (
     Reading(("fleet", "arms", "--no-network", "-o", "fleet"), ("arms/a/arm.yaml", "arms/a/s.csv")),
     Reading(("stereo", "marker", FOLDER, "-o", "page.pdf"), (f"{FOLDER}/stereo_bridge.yaml",)),
     Reading(("stereo", "hand-eye", FOLDER, "few.csv", "--dry-run"), (*FILES, "few.csv")),
-    Reading(("compare", MODEL, "kept.yaml"), (MODEL,)),
-    Reading(("compare", "few.csv", "other.csv", "--arm", ARM_FILE), ("few.csv", ARM_FILE)),
-    Reading(("compare", "found_1", "found_2"), ("found_1/report.json",)),
     Reading(("collect", ARM_FILE, "next_poses.csv", "--dry-run"), ("next_poses.csv", ARM_FILE)),
     Reading(("day-report", ARM_FILE, "day"), ("day/metadata.yaml", "day/day.mcap", ARM_FILE)),
     Reading(("compensate", ARM_FILE, "--targets", "targets.csv", "--like", MAPPING, "-o", "l.csv"),
@@ -191,14 +188,9 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     pair = CameraPair((0.2, -2.0, 0.3), (0.0, 1.0, 0.0))
     for side, info in zip(SIDES, pair.camera_infos(), strict=True):
         write_camera(folder / FOLDER / "cameras" / f"{side}.yaml", side, info, "")
-    shutil.copy(folder / "few.csv", folder / "other.csv")
     (folder / "arms" / "a").mkdir(parents=True)
     shutil.copy(arm, folder / "arms" / "a")
     shutil.copy(folder / "few.csv", folder / "arms" / "a" / "s.csv")
-    for k in (1, 2):
-        report, _ = report_samples.named(np.random.default_rng(k))
-        (folder / f"found_{k}").mkdir()
-        (folder / f"found_{k}" / "report.json").write_text(record.text(record.checked(report)))
     for name, source in (("ball.yaml", "arm.yaml"), ("touches.yaml", "touches.yaml")):
         shutil.copy(TOUCHED / source, folder / name)
     touched = (TOUCHED / "panda_1.csv").read_text().splitlines()

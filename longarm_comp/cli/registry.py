@@ -70,7 +70,6 @@ COMMANDS = (
     Entry("day-report", "day_report", "A page of a bag of work: errors by the hour, what changed."),
     Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
-    Entry("compare", "compare", "Two diagnoses, models or sessions side by side."),
     Entry("servo scan", "servo:scan", "The servos on a bus: id, model, firmware, ids used twice."),
     Entry("servo set-id", "servo:set_id", "Give the one servo that is connected its id."),
     Entry("servo setup", "servo_setup", "Ids, zeros and directions of the servos, by hand."),
