@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 import re
-import sys
 from pathlib import Path
 
 import cv2
@@ -74,25 +73,14 @@ def test_files_fit_together(shell: Shell, words: tuple[str, ...], joints: int, s
     assert shell("check", folder) == 0
 
 
-def test_a_dh_table_is_the_same_arm_asked_or_given(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given = made(shell, "given", *HOBBY, "--name", "hobby")
-    answers = ["hobby", "6"]
-    answers += ["", "", "", "0.09", "", "-60..60", "0", "0.06"]
-    answers += ["", "90", "", "", "60", "-30..30", "0.06"]
-    answers += ["", "", "0.16", "", "-70", "-40..40", "20/17", "petg", "0.06"]
-    answers += ["", "", "0.12", "", "-20", "-40..40", "20/17", "petg", "0.05"]
-    answers += ["", "-90", "", "0.05", "", "-40..40", "", "0.05"]
-    answers += ["", "90", "", "", "", "-40..40", "0.02", "0.06 0 0.03", "0.03"]
-    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(answers) + "\n"))
-    asked = made(shell, "asked")
-    assert (asked / "arm.yaml").read_text() == (given / "arm.yaml").read_text()
-    arm = Arm.load(asked / "arm.yaml")
+def test_a_dh_table_has_tubes_and_servos_with_their_masses(shell: Shell) -> None:
+    arm = Arm.load(made(shell, "given", *HOBBY, "--name", "hobby") / "arm.yaml")
+    assert arm.name == "hobby"
     tube = arm.links[0]
     assert tube.mass_kg == pytest.approx(1270 * math.pi / 4 * (0.02**2 - 0.017**2) * 0.16, rel=1e-3)
-    monkeypatch.setattr(sys, "stdin", io.StringIO("hobby\n2\n"))
-    assert "or a terminal" in shell.refused("init", "cut")
+    assert [mass.mass_kg for mass in arm.point_masses] == [0.06, 0.06, 0.06, 0.05, 0.05, 0.02]
+    assert arm.payload is not None and arm.payload.mass_kg == 0.03
+    assert "source: 'none'" in shell.refused("init", "cut")
     assert not (shell.folder / "cut").exists()
 
 
