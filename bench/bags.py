@@ -20,13 +20,13 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 
 from bench.arms import demo_arm
+from bench.bag_write import write_bag
 from bench.comparison import Result, beside, missing
 from bench.subprocess_cost import cost_of
 from bench.synthetic_bag import Raw, recording, write_raw
 from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
-from longarm_comp.sessions.bag_write import write_bag
 from longarm_comp.sessions.message_buffer import TYPES
 from longarm_comp.sessions.message_types import message_types
 

@@ -13,14 +13,7 @@ from cli_shell import Shell
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.servo_emulator import ServoEmulator
 
-ARM = """name: mine
-convention: mdh_craig
-tip: {frame: 3, position_m: [0.1, 0, 0]}
-joints:
-  - {id: 1, type: revolute, a_m: 0, alpha_deg: 0, d_m: 0.1, limits_deg: [-60, 60]}
-  - {id: 2, type: revolute, a_m: 0, alpha_deg: 90, d_m: 0, limits_deg: [-30, 50]}
-  - {id: 3, type: prismatic, a_m: 0.3, alpha_deg: 0, d_m: 0, limits_m: [0, 0.1]}
-"""
+ROWS = ("d=0.1 limits=-60..60", "alpha=90 limits=-30..50", "type=prismatic a=0.3 limits=0..0.1")
 
 
 @dataclass(frozen=True)
@@ -50,10 +43,8 @@ POSE_FLAGS = ("--pose", "joint1=-60", "--pose", "joint2=10", "--pose", "joint3=2
 
 
 def folder(shell: Shell, model: str, to: Path | str = "mine") -> Path:
-    (shell.folder / "drawn.yaml").write_text(ARM)
-    assert shell("init", to, "--arm", shell.folder / "drawn.yaml", "--servos", model) == 0, (
-        shell.err
-    )
+    rows = [word for row in ROWS for word in ("--joint", row)]
+    assert shell("init", to, *rows, "--tip-at", 0.1, 0, 0, "--servos", model) == 0, shell.err
     file = shell.folder / "mine" / "servo_driver.yaml"
     text = file.read_text().replace("reply_timeout_s: 0.02", "reply_timeout_s: 0.2")
     file.write_text(text)

@@ -115,7 +115,6 @@ def test_outputs_that_cannot_be_written(work: Path, shell: Shell) -> None:
         ("train", work / "arm.yaml", work / "samples.csv", "--ensemble", 1, "--hidden", 2),
         ("plan", work / "arm.yaml", "--kind", "sobol", "-n", 3),
         ("compensate", work / "arm.yaml", 0.5, 0, 0.2),
-        ("bag", "from-csv", work / "arm.yaml", work / "test.csv"),
     ):
         assert "output folder" in shell.refused(*command, "-o", "/proc/longarm/out")
 
@@ -178,7 +177,7 @@ def test_a_namespace_that_the_middleware_does_not_take(said: str, shell: Shell) 
 
 
 def test_a_namespace_may_have_slashes_at_its_ends() -> None:
-    for name in ("status", "apply", "collect", "record", "up", "bag to-csv", "bag from-csv"):
+    for name in ("status", "apply", "collect", "record", "up", "bag to-csv"):
         command = click_command(name)
         option = next(o for o in command.params if o.name == "namespace")
         assert option.callback is not None

@@ -26,6 +26,7 @@ from damage import damaged
 from openpyxl import Workbook
 from small_arm import ARM
 
+from bench.bag_write import write_bag
 from longarm_comp.arm_folder.camera_files import SIDES
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
@@ -35,6 +36,7 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo.camera_file import write_camera
 from longarm_comp.report import record
 from longarm_comp.report.record import read_report
+from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sim.cameras import CameraPair
 from longarm_comp.sim.servo_emulator.joints import read_arm
 
@@ -108,7 +110,6 @@ READINGS = (
         ("diagnose", ARM_FILE, "few.csv", "--model", MODEL, "--no-network", "-o", "found"),
         ("few.csv", ARM_FILE, MODEL),
     ),
-    Reading(("bag", "from-csv", ARM_FILE, "few.csv", "-o", "made_bag"), ("few.csv",)),
     Reading(
         ("bag", "to-csv", ARM_FILE, "bag", "-o", "b.csv"), ("bag/metadata.yaml", "bag/bag.mcap")
     ),
@@ -201,7 +202,8 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         book.active.append(line)
     book.save(folder / "log.xlsx")
     (folder / "lift.urdf").write_text(LIFT)
-    assert made("bag", "from-csv", arm, folder / "few.csv", "-o", folder / "bag") == 0
+    bending = Arm.load(arm)
+    write_bag(read_csv(folder / "few.csv", bending), folder / "bag", bending)
     with robot(folder / "day") as put:
         for t, target in zip((10.0, 20.0), aims, strict=True):
             asked(put, t, ARM.mid, target)

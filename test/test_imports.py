@@ -73,14 +73,13 @@ def test_no_node_loads_what_it_does_not_use(node: str) -> None:
 
 
 def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
-    """Calibrated, trained, judged, written as a bag: all without what other programs use."""
+    """Calibrated, trained, judged: all without what other programs use."""
     arm = folder("config") / "arm_demo.yaml"
-    csv, out = tmp_path / "samples.csv", tmp_path / "out"
+    csv = tmp_path / "samples.csv"
     write_csv(synthetic_session(Arm.load(arm), 80), csv)
     model, predictor = str(tmp_path / "model.yaml"), str(tmp_path / "predictor.npz")
     code = command_line("calibrate", str(arm), str(csv), "-o", model)
     code += command_line("train", str(arm), str(csv), "--model", model, "-o", predictor,
                          "--ensemble", "1", "--hidden", "3")  # fmt: skip
     code += command_line("evaluate", str(arm), "--test", str(csv), "--model", model)
-    code += command_line("bag", "from-csv", str(arm), str(csv), "-o", str(out))
     assert not {"sklearn", "cv2", "rclpy"} & loaded(code)

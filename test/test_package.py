@@ -19,9 +19,12 @@ import pytest
 import test_rooms
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from small_arm import ARM
 
 import longarm_comp
+from bench.bag_write import write_bag
 from longarm_comp import libraries
+from longarm_comp.sessions.csv import read_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "longarm_comp"
@@ -259,10 +262,10 @@ def test_without_ros_files_are_worked_on_and_the_rest_says_what_it_lacks(
 
     assert longarm("--version").stdout == f"longarm, version {longarm_comp.__version__}\n"
     arm, session = work / "arm.yaml", work / "samples.csv"
+    write_bag(read_csv(session, ARM), tmp_path / "bag", ARM)
     for words in (
         ("init", tmp_path / "mine", "--arm", arm),
         ("plan", arm, "--kind", "sobol", "-n", 8, "-o", tmp_path / "poses.csv"),
-        ("bag", "from-csv", arm, session, "-o", tmp_path / "bag"),
         ("evaluate", arm, "--test", tmp_path / "bag", "--model", work / "model.yaml"),
     ):
         done = longarm(*words)

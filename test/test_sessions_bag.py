@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 from sensed_arm import only, read, sensed
 from small_arm import ARM, measured
 
+from bench.bag_write import write_bag
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.bag import bag_info, read_bag
-from longarm_comp.sessions.bag_write import write_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.read import read_session

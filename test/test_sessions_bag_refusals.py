@@ -12,9 +12,9 @@ from bag_robot import STORAGES, command, refusal, robot, sighting
 from rosbags.rosbag2 import Writer
 from small_arm import ARM, measured
 
+from bench.bag_write import write_bag
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.bag import read_bag
-from longarm_comp.sessions.bag_write import write_bag
 
 
 def test_joints_of_another_arm(tmp_path: Path) -> None:

@@ -304,7 +304,7 @@ def test_predictors_that_are_refused(work: Path, shell: Shell) -> None:
 
 def test_a_full_disk_is_one_line(work: Path, tmp_path: Path) -> None:
     """A limit on the size of files stands for the full disk: writing fails in the same places."""
-    words = ("bag", "from-csv", work / "arm.yaml", work / "samples.csv", "-o", "made")
+    words = ("calibrate", work / "arm.yaml", work / "samples.csv", "-o", "made")
     done = subprocess.run(
         [sys.executable, "-m", "longarm_comp", *map(str, words)],
         cwd=tmp_path,
@@ -316,23 +316,6 @@ def test_a_full_disk_is_one_line(work: Path, tmp_path: Path) -> None:
     assert done.returncode == 3, done.stderr
     assert done.stderr == "longarm: made was not written: File too large\n"
     assert os.listdir(tmp_path) == []
-
-
-def test_two_writers_to_one_bag(work: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second writer finishes while the first one fills its folder."""
-    from longarm_comp.sessions import bag_write
-
-    write = bag_write._Recorder.write
-
-    def slow(self: Any, session: Any) -> None:
-        write(self, session)
-        monkeypatch.setattr(bag_write._Recorder, "write", write)
-        assert Shell(Path())(*command) == 0
-
-    monkeypatch.setattr(bag_write._Recorder, "write", slow)
-    command = ("bag", "from-csv", work / "arm.yaml", work / "test.csv", "-o", "made")
-    assert "made was not written" in shell.refused(*command, code=3)
-    assert shell("bag", "info", "made") == 0
 
 
 def test_a_writer_that_meets_a_broken_disk(tmp_path: Path) -> None:

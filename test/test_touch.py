@@ -20,6 +20,7 @@ from touching import (
 )
 
 import longarm_comp as la
+from bench.bag_write import write_bag
 from longarm_comp.core.arm.arm import Tolerance
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.kinds import KINDS
@@ -39,7 +40,6 @@ from longarm_comp.core.identify.touch_poses import touch_pool
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
-from longarm_comp.sessions.bag_write import write_bag
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.poses import read_poses, write_poses
 from longarm_comp.sim.arm_truth import TrueArm

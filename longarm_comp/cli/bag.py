@@ -1,10 +1,9 @@
-"""``longarm record``, ``bag info``, ``to-csv`` and ``from-csv``."""
+"""``longarm record``, ``bag info`` and ``to-csv``."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Literal
 
 import click
 
@@ -118,30 +117,3 @@ def to_csv(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: b
         )
     else:
         note(f"{len(session)} rows, {seen} with a marker, in {output}")
-
-
-@click.command()
-@options.arm
-@options.session
-@options.output(None, "Bag folder to write.", outputs.left_to_the_command)
-@click.option(
-    "--storage", type=click.Choice(["mcap", "sqlite3"]), default="mcap", show_default=True
-)
-@options.namespace_of("", "Put before every topic.")
-def from_csv(
-    arm: Path, session: Path, output: Path, storage: Literal["mcap", "sqlite3"], namespace: str
-) -> None:
-    """Write SESSION (CSV) as a bag of the robot's own topics.
-
-    \b
-    Example:
-      longarm bag from-csv arm.yaml samples.csv -o session_bag
-    """
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.sessions.bag_write import write_bag
-    from longarm_comp.sessions.read import read_session
-
-    declared = Arm.load(arm)
-    read = read_session(session, declared)
-    write_bag(read, output, declared, storage, namespace)
-    note(f"{len(read)} rows in {output}")

@@ -241,7 +241,6 @@ ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; fal
 HOLD = Service("~/hold", SetBool, "true: stop, stay with torque on, refuse commands; false: ready")
 FREEZE = Service("~/freeze", SetBool, "true: learn no more at work; false: learn again")
 UNDO = Service("~/undo", Trigger, "serve the version before what was learned last; then frozen")
-PAUSE = Service("collect/pause", SetBool, "true: `longarm collect` rests after the pose at hand")
 RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
 
 REACH = Action("reach", Reach, "move the tip to a target and say where it came to rest")
