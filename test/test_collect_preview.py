@@ -26,7 +26,7 @@ from longarm_comp.core.model.link_frames import outline
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig
 from longarm_comp.devices.stereo.camera_file import write_camera
-from longarm_comp.devices.stereo.marker import tags_of
+from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.jobs.collect.preview import (
     PlanCheck,
     blocked,
@@ -60,7 +60,7 @@ def test_geometry_knows_what_the_detector_finds_in_rendered_pictures() -> None:
         np.array(bridge["hand_eye.xyz"]), np.array(bridge["hand_eye.quaternion"])
     )
     rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
-    eye = StereoEye(rig, tags_of(bridge), hand_eye, bridge["tip_in_marker"])
+    eye = StereoEye(rig, TagBoard.of(bridge), hand_eye, bridge["tip_in_marker"])
     plate = tag_plate(*(simulated[f"marker.{k}"] for k in ("tag_m", "gap_m", "columns", "rows")))
     on_tip = np.linalg.inv(mounting(simulated["marker.mounting"]))
     rng = np.random.default_rng(5)

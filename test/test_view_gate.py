@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.client
-import re
 import socket
 import time
 from collections.abc import Iterator
@@ -21,15 +20,9 @@ from websockets.typing import Origin, Subprotocol
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.view import server as view_server
-from longarm_comp.view.commands import STOPS, Button
-from longarm_comp.view.plain import PlainPage
 from longarm_comp.view.server import Gate, serving
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
-
-
-PRESSED: list[Button] = []
-PLAIN = PlainPage(STOPS, PRESSED.append)
 
 
 @dataclass(frozen=True)
@@ -84,7 +77,7 @@ class Page:
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    gate = Gate(plain=PLAIN.answer)
+    gate = Gate()
     with serving(0, gate) as server:
         yield Page(gate, server)
 
@@ -105,7 +98,7 @@ def test_the_link_sets_the_cookie_and_hides_the_token(page: Page) -> None:
     assert link.startswith(f"{page.origin}/?code=") and page.gate.token not in link
     assert page.gate.token not in repr(page.gate) and link.partition("=")[2] not in repr(page.gate)
     response = page.get(link.removeprefix(page.origin))
-    assert (response.status, response.getheader("Location")) == (303, "/start")
+    assert (response.status, response.getheader("Location")) == (303, "/")
     cookie = response.getheader("Set-Cookie", "")
     assert cookie.startswith(f"longarm_view_{page.port}={page.gate.token};")
     assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
@@ -113,25 +106,6 @@ def test_the_link_sets_the_cookie_and_hides_the_token(page: Page) -> None:
     other = page.gate.link(page.port).removeprefix(page.origin)
     assert other != link.removeprefix(page.origin) and page.get(other).status == 303
     assert Gate().token != page.gate.token and len(page.gate.token) >= 32
-
-
-def test_without_webgl_there_are_buttons_all_the_same(page: Page) -> None:
-    """Plain HTML; a press is of this page alone, leads back to it, and is made once."""
-    assert page.get("/plain").status == page.get("/start").status == 403
-    assert "webgl" in page.get("/start", **page.cookie).body.decode()
-    PLAIN.lines = ["the arm <holds>"]
-    shown = page.get("/plain", **page.cookie)
-    text = shown.body.decode()
-    assert "the arm &lt;holds&gt;" in text and "frame-ancestors 'none'" in str(shown.headers)
-    ways = dict(re.findall(r'href="([^"]+)" title="[^"]*" style="[^"]*">([^<]+)<', text))
-    assert set(ways.values()) == {button.label for button in STOPS}
-    press = next(way for way, label in ways.items() if label == "Hold")
-    assert page.get(press).status == 403 and not PRESSED
-    assert page.get(press, **page.cookie, Origin="http://127.0.0.1:1").status == 403
-    assert page.get("/plain/guessed/1", **page.cookie).status == 404 and not PRESSED
-    pressed = page.get(press, **page.cookie)
-    assert (pressed.status, pressed.getheader("Location")) == (303, "/plain")
-    assert [button.label for button in PRESSED] == ["Hold"]
 
 
 def test_the_page_may_talk_to_its_server_alone_and_is_not_framed(page: Page) -> None:

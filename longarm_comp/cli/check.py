@@ -18,7 +18,7 @@ def command(folder: Path, as_json: bool) -> None:
     """Say what an arm's folder lacks: missing, implausible, unmeasured; and what was measured.
 
     Reads arm.yaml and the servo, camera and marker files beside it, compares them with each
-    other, and looks at the marker through the simulated cameras at 12 poses. Draws the declared
+    other, and computes at how many poses the cameras see the marker. Lists the declared
     beams as they stand and prints the sag of the arm held out: compare both with the arm. Exit
     code 3 where something is missing or implausible; what is only unmeasured leaves 0. Values that
     `servo setup`, `stereo calibrate` and `stereo hand-eye` wrote count as measured until they are

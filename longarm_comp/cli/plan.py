@@ -51,21 +51,6 @@ if TYPE_CHECKING:
     show_default=True,
     help="Noise of a length, where nothing was measured yet.",
 )
-@click.option(
-    "--view",
-    "view_deg",
-    type=click.FloatRange(0, 180, min_open=True),
-    metavar="DEG",
-    help="Half of the view of the cameras in arm.yaml: the tip must be in it.",
-)
-@click.option(
-    "--keep-out",
-    type=float,
-    nargs=6,
-    multiple=True,
-    metavar="X Y Z X Y Z",
-    help="Corners (m) of a box that the arm must not enter, beside arm.yaml's; repeat for more.",
-)
 @options.floor
 @click.option(
     "--seen", is_flag=True, help="Only poses at which the cameras of ARM's folder see the marker."
@@ -95,7 +80,7 @@ def command(
       longarm plan arm.yaml --kind grid -n 300 -o poses.csv
       longarm plan arm.yaml --kind sobol -n 60 --seen --floor -0.02 -o poses.csv
       longarm plan arm.yaml --kind next -n 20 --report diagnosis -o poses.csv
-      longarm plan arm.yaml --kind i-optimal -n 60 --keep-out 0 0.5 0 1 1 1 -o poses.csv
+      longarm plan arm.yaml --kind i-optimal -n 60 -o poses.csv
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.identify.optimal_poses import OptimalPlan

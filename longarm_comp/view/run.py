@@ -9,11 +9,9 @@ from contextlib import ExitStack
 from functools import partial
 
 from longarm_comp.jobs.graph_client import GraphClient
-from longarm_comp.view import words
-from longarm_comp.view.commands import RELEASES, STOPS, Buttons
+from longarm_comp.view.commands import Buttons
 from longarm_comp.view.listener import Listener
 from longarm_comp.view.panel import Panel
-from longarm_comp.view.plain import PlainPage
 from longarm_comp.view.scene import Scene
 from longarm_comp.view.server import Gate, serving
 from longarm_comp.view.trace import Trace
@@ -34,8 +32,7 @@ def view(
     """
     with GraphClient(namespace, stop, "view") as client, ExitStack() as open_page:
         listener, commands = Listener(client.node), Buttons(client.node)
-        plain = PlainPage((*STOPS, *RELEASES), commands.press)
-        gate = Gate(plain=plain.answer)
+        gate = Gate()
         server = open_page.enter_context(serving(port, gate))
         panel = Panel(server, commands.press, client.node.get_namespace())
         scene, trace = Scene(server), Trace()
@@ -48,7 +45,6 @@ def view(
             if now - drawn >= _DRAWN_S:
                 drawn = now
                 panel.show(listener.state, now, commands.said)
-                plain.lines = words.in_lines(listener.state, now, namespace, commands.said.text)
                 scene.show(listener.state, now, panel.exaggeration)
             if now - charted >= _CHART_S:
                 charted = now

@@ -18,13 +18,11 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from longarm_comp.core.errors import JobError
-from longarm_comp.view.plain import PATH, START
 
 Serve = Callable[[ServerConnection, Request], "Response | None"]
 
 LOOPBACK = "127.0.0.1"
 _NAMES = (LOOPBACK, "localhost")
-_START = "/start"
 
 
 def _drawn() -> str:
@@ -33,14 +31,9 @@ def _drawn() -> str:
 
 @dataclass(frozen=True)
 class Gate:
-    """Refuses whoever has no token, which is the cookie's value. Every start has a new one.
-
-    Attributes:
-        plain: the plain page, by path (`PlainPage.answer`).
-    """
+    """Refuses whoever has no token, which is the cookie's value. Every start has a new one."""
 
     token: str = field(default_factory=_drawn, repr=False)
-    plain: Callable[[str], str | None] = lambda path: None
     _codes: set[str] = field(default_factory=set, repr=False)
 
     def link(self, port: int) -> str:
@@ -64,9 +57,6 @@ class Gate:
             if not self._is_token(*_cookies(request.headers, _cookie(port))):
                 why = "open the link that `longarm view` printed; it opens the page once"
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
-            page = START if where.path == _START else self.plain(where.path)
-            if page is not None and not where.query:
-                return _html(page, hosts)
             if where.query:  # the viewer would connect to the server that ?websocket= names
                 return connection.respond(HTTPStatus.NOT_FOUND, "longarm view: no such page\n")
             response = serve(connection, request)
@@ -101,21 +91,10 @@ class Gate:
     def _welcome(self, port: int) -> Response:
         cookie = f"{_cookie(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
         headers = Headers(
-            {"Location": _START, "Set-Cookie": cookie, "Referrer-Policy": "no-referrer",
+            {"Location": "/", "Set-Cookie": cookie, "Referrer-Policy": "no-referrer",
              "Cache-Control": "no-store", "Content-Length": "0"}
         )  # fmt: skip
         return Response(HTTPStatus.SEE_OTHER, "See Other", headers)
-
-
-def _html(page: str, hosts: list[str]) -> Response:
-    """A page, or after the press of a button the way back to it."""
-    body = page.encode()
-    kind = {"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))}
-    headers = Headers(_policy(hosts) | kind)
-    if page:
-        return Response(HTTPStatus.OK, "OK", headers, body)
-    headers["Location"] = PATH
-    return Response(HTTPStatus.SEE_OTHER, "See Other", headers)
 
 
 def _cookie(port: int) -> str:

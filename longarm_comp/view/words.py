@@ -34,16 +34,6 @@ def headline(state: PageState, now: float, namespace: str) -> str:
     return f"The driver is {words}{f' ({why})' if why else ''}."
 
 
-def in_lines(state: PageState, now: float, namespace: str, said: str) -> list[str]:
-    """All that the panel says, as lines; ``said``: what came of the last press of a button."""
-    lines = [said, headline(state, now, namespace), target(state), tip_at_target(state, now),
-             tip_as_predicted(state, now), ring(state), drift(state), learned(state)]  # fmt: skip
-    if state.progress is not None:
-        lines.append(progress(state.progress, now))
-    lines += [line for name in sorted(state.nodes) for line in health(state.nodes[name], now)]
-    return [line for line in lines if line]
-
-
 def target(state: PageState) -> str:
     """What became of the last target."""
     if state.answer is None:
