@@ -13,7 +13,6 @@ from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, Temperature
-from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.arm import Arm
@@ -58,7 +57,6 @@ class QuickArm:
         self._temperature = graph.TEMPERATURE.publisher(self.node)
         self._states = graph.DRIVER_STATE.publisher(self.node)
         self._motions = graph.MOTION.publisher(self.node)
-        self._pauses = graph.PAUSE.client(self.node)
         graph.JOINT_TRAJECTORY.subscription(self.node, self._on_trajectory)
         graph.COLLECT_PROGRESS.subscription(self.node, self.heard.append)
         self.node.create_timer(_PERIOD_S, self._cycle)
@@ -79,11 +77,6 @@ class QuickArm:
 
     def _tell(self) -> None:
         self._states.publish(DriverState(state=self._state, message="by the test"))
-
-    def pause(self, on: bool) -> None:
-        """Ask the collection to pause, or to go on."""
-        assert self._pauses.wait_for_service(10.0)
-        self._pauses.call_async(SetBool.Request(data=on))
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         told = Motion(id=order_id(message), event=Motion.ACCEPTED)

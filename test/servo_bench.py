@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +14,6 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.servo_emulator import ServoEmulator
 
 ROWS = ("d=0.1 limits=-60..60", "alpha=90 limits=-30..50", "type=prismatic a=0.3 limits=0..0.1")
-STEP_TICKS = 1500.0
-"""Less than half a turn, or it is not seen which way round it went."""
 
 
 @dataclass(frozen=True)
@@ -37,15 +33,13 @@ class TrueJoint:
 
 
 TRUE = {
-    "joint1": TrueJoint(2, -1, 1500.0, 2 * math.pi / 40960),
-    "joint2": TrueJoint(1, +1, 2048.0, 2 * math.pi / 40960),
+    "joint1": TrueJoint(1, -1, 1500.0, 2 * math.pi / 40960),
+    "joint2": TrueJoint(2, +1, 2048.0, 2 * math.pi / 40960),
     "joint3": TrueJoint(3, -1, 2600.0, 2 * math.pi * 0.008 / 4096),
 }
 """The file of `folder` has ids 1, 2, 3, every direction + and every zero 2048."""
 POSE = {"joint1": math.radians(-60.0), "joint2": math.radians(10.0), "joint3": 0.02}
 POSE_FLAGS = ("--pose", "joint1=-60", "--pose", "joint2=10", "--pose", "joint3=20")
-STOPS = {"joint1": (-60, 60), "joint2": (-30, 50), "joint3": (0, 100)}
-UNITS = {"joint1": math.radians(1.0), "joint2": math.radians(1.0), "joint3": 1e-3}
 
 
 def folder(shell: Shell, model: str, to: Path | str = "mine") -> Path:
@@ -63,41 +57,6 @@ def bus(protocol: str) -> Iterator[ServoEmulator]:
     start = {TRUE[name].servo_id: TRUE[name].ticks(POSE[name]) for name in TRUE}
     with ServoEmulator(protocol, start) as emulator:
         yield emulator
-
-
-def hand(emulator: ServoEmulator, ways: dict[int, list[float]]) -> threading.Thread:
-    """Turns servo after servo along its way, a step when the last one has been read."""
-
-    def turn() -> None:
-        for servo_id, way in ways.items():
-            at = emulator.positions()[servo_id]
-            for goal in way:
-                while at != goal:
-                    at += max(-STEP_TICKS, min(STEP_TICKS, goal - at))
-                    emulator.push(servo_id, at)
-                    heard = emulator.frames_heard
-                    until(lambda heard=heard: emulator.frames_heard >= heard + 2)
-
-    thread = threading.Thread(target=turn, daemon=True)
-    thread.start()
-    return thread
-
-
-def through_the_stops() -> dict[int, list[float]]:
-    """Every joint to both stops and back into the pose."""
-    return {
-        true.servo_id: [true.ticks(value * UNITS[name]) for value in STOPS[name]]
-        + [true.ticks(POSE[name])]
-        for name, true in TRUE.items()
-    }
-
-
-def until(met: Callable[[], bool], limit_s: float = 60.0) -> None:
-    """Wait for a condition; the limit only ends a broken test."""
-    end = time.monotonic() + limit_s
-    while not met():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.002)
 
 
 def off_by(file: Path, emulator: ServoEmulator) -> dict[str, float]:

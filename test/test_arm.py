@@ -9,13 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 
-from longarm_comp.cli.schema import command as schema_command
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.dh_error import DhError
@@ -347,20 +344,3 @@ def test_a_file_that_is_no_arm(tmp_path: Path, write: Callable[[Path], Any], sai
     assert text.startswith(f"{path}: ")
     assert said in text
     assert "\n" not in text
-
-
-def test_schema_knows_what_the_reader_knows(demo_arm_path: Path) -> None:
-    printed = CliRunner().invoke(schema_command)
-    schema = json.loads(printed.stdout)
-    check = jsonschema.Draft202012Validator(schema)
-    check.check_schema(schema)
-    check.validate(yaml.safe_load(demo_arm_path.read_text()))
-    check.validate(EVERYTHING)
-    for path, value in (
-        ("tip", None),
-        ("joints.0.alpha_dge", 90),
-        ("joints.0.type", "hinge"),
-        ("links.0.section.type", "pipe"),
-        ("payload.mass_kg", -1),
-    ):
-        assert not check.is_valid(put(EVERYTHING, path, value)), path

@@ -10,12 +10,11 @@ import pytest
 from column_arm import arm as column_arm
 from small_arm import ARM, measured
 from test_cylinder import boom
-from wind_up import Sliders
+from wind_up import Sliders, there_and_back
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, PER_JOINT, WIDTH, Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.arm.moves import sweep
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.compensation.arrive import CompensationOptions
@@ -256,7 +255,7 @@ def test_commands_one_after_another_land_where_the_sliders_are(rng: np.random.Ge
     at = ARM.mid
     sliders = Sliders(np.array([1e-9, friction.near, friction.far]), half, at)
     history = History.unknown(ARM.n)
-    commands = [*sweep(ARM, at)]
+    commands = [*there_and_back(ARM, at)]
     for point in commands:
         sliders.drive(point)
         history, at = history.after(point[None], at), point

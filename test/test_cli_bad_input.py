@@ -131,7 +131,6 @@ NONSENSE = {
     "an endless noise": ("plan", "--kind", "i-optimal", "-n", 5, "--noise-mm", "inf"),
     "no noise": ("plan", "--kind", "i-optimal", "-n", 5, "--noise-mm", "1e-300"),
     "no floor": ("plan", "--kind", "sobol", "-n", 5, "--floor=-inf"),
-    "a box without end": ("plan", "--kind", "grid", "-n", 5, "--keep-out", 0, 0, 0, "inf", 1, 1),
     "a share that is none": ("calibrate", "samples.csv", "--fraction", "nan"),
     "a row of 5,000 digits": ("compensate", 0.4, 0.1, 0.3, "--lock", "7" * 5000),
     "a row of other digits": ("compensate", 0.4, 0.1, 0.3, "--lock", "\N{SUPERSCRIPT TWO}"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import importlib
 import inspect
-import json
 from pathlib import Path
 
 import numpy as np
@@ -209,7 +208,7 @@ def test_plan_what_a_diagnosis_asks_for(work: Path, shell: Shell) -> None:
     assert "--report" in shell.refused("plan", work / "arm.yaml", "--kind", "next", "-n", 2)
 
 
-def test_import_urdf_and_schema(shell: Shell) -> None:
+def test_import_urdf(shell: Shell) -> None:
     Path("r.urdf").write_text(
         '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous">'
         '<parent link="a"/><child link="b"/><axis xyz="0 1 0"/></joint></robot>'
@@ -219,10 +218,6 @@ def test_import_urdf_and_schema(shell: Shell) -> None:
     assert "--force" in shell.refused("import-urdf", "r.urdf", "--base", "a", "--tip", "b")
     other = ("--base", "a", "--tip", "z", "-o", "other.yaml")
     assert "--tip" in shell.refused("import-urdf", "r.urdf", *other)
-    assert shell("schema") == 0
-    schema = json.loads(shell.out)
-    assert set(schema["properties"]) == set(Arm.model_fields)
-    assert schema["additionalProperties"] is False
 
 
 def test_bench_gives_the_agreed_rows(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:

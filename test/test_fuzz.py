@@ -142,7 +142,7 @@ READINGS = (
             ("log.csv", "beside.csv")),
     Reading(("fleet", "arms", "--no-network", "-o", "fleet"), ("arms/a/arm.yaml", "arms/a/s.csv")),
     Reading(("stereo", "marker", FOLDER, "-o", "page.pdf"), (f"{FOLDER}/stereo_bridge.yaml",)),
-    Reading(("stereo", "hand-eye", FOLDER, "few.csv", "--dry-run"), (*FILES, "few.csv")),
+    Reading(("stereo", "hand-eye", FOLDER, "few.csv"), (*FILES, "few.csv")),
     Reading(("collect", ARM_FILE, "next_poses.csv", "--dry-run"), ("next_poses.csv", ARM_FILE)),
     Reading(("day-report", ARM_FILE, "day"), ("day/metadata.yaml", "day/day.mcap", ARM_FILE)),
     Reading(("compensate", ARM_FILE, "--targets", "targets.csv", "--like", MAPPING, "-o", "l.csv"),
@@ -202,7 +202,8 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         book.active.append(line)
     book.save(folder / "log.xlsx")
     (folder / "lift.urdf").write_text(LIFT)
-    write_bag(read_csv(folder / "few.csv", Arm.load(arm)), folder / "bag", Arm.load(arm))
+    bending = Arm.load(arm)
+    write_bag(read_csv(folder / "few.csv", bending), folder / "bag", bending)
     with robot(folder / "day") as put:
         for t, target in zip((10.0, 20.0), aims, strict=True):
             asked(put, t, ARM.mid, target)

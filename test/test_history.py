@@ -1,4 +1,4 @@
-"""How joints came to where they stand: legs, what they leave known, run-ups in files, sweeps."""
+"""How joints came to where they stand: legs, what they leave known, run-ups in files."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_arm import ARM
-from wind_up import Sliders, WindUp
+from wind_up import Sliders, WindUp, there_and_back
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History, onward, play, recorded
-from longarm_comp.core.arm.moves import sweep
 from longarm_comp.core.compensation.online import Readings, compensate_now
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
@@ -93,7 +92,9 @@ def test_what_is_not_known_counts_as_its_middle_and_slides_wind_up_in_a_tenth() 
 
 def test_a_doubtful_joint_may_be_wound_up_either_way() -> None:
     model = Model(ARM, (FrictionHysteresis(2, far=0.1, width=0.01, outer=0.01),))
-    context = Context(**History.unknown(ARM.n).after(sweep(ARM, ARM.mid), ARM.mid).fields())
+    context = Context(
+        **History.unknown(ARM.n).after(there_and_back(ARM, ARM.mid), ARM.mid).fields()
+    )
     sure, (why,) = unknown_history(model, ARM.mid[None], context)
     assert np.linalg.norm(sure) == 0.0 and why == ""
     doubtful = np.array([False, True, False, False])
@@ -227,39 +228,6 @@ def test_a_run_up_on_the_other_side_than_the_approach_is_refused(tmp_path: Path)
         read_csv(path, ARM)
 
 
-# ------------------------------------------------------------------ sweep
-
-
-@pytest.mark.parametrize("together", [True, False])
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 1.0])
-def test_after_a_sweep_nothing_from_before_is_remembered(together: bool, share: float) -> None:
-    start = ARM.lower + share * SPAN
-    points = sweep(ARM, start, 0.02, together=together)
-    np.testing.assert_allclose(points[-1], start, rtol=0, atol=1e-12)
-    assert (points >= np.minimum(start, ARM.lower + 0.02 * SPAN) - 1e-12).all()
-    assert (points <= np.maximum(start, ARM.upper - 0.02 * SPAN) + 1e-12).all()
-    moving = (np.abs(np.diff(np.vstack([start, points]), axis=0)) > 1e-9).sum(axis=1)
-    assert moving.max() <= (ARM.n if together else 1)
-    way = np.abs(np.diff(np.vstack([start, points]), axis=0)).sum(axis=0)
-    nearer = np.minimum(share, 1.0 - share)  # there first: the shorter way
-    assert (way <= (2.0 + 2 * 0.02) * SPAN + 1e-9).all()
-    assert (np.abs(points[0] - start)[0] <= max(nearer, 0.02) * SPAN[0] + 1e-9).all()
-    history = History.unknown(ARM.n).after(points, start)
-    for joint in range(ARM.n):
-        for radius in (1e-4, 0.1, 0.3, 0.479):
-            low, high = play(history.legs[joint], radius * SPAN[joint])
-            assert low == high
-        low, high = play(history.legs[joint], 0.55 * SPAN[joint])
-        assert low < high
-
-
-def test_a_sweep_from_outside_or_without_way_is_refused() -> None:
-    with pytest.raises(InputError, match="inside their limits"):
-        sweep(ARM, ARM.upper + 0.1)
-    with pytest.raises(InputError, match="margin"):
-        sweep(ARM, ARM.mid, 0.5)
-
-
 # ------------------------------------------------------------------ found
 
 
@@ -271,7 +239,7 @@ def planted(arm: Arm, n: int, rng: np.random.Generator, told: bool) -> tuple[Ses
     """A session on the simulated arm, whose turning joints remember with three radii."""
     turning = np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded])
     sliders = Sliders(RADII, HALF * turning, arm.mid)
-    sliders.drive(sweep(arm, arm.mid))
+    sliders.drive(there_and_back(arm, arm.mid))
     span = arm.upper - arm.lower
     q = arm.lower + span * (0.1 + 0.8 * rng.random((n, arm.n)))
     length = np.where(turning, 0.05, 0.005)
@@ -316,14 +284,14 @@ def test_memory_of_several_radii_is_found_named_and_predicts(
 
 
 def commanded(arm: Arm, model: Model) -> float:
-    """Mean miss of the simulated tip (m) over 20 commands after a sweep from a past unknown."""
+    """Mean miss of the simulated tip (m) over 20 commands, the past unknown."""
     turning = np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded])
     truly, rng = TrueArm(arm, [WindUp()], steps=2), np.random.default_rng(1)
     sliders = Sliders(RADII, HALF * turning, arm.mid)
     past = arm.lower + (arm.upper - arm.lower) * rng.random((8, arm.n))
     sliders.drive(past)
     at, history, misses = past[-1], History.unknown(arm.n), []
-    moves = [sweep(arm, at)]
+    moves = [there_and_back(arm, at)]
     for _ in range(20):
         sliders.drive(moves[-1])
         history, at = history.after(moves[-1], at), moves[-1][-1]

@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from session_bag import write_bag
 
 from bench.calibration import synthetic_session
 from longarm_comp.cli.registry import COMMANDS
@@ -74,16 +73,13 @@ def test_no_node_loads_what_it_does_not_use(node: str) -> None:
 
 
 def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
-    """Calibrated, trained, judged, read from a bag: all without what other programs use."""
+    """Calibrated, trained, judged: all without what other programs use."""
     arm = folder("config") / "arm_demo.yaml"
-    csv, bag, out = (tmp_path / name for name in ("samples.csv", "bag", "out.csv"))
-    session = synthetic_session(Arm.load(arm), 80)
-    write_csv(session, csv)
-    write_bag(session, bag, Arm.load(arm))
+    csv = tmp_path / "samples.csv"
+    write_csv(synthetic_session(Arm.load(arm), 80), csv)
     model, predictor = str(tmp_path / "model.yaml"), str(tmp_path / "predictor.npz")
     code = command_line("calibrate", str(arm), str(csv), "-o", model)
     code += command_line("train", str(arm), str(csv), "--model", model, "-o", predictor,
                          "--ensemble", "1", "--hidden", "3")  # fmt: skip
     code += command_line("evaluate", str(arm), "--test", str(csv), "--model", model)
-    code += command_line("bag", "to-csv", str(arm), str(bag), "-o", str(out))
     assert not {"sklearn", "cv2", "rclpy"} & loaded(code)

@@ -7,11 +7,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import MagicMock
 
-import numpy as np
 import pytest
 from cli_shell import Shell
 
@@ -72,7 +70,6 @@ def _attended() -> None:
         (("loop", "ARM", "-o", "loop_1"), "jobs.loop.run.Loop.run", "continue with --resume"),
         (("record", "-o", "bag"), "jobs.recorder.record", "--resume adds to it"),
         (("verify", "ARM"), "jobs.targets.TargetRunner.ready", "the same command"),
-        (("sweep", "ARM", "--yes"), "jobs.sweep.sweep_joints", "the same command"),
     ],
     ids=lambda given: given if isinstance(given, str) else "",
 )
@@ -82,9 +79,7 @@ def test_what_is_kept_and_what_comes_next_are_said(
 ) -> None:  # fmt: skip
     """A full disk in the midst of each: cause, what is left, next command."""
 
-    def full(*given: object, agree: Callable[..., None] | None = None, **_: object) -> None:
-        if agree is not None:
-            agree(np.zeros((1, 7)), 1.0)
+    def full(*given: object, **_: object) -> None:
         Path("loop_1").mkdir()
         raise OSError(errno.ENOSPC, "No space left on device", "file")
 

@@ -1,4 +1,4 @@
-"""`verify`, `sweep`, `loop`, `apply` and `undo` as a user runs them, on a graph that stays up."""
+"""`verify`, `loop`, `apply` and `undo` as a user runs them, on a graph that stays up."""
 
 from __future__ import annotations
 
@@ -17,20 +17,16 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from conftest import claimed_domain
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.moves import sweep
 from longarm_comp.core.compensation.compensate import Method
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.jobs.apply import apply_on_graph, files_at_work, reload
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.demo import TrueTip
-from longarm_comp.jobs.sweep import way_times
 from longarm_comp.jobs.targets import TargetRunner
 from longarm_comp.jobs.verify import choose
-from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp, running
 
 QUICK = ("--sightings", "2", "--dwell", "0.2", "--move", "0.05")
@@ -132,44 +128,6 @@ def test_verify_says_whether_compensation_helps(
         choose(runner, lambda n: np.array([[9.0, 0.0, 0.0]]), 1, (Method.NONE,))
 
 
-@pytest.mark.long
-def test_after_a_sweep_the_history_is_known(
-    files: Path, demo_arm_path: Path, client: ArmClient, runner: TargetRunner
-) -> None:
-    arm = client.arm
-    turning = [r for r in arm.commanded if arm.joints[r - 1].type == "revolute"]
-    friction = (FrictionHysteresis(r, far=0.1, width=2e-3, outer=2e-3) for r in turning)
-    at_work(client, files, declared_model(arm).plus(*friction))
-    target = declared_model(arm).tip(arm.mid)
-    before = runner.ask(target, execute=False)
-    assert "of joint" in before.message and before.success  # what the joints did before matters
-
-    stood = np.array(client.joints)
-    unanswered = longarm("sweep", demo_arm_path, "--seconds", 1)
-    assert unanswered.returncode == 3 and "no answer yes" in unanswered.stderr
-    denied = longarm("sweep", demo_arm_path, "--seconds", 1, answer="n\n")
-    assert denied.returncode == 3 and "no yes" in denied.stderr
-    client.spin(0.5)
-    np.testing.assert_allclose(client.joints, stood, atol=3e-4)
-    assert longarm("sweep", demo_arm_path, "--seconds", 0).returncode == 2
-
-    seen = []
-    graph.JOINT_STATES.subscription(client.node, lambda m: seen.append(list(m.position)))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "longarm_comp", "sweep", str(demo_arm_path), "--seconds", "2",
-         "--yes"], text=True, stderr=subprocess.PIPE,
-    )  # fmt: skip
-    client.until(lambda: process.poll() is not None, 300.0, "the sweep does not end")
-    assert process.returncode == 0, process.communicate()[1]
-    client.spin(0.2)
-    ranges = np.ptp(np.array(seen), axis=0)
-    assert (ranges > 0.9 * (arm.upper - arm.lower)).all()
-    np.testing.assert_allclose(client.joints, stood, atol=3e-3)
-    after = runner.ask(target, execute=False)
-    assert "of joint" not in after.message
-    assert after.sigma != before.sigma
-
-
 def test_a_move_that_is_over_before_the_wait_has_arrived(domain: None, demo_arm_path: Path) -> None:
     arm = Arm.load(demo_arm_path)
     path = np.stack([arm.mid + 0.1 * (arm.upper - arm.mid), arm.mid])
@@ -181,17 +139,6 @@ def test_a_move_that_is_over_before_the_wait_has_arrived(domain: None, demo_arm_
             client.arrive(path, replace(pace, arrive_s=0.3), arm.mid)
         with pytest.raises(JobError, match="come to rest"):
             client.arrive(path, replace(pace, arrive_s=0.3))
-
-
-def test_no_joint_sweeps_faster_than_asked(demo_arm_path: Path) -> None:
-    arm = Arm.load(demo_arm_path)
-    start = arm.lower + 0.3 * (arm.upper - arm.lower)
-    path = sweep(arm, start)
-    times = way_times(arm, start, path, 20.0)
-    ways = np.abs(np.diff(np.vstack([start, path]), axis=0)) / (arm.upper - arm.lower)
-    np.testing.assert_allclose((ways / times[:, None]).max(axis=1), 1 / 20.0)
-    with pytest.raises(InputError, match="--seconds"):
-        way_times(arm, start, path, 0.0)
 
 
 def test_play_grows_while_the_simulation_runs(client: ArmClient, runner: TargetRunner) -> None:

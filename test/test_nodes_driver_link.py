@@ -16,9 +16,9 @@ from nodes_bench import Bench, bench, own_graph
 from sensor_msgs.msg import JointState
 from test_nodes_kinematics import request
 from trajectory_msgs.msg import JointTrajectory
+from wind_up import there_and_back
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.moves import sweep
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
@@ -186,7 +186,7 @@ def test_what_the_driver_accepted_is_the_history_of_the_joints(
     stage.spin(lambda: stage.call(client, ask).status == STATUS.NOT_ACCEPTED)  # it knows of "c"
     doubts(True)
     now = stage.node.get_clock().now().to_msg()
-    way = trajectory_message(arm, sweep(arm, arm.mid), 0.1, now)
+    way = trajectory_message(arm, there_and_back(arm, arm.mid), 0.1, now)
     for event in (Motion.BROKEN_OFF, Motion.REPLACED):
         driver.event = Motion.REFUSED
         got = len(driver.got)

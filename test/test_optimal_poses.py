@@ -15,7 +15,7 @@ from small_arm import ARM
 import longarm_comp as la
 from longarm_comp.cli.plan import command
 from longarm_comp.core.arm.moves import run_up_lengths
-from longarm_comp.core.data.allowed_poses import in_view, outside_boxes
+from longarm_comp.core.data.allowed_poses import outside_boxes
 from longarm_comp.core.data.plan import Plan, random_joints, sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
@@ -26,7 +26,6 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.poses import read_poses
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.workflows.plan import bounded
 
 NOISE = (SIGMA, 1e-3)
 
@@ -154,44 +153,24 @@ def test_a_floor_and_what_is_seen_hold_for_every_kind_of_plan() -> None:
         assert len(poses) == 12 and (there[:, 2] > low).all() and (there[:, 1] > aside).all()
     free = la.plan(standing, 12)
     assert (la.plan(standing, 12, floor=-9.0).q == free.q).all()
-    own = boxed(np.zeros(3), np.ones(3)).arm
-    assert set(bounded(own, [[2, 2, 2, 3, 3, 3]], None).keep_out) == {"lamp", "--keep-out 1"}
     with pytest.raises(JobError, match="only 0 of"):  # its shoulder lies at that height
         la.plan(standing, 12, floor=0.0)
     with pytest.raises(JobError, match="only 0 of"):
         la.plan(standing, 12, seen=lambda poses: np.zeros(len(poses), dtype=bool))
 
 
-def test_the_tip_is_in_the_view_of_some_camera() -> None:
-    plan = sobol(ARM, 64, 0)
-    tip = Model(ARM).tip(plan.q)
-    place = np.array([0.4, -2.0, 0.4])
-    arm = declared(camera={"position_m": place.tolist(), "optical_axis": [0, 2, 0]})
-    ray = tip - place
-    angle = np.arccos(ray[:, 1] / np.linalg.norm(ray, axis=1))
-    half = float(np.median(angle))
-    np.testing.assert_array_equal(in_view(Model(arm), plan, half), angle <= half)
-    away = declared(camera={"position_m": place.tolist(), "optical_axis": [0, -1, 0]})
-    assert not in_view(Model(away), plan, 1.0).any()
-    side = {"kind": "camera", "xyz_m": place.tolist(), "rpy_deg": [-90, 0, 0]}  # looks along y
-    both = declared(camera=away.camera.model_dump(), sensors={"side": side})  # type: ignore[union-attr]
-    np.testing.assert_array_equal(in_view(Model(both), plan, half), angle <= half)
-    with pytest.raises(InputError, match=r"a camera in arm\.yaml"):
-        in_view(Model(ARM), plan, 1.0)
-
-
 def test_the_command_plans_says_when_to_stop_and_respects_a_box(tmp_path: Path) -> None:
     file, out = tmp_path / "arm.yaml", tmp_path / "p.csv"
-    file.write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_defaults=True)))
-    write_csv(read(sensed(n=40)), tmp_path / "rows.csv")
-    la.calibrate(ARM, tmp_path / "rows.csv").save(tmp_path / "model.yaml")
     tips = Model(ARM).tip(random_joints(ARM, 200, 0))
     low, high = np.median(tips, axis=0) - np.eye(3)[2], tips.max(axis=0) + 1.0
+    arm = boxed(low, high).arm
+    file.write_text(yaml.safe_dump(arm.model_dump(mode="json", exclude_defaults=True)))
+    write_csv(read(sensed(n=40)), tmp_path / "rows.csv")
+    la.calibrate(arm, tmp_path / "rows.csv").save(tmp_path / "model.yaml")
     run = CliRunner().invoke
-    box = ["--keep-out", *map(str, (*low, *high))]
     known = ["--model", str(tmp_path / "model.yaml"), "--measured", str(tmp_path / "rows.csv")]
     words = [str(file), "--kind", "i-optimal", "-n", "12", "-o", str(out)]
-    done = run(command, [*words, *box, *known])
+    done = run(command, [*words, *known])
     assert done.exit_code == 0, done.output
     assert "20 more poses would bring" in done.stderr
     there = Model(ARM).tip(read_poses(out, ARM).q)
@@ -204,10 +183,8 @@ def test_what_cannot_be_planned_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="anchors with their places"):
         la.plan(ARM, 5, kind="d-optimal", model=Model(ARM), measure="distance")
     with pytest.raises(InputError, match=r"poses are allowed"):
-        everywhere = [[-9, -9, -9, 9, 9, 9]]
-        la.plan(ARM, 5, kind="i-optimal", model=Model(ARM), keep_out=everywhere)
-    with pytest.raises(InputError, match="two corners"):
-        la.plan(ARM, 5, kind="i-optimal", model=Model(ARM), keep_out=[[1, 2, 3]])
+        everywhere = boxed(np.full(3, -9.0), np.full(3, 9.0))
+        la.plan(everywhere.arm, 5, kind="i-optimal", model=everywhere)
     with pytest.raises(InputError, match=r"sobol.*i-optimal or d-optimal"):
         la.plan(ARM, 5, model=Model(ARM))
 

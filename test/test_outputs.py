@@ -16,7 +16,7 @@ from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.cli.run import root
 from longarm_comp.urdf_export import BASE_LINK, TIP
 
-WRITES = ("-o", "--output", "--out", "--picture", "--save")
+WRITES = ("-o", "--output", "--out", "--save")
 REFUSES_ITSELF = {("demo", "--out"), ("soak", "--out"), ("stereo calibrate", "--save")}
 """These take a new or an empty folder only."""
 
@@ -81,12 +81,12 @@ def test_what_exists_is_replaced_by_its_own_kind_only(work: Path, shell: Shell) 
     plan = ("plan", "arm.yaml", "--kind", "sobol", "-n", 3)
     assert "is not what plan writes" in kept(shell, "notes.txt", *plan, "-o", "notes.txt")
     assert "is not what plan writes" in kept(shell, "samples.csv", *plan, "-o", "samples.csv")
-    picture = (*plan, "--picture", "photo.png")
-    (folder / "photo.png").write_bytes(b"\x89PNG a photo")
-    kept(shell, "photo.png", *picture)
-    (folder / "photo.png").unlink()
+    marker = ("stereo", "marker", "--board", "7x5", "-o", "photo.pdf")
+    (folder / "photo.pdf").write_bytes(b"%PDF a photo")
+    kept(shell, "photo.pdf", *marker)
+    (folder / "photo.pdf").unlink()
     for _ in range(2):
-        assert shell(*picture) == 0
+        assert shell(*marker) == 0
     assert shell(*plan, "-o", "notes.txt", "--force") == 0
     assert (folder / "notes.txt").read_text().startswith("index,")
     urdf = ("export-urdf", "arm.yaml", "--model", "model.yaml")

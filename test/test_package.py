@@ -20,10 +20,10 @@ import test_rooms
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from session_bag import write_bag
+from small_arm import ARM
 
 import longarm_comp
 from longarm_comp import libraries
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.sessions.csv import read_csv
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -261,9 +261,8 @@ def test_without_ros_files_are_worked_on_and_the_rest_says_what_it_lacks(
         return below(prefix, sys.executable, "-c", WITHOUT_ROS, ros, *words)
 
     assert longarm("--version").stdout == f"longarm, version {longarm_comp.__version__}\n"
-    arm = work / "arm.yaml"
-    declared = Arm.load(arm)
-    write_bag(read_csv(work / "samples.csv", declared), tmp_path / "bag", declared)
+    arm, session = work / "arm.yaml", work / "samples.csv"
+    write_bag(read_csv(session, ARM), tmp_path / "bag", ARM)
     for words in (
         ("init", tmp_path / "mine", "--arm", arm),
         ("plan", arm, "--kind", "sobol", "-n", 8, "-o", tmp_path / "poses.csv"),

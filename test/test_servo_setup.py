@@ -14,52 +14,31 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-import servo_bench
 from cli_shell import Shell
-from servo_bench import POSE_FLAGS, TRUE, bus, folder, hand, off_by, through_the_stops
+from servo_bench import POSE, POSE_FLAGS, TRUE, bus, folder, off_by
 
 from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.measured import read_measured
-from longarm_comp.cli import sweep_table
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_setup import ServoSetup
 from longarm_comp.sim.servo_emulator import ServoEmulator
 
 MODELS = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
-RIGHT = ("--id", "joint1=2", "--id", "joint2=1", "--direction", "joint1=-", "--direction",
-         "joint2=+", "--direction", "joint3=-", "--yes", "--ids", "1-3")  # fmt: skip
+RIGHT = ("--direction", "joint1=-", "--direction", "joint2=+", "--direction", "joint3=-",
+         "--yes", "--ids", "1-3")  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
 def nobody_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO())
-    monkeypatch.setattr(sweep_table, "_STILL_S", 0.3)
 
 
 @pytest.fixture(params=MODELS)
 def emulator(request: pytest.FixtureRequest) -> Iterator[ServoEmulator]:
     with bus(request.param) as made:
         yield made
-
-
-@pytest.fixture
-def swept(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Ways along which a hand turns the servos once a sweep has begun; it ends no sooner."""
-    ways: dict[str, Any] = {}
-    original = sweep_table.swept
-
-    def begun(setup: Any, seconds: float | None) -> object:
-        turning, sweep = hand(ways["emulator"], ways["ways"]), setup.sweep
-        setup.sweep = lambda done, seen: sweep(
-            lambda *now: not turning.is_alive() and done(*now), seen
-        )
-        return original(setup, seconds)
-
-    monkeypatch.setattr(sweep_table, "swept", begun)
-    return ways
 
 
 # ---- scan ---------------------------------------------------------------------------------------
@@ -95,22 +74,16 @@ def test_scan_says_what_is_missing(shell: Shell, tmp_path: Path) -> None:
 # ---- setup by flags -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("protocol", "zero"), [("feetech", "pose"), ("dynamixel", "sweep")])
-def test_setup_finds_the_true_zeros(
-    shell: Shell, swept: dict[str, object], protocol: str, zero: str
-) -> None:
+@pytest.mark.parametrize("protocol", MODELS)
+def test_setup_finds_the_true_zeros(shell: Shell, protocol: str) -> None:
     mine = folder(shell, MODELS[protocol])
     with bus(protocol) as emulator:
-        swept |= {"emulator": emulator, "ways": through_the_stops()}
-        words = ("--port", emulator.port, "--sweep-s", 60, "--zero", zero, *RIGHT)
-        pose = POSE_FLAGS if zero == "pose" else ()
-        found = shell.json("servo", "setup", mine, *words, *pose)
+        found = shell.json("servo", "setup", mine, "--port", emulator.port, *RIGHT, *POSE_FLAGS)
         off = off_by(mine / "servo_driver.yaml", emulator)
         assert not any(emulator.torques_on().values())
     assert max(map(abs, off.values())) <= 1.0, off
-    for name, stops in servo_bench.STOPS.items():
-        ends = [value / servo_bench.UNITS[name] for value in found["joints"][name]["travel"]]
-        assert ends == pytest.approx(stops, abs=0.2)
+    for name, value in POSE.items():
+        assert found["joints"][name]["now"] == pytest.approx(value, abs=TRUE[name].si_per_tick)
     text = (mine / "servo_driver.yaml").read_text()
     assert "# cycles a second" in text and f"port: {emulator.port}" in text
     file = mine / "servo_driver.yaml"
@@ -119,7 +92,7 @@ def test_setup_finds_the_true_zeros(
     (listed,) = (f for f in of_record(mine) if file.name in f.where)
     assert listed.level == "unmeasured" and "joint1.direction" in listed.text
     measured = read_measured(mine)["servo_driver.yaml"]
-    assert measured.values["joints.joint1.servo_id"] == 2 and measured.facts["zero"] == zero
+    assert measured.values["joints.joint1.servo_id"] == 1 and measured.facts["zero"] == "pose"
 
 
 def untouched(mine: Path, shell: Shell, *words: object, code: int = 3) -> str:
@@ -131,36 +104,18 @@ def untouched(mine: Path, shell: Shell, *words: object, code: int = 3) -> str:
     return said
 
 
-def test_the_end_of_the_turn_within_the_travel_is_refused(
-    shell: Shell, swept: dict[str, object], emulator: ServoEmulator
+def test_a_turn_that_ends_within_the_limits_is_refused(
+    shell: Shell, emulator: ServoEmulator
 ) -> None:
     mine = folder(shell, MODELS[emulator.protocol])
     file = mine / "servo_driver.yaml"
     line = "joint2: {servo_id: 2, model: MODEL, type: revolute, zero_ticks: 2048.0, lower: -0.5, "
     line = line.replace("MODEL", MODELS[emulator.protocol]) + "upper: 0.8, max_velocity: 1.0}"
     file.write_text(re.sub(r"joint2: {.*}", line, file.read_text()))
-    # Directly driven: 800 ticks to either side of 4000, so over the end of the turn.
-    emulator.push(1, 4000.0)
-    ways = through_the_stops() | {1: [3200.0, 4800.0, 4000.0]}
-    swept |= {"emulator": emulator, "ways": ways}
-    words = ("--port", emulator.port, "--sweep-s", 60, "--zero", "pose", *RIGHT)
-    said = untouched(mine, shell, *words)
-    assert "joint2" in said and "3200 to 4800" in said and "-1952 ticks" in said
+    emulator.push(2, 4000.0)  # directly driven: 0.8 rad are 522 ticks, over the end of the turn
+    said = untouched(mine, shell, "--port", emulator.port, *RIGHT, code=2)
+    assert "joint2.upper" in said and "multi_turn" in said
     assert not any(emulator.torques_on().values())
-
-
-def test_a_sweep_that_does_not_fit_is_refused(shell: Shell, swept: dict[str, object]) -> None:
-    mine = folder(shell, "sts3215")
-    with bus("feetech") as emulator:
-        words = ("--port", emulator.port, "--sweep-s", 60, "--zero", "sweep", *RIGHT)
-        ways = through_the_stops()
-        swept |= {"emulator": emulator, "ways": ways | {2: [w + 2000 * (k == 0) for k, w in
-                                                           enumerate(ways[2])]}}  # fmt: skip
-        stops = ("--stops", "joint1=-60..60")
-        assert "joint1 was swept over" in untouched(mine, shell, *words, *stops, code=2)
-        swept["ways"] = {2: ways[2], 3: ways[3]}
-        short = (*words[:2], "--sweep-s", 1, *words[4:])
-        assert "joint2 did not move: is servo 1" in untouched(mine, shell, *short)
 
 
 def test_an_arm_that_moves_and_torque_that_stays_on_are_told(
@@ -169,13 +124,13 @@ def test_an_arm_that_moves_and_torque_that_stays_on_are_told(
     mine = folder(shell, "sts3215")
     original = ServoSetup.rest
     with bus("feetech") as emulator:
-        words = ("--port", emulator.port, "--no-sweep", "--zero", "pose", *RIGHT)
+        words = ("--port", emulator.port, *RIGHT)
 
         def shaken(setup: ServoSetup) -> object:
             read = setup._bus.read
 
             def moved(ids: list[int]) -> object:
-                emulator.push(1, emulator.positions()[1] + 2.0)
+                emulator.push(2, emulator.positions()[2] + 2.0)
                 return read(ids)
 
             monkeypatch.setattr(setup._bus, "read", moved)
@@ -195,26 +150,20 @@ def test_an_arm_that_moves_and_torque_that_stays_on_are_told(
 def test_what_nobody_is_there_to_answer_names_its_flag(shell: Shell) -> None:
     mine = folder(shell, "sts3215")
     with bus("feetech") as emulator:
-        words = ["--port", emulator.port, "--no-sweep", "--zero", "pose", *RIGHT]
-        for flag, count in (("--port", 2), ("--no-sweep", 1), ("--zero", 2), ("--direction", 2),
-                            ("--yes", 1)):  # fmt: skip
+        words = ["--port", emulator.port, *RIGHT, *POSE_FLAGS]
+        for flag, count in (("--port", 2), ("--direction", 2), ("--yes", 1)):
             at = words.index(flag)
-            named = "--sweep-s" if flag == "--no-sweep" else flag
             left = [*words[:at], *words[at + count :]]
-            assert f"{named}: 'missing'" in untouched(mine, shell, *left, code=2)
-        assert "--direction: 'up'" in untouched(
-            mine, shell, *words, "--direction", "joint1=up", code=2
-        )
-        assert "--pose" in untouched(mine, shell, *words, "--pose", "elbow=3", code=2)
-        wrong = [word.replace("joint1=2", "joint1=1") for word in words]
-        assert "an id that no other joint has" in untouched(mine, shell, *wrong, code=2)
-        half = [word.replace("joint1=2", "joint1=2.5") for word in words]
-        assert "--id: '2.5'; allowed: JOINT=ID, a whole" in untouched(mine, shell, *half, code=2)
-        for flag in ("--nudge", "--sweep-s"):
-            for size in ("nan", "inf", "0"):
-                assert f"{flag}: " in untouched(mine, shell, *words, flag, size, code=2)
-        lost = [word.replace("joint1=2", "joint1=9") for word in words]
-        assert "servo 9 of joint1 is not on the bus" in untouched(mine, shell, *lost)
+            assert f"{flag}: 'missing'" in untouched(mine, shell, *left, code=2)
+        for name, value in (("--direction", "joint1=up"), ("--pose", "elbow=3"),
+                            ("--pose", "joint1=nan")):  # fmt: skip
+            assert f"{name}: " in untouched(mine, shell, *words, name, value, code=2)
+        assert not any(emulator.torques_on().values())
+        file = mine / "servo_driver.yaml"
+        text = file.read_text()
+        file.write_text(text.replace("servo_id: 2", "servo_id: 9"))
+        assert "servo 9 of joint2 is not on the bus" in untouched(mine, shell, *words)
+        file.write_text(text)
         assert shell("servo", "setup", mine, *words) == 0
         assert "now" in shell.out
     assert "servo file" in shell.refused("servo", "setup", shell.folder)
@@ -240,7 +189,10 @@ class Terminal:
         """Read until one of the words was said since the last one, and return it."""
         while not (found := [word for word in words if word in self._text]):
             assert select.select([self._master], [], [], 60.0)[0], self._text
-            self._text += os.read(self._master, 4096).decode(errors="replace")
+            try:
+                self._text += os.read(self._master, 4096).decode(errors="replace")
+            except OSError:  # it has ended
+                raise AssertionError(self._text) from None
         self._text = self._text.split(found[0], 1)[1]
         return found[0]
 
@@ -270,62 +222,47 @@ class Terminal:
         return self.process.returncode
 
 
-def test_a_dialogue_finds_exchanged_servos_and_a_broken_off_one_leaves_nothing(
-    shell: Shell,
-) -> None:
+def test_a_dialogue_finds_directions_and_a_broken_off_one_leaves_nothing(shell: Shell) -> None:
     mine = folder(shell, "sts3215")
     before = (mine / "servo_driver.yaml").read_bytes()
     with bus("feetech") as emulator:
-        words = ("servo", "setup", mine, "--ids", "1-3", "--nudge", 1)
-        broken = Terminal(*words, "--port", emulator.port, "--no-sweep", "--zero", "pose", "--yes",
-                          "--id", "joint1=1", "--id", "joint2=2", "--id", "joint3=3")  # fmt: skip
-        broken.until("joint1: in which direction")
+        words = ("servo", "setup", mine, "--ids", "1-3")
+        broken = Terminal(*words, "--port", emulator.port, "--yes")
+        broken.until("joint1: which way")
         assert all(emulator.torques_on().values())
         assert broken.stop() == 130
         assert not any(emulator.torques_on().values())
         assert (mine / "servo_driver.yaml").read_bytes() == before
-        at = emulator.positions()
-        for servo_id in at:
-            emulator.push(servo_id, through_the_stops()[servo_id][-1])
+        for name, true in TRUE.items():
+            emulator.push(true.servo_id, true.ticks(POSE[name]))
 
         talk = Terminal(*words, *POSE_FLAGS)
         talk.until("serial port")
         talk.say(emulator.port)
-        for name in TRUE:
-            talk.until(f"{name}: servo id")
-            talk.say("")
         talk.until("hold or support")
         talk.say("y")
-        talk.until("joint3", "silent")
-        turning = hand(emulator, through_the_stops())
-        talk.read_while(turning.is_alive)
-        talk.until("✓")
-        talk.say("")
-        talk.until("zeros from")
-        talk.say("pose")
         talk.until("hold it still")
         talk.say("")
         talk.until("Stand clear")
         talk.say("")
-        rest, told = emulator.positions(), []
-        while talk.until("which direction", "goes off again") == "which direction":
-            at = emulator.positions()
-            servo_id = max(at, key=lambda i: abs(at[i] - rest[i]))
-            name = next(n for n, true in TRUE.items() if true.servo_id == servo_id)
-            asked = ("joint1", "joint1", "joint2", "joint3")[len(told)]
-            grew = (at[servo_id] - rest[servo_id]) * TRUE[name].direction > 0
-            told.append(name if name != asked else "+" if grew else "-")
-            talk.say(told[-1])
-        assert told[0] == "joint2" and set(told[1:]) == {"+", "-"}
+        rest = emulator.positions()
+        for name, true in TRUE.items():
+            talk.until(f"{name}: which way")
+            grew = (emulator.positions()[true.servo_id] - rest[true.servo_id]) * true.direction > 0
+            if name == "joint1":
+                talk.say("again")
+                talk.until(f"{name}: which way")
+            talk.say("+" if grew else "-")
+        talk.until("goes off again")
         talk.say("")
         talk.until("will be written")
         talk.say("y")
-        talk.until("read back")
+        talk.until("zero_ticks")
         assert talk.end() == 0
         off = off_by(mine / "servo_driver.yaml", emulator)
         assert not any(emulator.torques_on().values())
     assert max(map(abs, off.values())) <= 1.0, off
     config = ServoConfig.load(mine / "servo_driver.yaml")
-    assert {n: (j.servo_id, j.direction) for n, j in config.joints.items()} == {
-        n: (true.servo_id, true.direction) for n, true in TRUE.items()
+    assert {n: j.direction for n, j in config.joints.items()} == {
+        n: true.direction for n, true in TRUE.items()
     }

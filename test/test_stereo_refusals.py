@@ -15,10 +15,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo import (
     CharucoTarget,
     Limits,
-    PixelNoise,
     RefusalReason,
-    StereoEye,
-    StereoPairer,
     StereoRefusal,
     StereoRig,
     TagBoard,
@@ -179,12 +176,6 @@ def test_refusals_survive_a_process_boundary() -> None:
         lambda: TagBoard(0.05, dictionary="DICT_5X5"),
         lambda: TagBoard(0.05, columns=8, rows=8, first_id=0),
         lambda: CharucoTarget(0.04, 0.05, 5, 5),
-        lambda: Limits(seen_share=1.5),
-        lambda: Limits(size=0.0),
-        lambda: PixelNoise(0.0),
-        lambda: StereoPairer(slop_ns=-1),
-        lambda: eye_for(tip_in_marker=(0.0, np.nan, 0.0)),
-        lambda: StereoEye(eye_for().rig, TAG, np.diag([1.0, 1.0, -1.0, 1.0])),
     ],
 )
 def test_bad_settings_are_one_clear_error(make: Any) -> None:

@@ -304,7 +304,7 @@ def test_predictors_that_are_refused(work: Path, shell: Shell) -> None:
 
 def test_a_full_disk_is_one_line(work: Path, tmp_path: Path) -> None:
     """A limit on the size of files stands for the full disk: writing fails in the same places."""
-    words = ("plan", work / "arm.yaml", "--kind", "sobol", "-n", 200, "-o", "made")
+    words = ("calibrate", work / "arm.yaml", work / "samples.csv", "-o", "made")
     done = subprocess.run(
         [sys.executable, "-m", "longarm_comp", *map(str, words)],
         cwd=tmp_path,

@@ -77,7 +77,6 @@ class Driver:
         graph.JOINT_TRAJECTORY.subscription(self.node, self.on_trajectory)
         self.node.create_service(SetBool, "servo_driver/estop", self.on_estop)
         self.node.create_service(SetBool, "servo_driver/hold", self.on_hold)
-        self.node.create_service(SetBool, "collect/pause", self.on_pause)
         self.timer = self.node.create_timer(0.1, self.speak)
 
     def speak(self) -> None:
@@ -105,11 +104,6 @@ class Driver:
         self.asked.append(("hold", request.data))
         answer.success = False
         answer.message = "the driver is not active, so there is no torque to hold the arm"
-        return answer
-
-    def on_pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
-        self.asked.append(("pause", request.data))
-        answer.success, answer.message = True, "rests after this pose"
         return answer
 
     def offer_reset(self) -> None:
@@ -221,8 +215,8 @@ def test_the_page_shows_the_graph_and_its_buttons_reach_the_driver(stand: Stand)
     assert stand.faults == [] and page.evaluate("window.planted") is None
     stand.view.send_signal(signal.SIGINT)
     assert stand.view.wait(timeout=PATIENCE_S) == 0
-    called = ["estop", "hold", "estop", "pause", "reset"]
-    assert driver.asked == list(zip(called, [True, True, False, True, None], strict=True))
+    called = ["estop", "hold", "estop", "reset"]
+    assert driver.asked == list(zip(called, [True, True, False, None], strict=True))
 
 
 def shows_the_arm_and_its_errors(stand: Stand) -> None:
@@ -281,8 +275,6 @@ def buttons_call_the_services(stand: Stand) -> None:
     stand.shows("Hold: refused: the driver is not active, so there is no torque to hold the arm")
     stand.press("Release stop")
     stand.shows("The driver is ready.")
-    stand.press("Pause collect")
-    stand.shows("Pause collect: rests after this pose")
     stand.press("Reset fault")
     stand.shows(f"Reset fault: not done, nobody offers /{NAMESPACE}/servo_driver/reset")
     driver.offer_reset()

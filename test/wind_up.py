@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.sim.context import State
 from longarm_comp.sim.hidden.base import HiddenEffect
 
@@ -53,3 +54,8 @@ class Sliders:
     def behind(self) -> Array:
         """(n,) how far every joint stands behind its command."""
         return (self._half * (self._joints - self._at) / self._reach).sum(axis=0)
+
+
+def there_and_back(arm: Arm, start: np.ndarray) -> np.ndarray:
+    """(3, n) joints: to one end of every range, to the other, back: what they remember is known."""
+    return np.stack([arm.lower, arm.upper, start])

@@ -13,7 +13,6 @@ from pathlib import Path
 import concepts
 import own_arm
 import touch
-from commands import write_plan
 from drawing import save_svg
 from matplotlib.figure import Figure
 
@@ -36,9 +35,6 @@ COMPUTED: dict[Callable[[Figure], None], tuple[float, float]] = {
 }
 """Pictures that need nothing but the package, and their size in inches."""
 
-OF_COMMANDS = {"plan.png": write_plan}
-"""What a command draws."""
-
 OF_A_DEMONSTRATION = (
     "bent_and_straight.svg",
     "ladder.svg",
@@ -52,8 +48,6 @@ def draw_computed(to: Path) -> None:
     """Those that need no demonstration; an SVG is named as its function."""
     for picture, size in COMPUTED.items():
         save_svg(picture, to / f"{picture.__name__}.svg", size)
-    for name, write in OF_COMMANDS.items():
-        write(to / name)
 
 
 def draw_demonstration(folder: Path, to: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,10 +24,11 @@ from longarm_comp.arm_folder.make import ARM, NODES
 from longarm_comp.arm_folder.measured import FILE, Measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, strangers
 from longarm_comp.arm_folder.servos import SERVOS, ZERO_TICKS, servo_values
+from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.beam import Beam, Rect, Tube
 from longarm_comp.core.data.plan import sobol
-from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import unstack
 from longarm_comp.core.vibration.modes import modes
@@ -104,7 +106,7 @@ def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[FolderFinding]:
         stiff = f"EI {bending}, GJ {torsion:.3g} N m^2"
         text = f"{_section(beam)}; {stiff}; {1e3 * beam.mass_kg:.4g} g"
         if isinstance(beam.section, Rect):
-            text += _standing(beam.section, fell[across], float(np.linalg.norm(fell)))
+            text += _standing(fell[across], float(np.linalg.norm(fell)))
         yield declared(f"arm.yaml: links.{beam.name}", text)
     sag = 1e3 * float(np.linalg.norm(model.tip(at) - rigid.tip(at)))
     joints = ", ".join(
@@ -138,22 +140,15 @@ def _section(beam: Beam) -> str:
     return f"{1e3 * section.width_m:.4g} wide x {1e3 * section.height_m:.4g} high mm, {wall}"
 
 
-def _standing(section: Rect, fell: np.ndarray, gravity: float) -> str:
-    """Which side is up, and the section drawn so; `fell`: gravity along width and height."""
+def _standing(fell: np.ndarray, gravity: float) -> str:
+    """Which side is up; `fell`: gravity along width and height."""
     if np.linalg.norm(fell) < 0.1 * (gravity or 1.0):
         return "; the beam is vertical here, so no side is up"
     lean = math.degrees(math.atan2(abs(fell[0]), abs(fell[1])))
     upright = lean <= 45.0
-    wide, high = section.width_m, section.height_m
-    if not upright:
-        wide, high, lean = high, wide, 90.0 - lean
-    # Height of a drawing of a section's longer side; a character is twice as high as wide
-    per_line = max(wide, high) / 4
-    lines, columns = max(1, round(high / per_line)), max(2, round(2 * wide / per_line))
-    edge = f"    +{'-' * columns}+"
-    drawn = [edge, *[f"    |{' ' * columns}|"] * lines, edge]
+    lean = lean if upright else 90.0 - lean
     side = "height_m" if upright else "width_m"
-    return "\n".join([f"; {side} is upright there, to {lean:.0f} deg:", *drawn])
+    return f"; {side} is upright there, to {lean:.0f} deg"
 
 
 _REACH_M = (0.05, 20.0)
@@ -258,9 +253,7 @@ def _of_servos(folder: Path, arm: Arm) -> list[FolderFinding]:
 
 
 def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[FolderFinding]:
-    """Findings on cameras and marker; ``look``: also through rendered images."""
-    from longarm_comp.arm_folder.sight import seen_from
-
+    """Findings on cameras and marker; ``look``: also what the cameras see."""
     read, found = {}, []
     for node in NODES[1:]:
         given, faults = _loaded(folder / f"{node}.yaml", read_parameters)
@@ -280,21 +273,28 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[FolderFinding]:
     bridge = read["stereo_bridge"]
     placed = recorded(folder, "stereo_bridge.yaml")
     found += _assumed(arm, bridge, placed)
-    if not look or "simulated_arm" not in read or bridge["marker.kind"] != "tags":
-        return found  # the simulation has tags only
-    try:
-        sight = seen_from(arm, bridge, read["simulated_arm"])
-    except LongarmError as error:
-        return [*found, implausible("stereo_bridge.yaml", str(error))]
-    if sight.seen < 0.5:
-        said = f"the marker is seen at {sight}: move the cameras, turn the marker "
-        said += "(marker.mounting) or narrow the limits in arm.yaml"
-        found.append(implausible("simulated_arm.yaml: camera, marker", said))
-    elif sight.off_mm > 10.0 and not placed:
-        said = f"the tip is measured {sight.off_mm:.0f} mm from where it is: cameras and "
-        said += "marker of simulated_arm.yaml stand elsewhere"
+    if not look or "simulated_arm" not in read:
+        return found
+    simulated = read["simulated_arm"]
+    off = float(np.linalg.norm(np.subtract(simulated["camera.position"], bridge["hand_eye.xyz"])))
+    if off > 0.01 and not placed:
+        said = f"{1e3 * off:.0f} mm from camera.position of simulated_arm.yaml"
         found.append(implausible("stereo_bridge.yaml: hand_eye", said))
+        return found
+    why = View.of(bridge, simulated).unseen(declared_model(arm).pose(sobol(arm, 64, 0).q))
+    seen = why.count("")
+    if seen < 0.5 * len(why):
+        said = f"the marker is seen at {seen} of {len(why)} poses, at most others {_mostly(why)}: "
+        said += "move the cameras, turn the marker (marker.mounting) or narrow the limits in "
+        found.append(implausible("simulated_arm.yaml: camera, marker", f"{said}arm.yaml"))
     return found
+
+
+def _mostly(why: list[str]) -> str:
+    """One of the most frequent kind, with its figures."""
+    kinds = Counter(text.partition(":")[0] for text in why if text)
+    most = kinds.most_common(1)[0][0]
+    return next(text for text in why if text.startswith(most))
 
 
 def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[FolderFinding]:

@@ -1,22 +1,18 @@
 """An arm declared row by row: a modified DH table, tubes that bend, servo masses.
 
-Each row is a set of answers by key: from a flag (``type=revolute a=0.1 limits=-30..30``), or
-asked one after another.
+Each row is a text of keys and values: ``type=revolute a=0.1 limits=-30..30``.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from longarm_comp.core.errors import InputError
-
-Ask = Callable[[str, str], str]
-"""Shows a question and a default, and returns the answer."""
 
 MATERIALS = {
     "aluminium": (69e9, 0.33, 2700.0),
@@ -65,34 +61,35 @@ Tube = Annotated[tuple[float, float], BeforeValidator(_tube)]
 Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_mimic)]
 
 
-def _asked(default: str, question: str) -> Any:
-    """An answer, as text, where nothing is said."""
-    return Field(default, description=question)
-
-
 class _Row(BaseModel):
-    """Answers of one row; what has a description is asked, in this order."""
+    """One row.
 
-    model_config = ConfigDict(validate_default=True, allow_inf_nan=False, str_strip_whitespace=True)
+    Attributes:
+        alpha, a, d, theta: of the modified DH table; deg and m.
+        limits: deg or m.
+        tube_a, tube_d: outer and inner diameter (m) of a tube along a or d; 0: rigid.
+        servo_kg: mass of the servo that sits at this joint's frame.
+        mimic: the joint that drives it, and the factor.
+    """
 
-    type: Literal["revolute", "prismatic", "fixed"] = _asked(
-        "revolute", "type (revolute, prismatic, fixed)"
-    )
-    alpha: float = _asked("0", "alpha: angle from the last z to this z about the last x, deg")
-    a: float = _asked("0", "a: distance from the last z to this z along the last x, m")
-    d: float = _asked("0", "d: distance from the last x to this x along this z, m")
-    theta: float = _asked("0", "theta: angle from the last x to this x about this z, deg")
-    limits: Limits = _asked("-45..45", "limits, deg or m, LOWER..UPPER")
-    tube_a: Tube = _asked("0", "tube along a: outer/inner diameter, mm; 0: rigid")
-    tube_d: Tube = _asked("0", "tube along d: outer/inner diameter, mm; 0: rigid")
-    material: str = _asked("aluminium", f"material of the tubes ({', '.join(MATERIALS)})")
-    servo_kg: float = _asked("0", "mass of the servo that sits at this joint's frame, kg")
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    type: Literal["revolute", "prismatic", "fixed"] = "revolute"
+    alpha: float = 0.0
+    a: float = 0.0
+    d: float = 0.0
+    theta: float = 0.0
+    limits: Limits = (-45.0, 45.0)
+    tube_a: Tube = (0.0, 0.0)
+    tube_d: Tube = (0.0, 0.0)
+    material: str = "aluminium"
+    servo_kg: float = 0.0
     name: str = ""
     mimic: Mimic = None
 
     @classmethod
     def of(cls, number: int, given: Mapping[str, str]) -> _Row:
-        """From answers. Raises InputError."""
+        """From texts by key. Raises InputError."""
         try:
             return cls.model_validate(given)
         except ValidationError as error:
@@ -142,20 +139,8 @@ class _Row(BaseModel):
         }]  # fmt: skip
 
 
-def ask_rows(ask: Ask, count: int) -> list[dict[str, str]]:
-    """Rows of answers, asked one by one. What does not apply to a row is not asked."""
-    rows = []
-    for number in range(1, count + 1):
-        row: dict[str, str] = {}
-        for key, field in _Row.model_fields.items():
-            if field.description and _applies(key, row):
-                row[key] = ask(f"joint {number}, {field.description}", str(field.default))
-        rows.append(row)
-    return rows
-
-
 def row_of(flag: str) -> dict[str, str]:
-    """Answers of one row from ``key=value key=value``."""
+    """Texts of one row by key, from ``key=value key=value``."""
     row = {}
     for word in flag.split():
         key, equals, value = word.partition("=")
@@ -169,7 +154,7 @@ def row_of(flag: str) -> dict[str, str]:
 def arm_of(
     name: str, given: Sequence[Mapping[str, str]], tip: Sequence[float], payload_kg: float
 ) -> dict[str, Any]:
-    """What arm.yaml holds for rows of answers; `tip` (3,) m in the last frame."""
+    """What arm.yaml holds for rows; `tip` (3,) m in the last frame."""
     if not given:
         raise InputError("init", "--joint", "none", "at least one joint")
     rows = [(number, _Row.of(number, answers)) for number, answers in enumerate(given, 1)]
@@ -189,14 +174,3 @@ def arm_of(
             if row.servo_kg
         ],
     }
-
-
-def _applies(key: str, row: Mapping[str, str]) -> bool:
-    if key == "limits":
-        return row["type"] != "fixed"
-    if key in ("tube_a", "tube_d"):
-        length = row["a" if key == "tube_a" else "d"]
-        return row["type"] != "fixed" and length.strip() not in ("", "0", "0.0")
-    if key == "material":
-        return any(row.get(tube, "0") != "0" for tube in ("tube_a", "tube_d"))
-    return True

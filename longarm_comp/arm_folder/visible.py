@@ -62,11 +62,11 @@ class View:
     def of(cls, bridge: Mapping[str, Any], simulated: Mapping[str, Any]) -> View:
         """From parameters of `stereo_bridge` and `simulated_arm` by dotted name."""
         from longarm_comp.devices.stereo.limits import Limits  # these take a second, with OpenCV
-        from longarm_comp.devices.stereo.marker import tags_of
+        from longarm_comp.devices.stereo.target import TagBoard
         from longarm_comp.sim.cameras import CameraPair
         from longarm_comp.sim.plant import mounting
 
-        board = tags_of(bridge)
+        board = TagBoard.of(bridge)
         corners = board.points(np.arange(board.n_corners)).reshape(-1, 4, 3)
         middle = corners.mean(axis=1, keepdims=True)
         # White around a tag that must be in the picture, as a share of the tag. These three are
@@ -127,12 +127,6 @@ class View:
                 why.append("")
         return why
 
-    def pixels(self, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(M, 2) px of the marker's middle in the left and the right image; NaN if behind."""
-        local = np.linalg.inv(self.left_in_base) @ tips
-        middle = local[:, :3, :3] @ self.tags.mean(axis=(0, 1)) + local[:, :3, 3]
-        return self._projected(middle), self._projected(middle - [self.lens.baseline_m, 0.0, 0.0])
-
     def _projected(self, points: np.ndarray) -> np.ndarray:
         ahead = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         return np.asarray(self.lens.focal_px * points[..., :2] / ahead + self.lens.middle_px)
@@ -163,8 +157,6 @@ def view_beside(arm: Path) -> View | None:
     if not all(file.is_file() for file in files):
         return None
     bridge, simulated = (parameters_of(node, file) for node, file in zip(nodes, files, strict=True))
-    if bridge["marker.kind"] != "tags":
-        return None
     view, lens = View.of(bridge, simulated), _lens_beside(arm)
     return view if lens is None else replace(view, lens=lens)
 

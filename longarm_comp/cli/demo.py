@@ -15,10 +15,6 @@ SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mea
          "paper_mean_mm")  # fmt: skip
 
 
-MORE_PLAY = "joint1=0.002"
-"""What grows before a second round, rad."""
-
-
 @click.command()
 @click.option(
     "--out",
@@ -34,15 +30,8 @@ MORE_PLAY = "joint1=0.002"
     "--speed", type=float, default=20.0, show_default=True, help="Speed-up of all motion."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option(
-    "--second-round",
-    is_flag=True,
-    help="Then let the play of one joint grow, and find it in a second round (twice as long).",
-)
 @options.as_json
-def command(
-    out: Path, arm: Path | None, targets: int, second_round: bool, as_json: bool, **given: Any
-) -> None:
+def command(out: Path, arm: Path | None, targets: int, as_json: bool, **given: Any) -> None:
     """Run the whole loop over the real ROS graph on a simulated arm.
 
     Five nodes start. The simulated arm has errors that nobody declared. It drives to fresh targets,
@@ -63,8 +52,6 @@ def command(
     from longarm_comp.core.files import write_text
     from longarm_comp.jobs.demo import DemoSettings, demonstrate
 
-    if second_round:
-        given["more_play"] = MORE_PLAY
     if arm is not None:
         given["arm"] = arm / "arm.yaml" if arm.is_dir() else arm
     said = {name: value for name, value in given.items() if value is not None}
@@ -92,19 +79,5 @@ def command(
         note(
             f"report in {printed['files']['report']}, the loop's page in {printed['files']['loop']}"
         )
-        if "second_round" in printed:
-            _print_second(printed["second_round"])
     if not printed["improved"]:
         raise JobError("compensation did not bring the arm nearer to its targets")
-
-
-def _print_second(second: dict[str, Any]) -> None:
-    rows = [{name: row[name] for name in ("run", "n", "mean_mm", "max_mm")} for row in
-            second["rows"]]  # fmt: skip
-    true = second["true_mean_mm"]
-    print_rows(
-        f"After the play grew ({MORE_PLAY} rad)",
-        [{**row, "true_mean_mm": true[row["run"]]} for row in rows],
-    )
-    for change in second["rounds"][0]["changes"]:
-        click.echo(change["text"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -71,14 +70,6 @@ class Dialogue:
 def attended() -> bool:
     """Whether somebody sits at a terminal."""
     return sys.stdin.isatty()
-
-
-def enter_pressed() -> bool:
-    """Whether a line was typed on the terminal since the last question."""
-    if not select.select([sys.stdin], [], [], 0.0)[0]:
-        return False
-    sys.stdin.readline()
-    return True
 
 
 @contextmanager

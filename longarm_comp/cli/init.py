@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +15,7 @@ from longarm_comp.core.errors import InputError
 if TYPE_CHECKING:
     from longarm_comp.arm_folder.make import Source
 
-_SOURCES = "--urdf FILE, --like demo, --arm FILE or --joint ROW"
+_SOURCES = "--urdf FILE, --like demo, --arm FILE, --joint ROW --joint ROW ..."
 
 
 @click.command()
@@ -34,8 +33,9 @@ _SOURCES = "--urdf FILE, --like demo, --arm FILE or --joint ROW"
     metavar="ROW",
     help="A row of the DH table, base to tip: 'type=revolute alpha=90 a=0.1 d=0 limits=-30..30'.",
 )
-@click.option("--tip-at", nargs=3, type=float, metavar="X Y Z", help="Tip in the last frame, m.")
-@click.option("--payload", type=float, default=None, help="Carried mass, kg.")
+@click.option("--tip-at", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar="X Y Z",
+              help="Tip in the last frame, m.")  # fmt: skip
+@click.option("--payload", type=float, default=0.0, help="Carried mass, kg.")
 @click.option(
     "--range",
     "range_deg",
@@ -65,8 +65,8 @@ def command(
     arm: Path | None,
     name: str,
     rows: tuple[str, ...],
-    tip_at: tuple[float, float, float] | None,
-    payload: float | None,
+    tip_at: tuple[float, float, float],
+    payload: float,
     range_deg: float | None,
     home: tuple[str, ...],
     servos: str,
@@ -76,13 +76,12 @@ def command(
 ) -> None:
     """Write a new folder DIR: arm.yaml, and servo, camera and marker files that fit it.
 
-    The arm comes from a URDF, the demonstration, an arm.yaml or a DH table. Without any of these
-    the command asks for the DH table, row by row. `longarm up DIR/arm.yaml --sim` simulates the new
-    arm. `longarm check DIR` lists assumed values that you must measure.
+    The arm comes from a URDF, the demonstration, an arm.yaml or a DH table. `longarm up
+    DIR/arm.yaml --sim` simulates the new arm. `longarm check DIR` lists assumed values that you
+    must measure.
 
     \b
     Examples:
-      longarm init my_arm
       longarm init my_arm --like demo
       longarm init my_arm --urdf robot.urdf --base base_link --tip tool0
       longarm init boom --urdf boom.urdf --only-arm
@@ -91,6 +90,7 @@ def command(
         --joint 'alpha=90 limits=0..70 a=0 material=petg' --joint 'a=0.3 tube_a=30/26' \\
         --tip-at 0.2 0 0
     """
+    from longarm_comp.arm_folder.dh_table import arm_of, row_of
     from longarm_comp.arm_folder.make import (
         ARM,
         Source,
@@ -116,7 +116,8 @@ def command(
                 base, tip = chain_ends(urdf, base, tip)
                 data, where = import_urdf(urdf, base, tip), f"{urdf.name}, {base} to {tip}"
             else:
-                data, where = _table(out, name, rows, tip_at, payload), "a DH table"
+                table = [row_of(row) for row in rows]
+                data, where = arm_of(name or out.name, table, tip_at, payload), "a DH table"
             if range_deg is None and not hobby:
                 # Range of a turning joint that is driven through all of it in a first session
                 range_deg = 45.0 if urdf is not None and not only_arm else 0.0
@@ -140,8 +141,8 @@ def command(
 def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Sequence[str]) -> None:
     given = [k for k, v in zip(("--urdf", "--like", "--arm", "--joint"), (urdf, like, arm, rows),
                                strict=True) if v]  # fmt: skip
-    if len(given) > 1:
-        raise InputError("init", "source", " and ".join(given), f"one of {_SOURCES}")
+    if len(given) != 1:
+        raise InputError("init", "source", " and ".join(given) or "none", f"one of {_SOURCES}")
 
 
 def _home(text: str) -> tuple[str, float]:
@@ -173,39 +174,3 @@ def _narrowed(
             "\nof the limits. Widen them where nothing is in the way and the marker is seen."
         )
     return Source.of_data(data, head, notes, seen=seen)
-
-
-def _table(
-    out: Path,
-    name: str,
-    rows: Sequence[str],
-    tip_at: Sequence[float] | None,
-    payload: float | None,
-) -> dict[str, object]:
-    """From the flags; without rows, asked."""
-    from longarm_comp.arm_folder.dh_table import arm_of, ask_rows, row_of
-
-    if rows:
-        return arm_of(name or out.name, [row_of(r) for r in rows], tip_at or (0, 0, 0),
-                      payload or 0.0)  # fmt: skip
-    try:
-        name = name or click.prompt("name of the arm", default=out.name, err=True)
-        count = click.prompt("number of joints", type=click.IntRange(1, 30), err=True)
-        answers = ask_rows(lambda text, default: _asked(text, default), count)
-        if tip_at is None:
-            words = _asked("tip in the last frame: x y z, m", "0 0 0").split()
-            tip_at = [float(word) for word in words]
-        if payload is None:
-            payload = float(_asked("carried mass, kg", "0"))
-    except click.Abort:
-        click.echo(err=True)  # the cursor stands behind the question
-        if sys.stdin.isatty():
-            raise
-        raise InputError("init", "source", "none", f"{_SOURCES}, or a terminal") from None
-    except ValueError as error:
-        raise InputError("init", "answer", str(error), "numbers, with blanks between") from None
-    return arm_of(name, answers, tip_at, payload)
-
-
-def _asked(text: str, default: str) -> str:
-    return str(click.prompt(text, default=default, err=True))

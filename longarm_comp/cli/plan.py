@@ -15,9 +15,6 @@ from longarm_comp.core.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.data.plan import Plan
-
 
 @click.command()
 @options.arm
@@ -56,26 +53,10 @@ if TYPE_CHECKING:
     show_default=True,
     help="Noise of a measured length, if no rows are given.",
 )
-@click.option(
-    "--view",
-    "view_deg",
-    type=click.FloatRange(0, 180, min_open=True),
-    metavar="DEG",
-    help="Half of the view angle of the cameras in arm.yaml; the tip must be in view.",
-)
-@click.option(
-    "--keep-out",
-    type=float,
-    nargs=6,
-    multiple=True,
-    metavar="X Y Z X Y Z",
-    help="Corners (m) of a further box that the arm must not enter; repeat for more.",
-)
 @options.floor
 @click.option(
     "--seen", is_flag=True, help="Only poses at which the cameras of ARM's folder see the marker."
 )
-@options.written("--picture", "Also draw the plan: FILE.png, .svg or .pdf.", outputs.PICTURE)
 @options.output("poses.csv", "Plan to write.", outputs.POSES)
 @options.like
 @options.seed
@@ -89,7 +70,6 @@ def command(
     points: tuple[tuple[str, float, float, float], ...],
     noise_mm: float,
     seen: bool,
-    picture: Path | None,
     output: Path,
     like: Path | None,
     as_json: bool,
@@ -100,14 +80,14 @@ def command(
     \b
     Examples:
       longarm plan arm.yaml --kind grid -n 300 -o poses.csv
-      longarm plan arm.yaml --kind sobol -n 60 --seen --floor -0.02 --picture plan.png
+      longarm plan arm.yaml --kind sobol -n 60 --seen --floor -0.02 -o poses.csv
       longarm plan arm.yaml --kind next -n 20 --report diagnosis -o poses.csv
-      longarm plan arm.yaml --kind i-optimal -n 60 --keep-out 0 0.5 0 1 1 1 -o poses.csv
+      longarm plan arm.yaml --kind i-optimal -n 60 -o poses.csv
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.identify.optimal_poses import OptimalPlan
     from longarm_comp.sessions.poses import write_poses
-    from longarm_comp.workflows.plan import NOISE, bounded, plan
+    from longarm_comp.workflows.plan import NOISE, plan
 
     declared = Arm.load(arm)
     form, output = options.form_of(like, output)
@@ -121,14 +101,8 @@ def command(
     if optimal:
         given |= {"measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
         given["points"] = {name: place for name, *place in points}
-    if picture is not None:
-        from longarm_comp.jobs.collect.picture import check_suffix
-
-        check_suffix(picture)
     poses = plan(declared, count, note=note, **given)
     write_poses(poses, output, *([form.write] if form else []))
-    if picture is not None:
-        _draw(arm, bounded(declared, given["keep_out"], given["floor"]), poses, picture)
     if as_json:
         facts: dict[str, Any] = {
             "output": str(output),
@@ -156,14 +130,3 @@ def _sees(arm: Path) -> Callable[[np.ndarray], np.ndarray]:
         allowed = "stereo_bridge.yaml and simulated_arm.yaml beside ARM (longarm init writes them)"
         raise InputError("plan", "--seen", "no cameras", allowed)
     return lambda tips: np.array([not why for why in view.unseen(tips)])
-
-
-def _draw(arm: Path, declared: Arm, poses: Plan, picture: Path) -> None:
-    from longarm_comp.arm_folder.visible import view_beside
-    from longarm_comp.jobs.collect.picture import draw
-    from longarm_comp.jobs.collect.preview import preview
-    from longarm_comp.jobs.measurement_schedule import visits
-
-    ahead = preview(declared, visits(poses, declared, shuffle=False), view=view_beside(arm))
-    draw(ahead, ahead.faults(), picture, "can be measured", f"{declared.name}: {len(poses)} poses")
-    note(f"picture in {picture}")

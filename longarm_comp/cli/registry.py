@@ -71,7 +71,6 @@ COMMANDS = (
     Entry("touch", "touch", "Record the joints while the tip touches points."),
     Entry("verify", "verify", "Measure fresh targets without and with compensation."),
     Entry("apply", "apply:apply", "Use a diagnosis on the running graph."),
-    Entry("sweep", "sweep", "Drive every joint to both limits, to know play and friction."),
     Entry("loop", "loop", "Plan, collect, diagnose, apply and verify, round by round."),
     Entry("record", "bag:record", "Record an arm's topics as a rosbag2."),
     Entry(
@@ -80,12 +79,11 @@ COMMANDS = (
         "Make a page of a recorded day: errors by the hour, what changed.",
     ),
     Entry("effects", "effects", "Print the library of effects: parameters, units, priors, inputs."),
-    Entry("schema", "schema", "Print the JSON schema of arm.yaml, for editors."),
     Entry(
         "servo scan", "servo:scan", "List the servos on a bus: id, model, firmware, ids used twice."
     ),
     Entry("servo set-id", "servo:set_id", "Give the only connected servo its id."),
-    Entry("servo setup", "servo_setup", "Find ids, zeros and directions of the servos."),
+    Entry("servo setup", "servo_setup", "Find zeros and directions of the servos."),
     Entry("stereo marker", "stereo:marker", "Write a marker or calibration board to print."),
     Entry(
         "stereo webcams",

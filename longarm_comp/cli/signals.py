@@ -1,4 +1,4 @@
-"""What a command on a running graph needs: a client, and signals that end or pause its job."""
+"""What a command on a running graph needs: a client, and signals that end its job."""
 
 from __future__ import annotations
 
@@ -51,18 +51,3 @@ def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> I
         ) as client,
     ):
         yield client
-
-
-@contextmanager
-def pause_on_stop_key() -> Iterator[threading.Event]:
-    """An event that SIGTSTP (Ctrl-Z) sets and clears in turn, and SIGCONT clears.
-
-    The process goes on hearing the graph meanwhile, which a stopped one would not.
-    """
-    pause = threading.Event()
-
-    def turn(*_: object) -> None:
-        (pause.clear if pause.is_set() else pause.set)()
-
-    with handled({signal.SIGTSTP: turn, signal.SIGCONT: lambda *_: pause.clear()}):
-        yield pause

@@ -92,11 +92,11 @@ def marker(folder: Path | None, board: CharucoTarget | None, output: Path) -> No
     note(f"{output}: {paper}, to be printed at 100 %")
 
 
-def _marker(folder: Any) -> CharucoTarget | TagBoard:
+def _marker(folder: Any) -> TagBoard:
     from longarm_comp.arm_folder.parameter_file import parameters_of
-    from longarm_comp.devices.stereo.marker import marker_of
+    from longarm_comp.devices.stereo import TagBoard
 
-    return marker_of(parameters_of("stereo_bridge", folder / "stereo_bridge.yaml"))
+    return TagBoard.of(parameters_of("stereo_bridge", folder / "stereo_bridge.yaml"))
 
 
 @click.command()
@@ -252,48 +252,20 @@ def _calibration_facts(found: BoardCalibration, size: Size) -> dict[str, object]
 
 @click.command("hand-eye")
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
-@click.argument("session", type=click.Path(path_type=Path), required=False)
-@click.option(
-    "--live", is_flag=True, help="Measure now, from joint_states and tip_measured, pose by pose."
-)
-@click.option("--poses", type=click.IntRange(10), default=20, show_default=True, help="Live.")
-@click.option(
-    "--within",
-    type=float,
-    default=900.0,
-    show_default=True,
-    help="Live: give up after this time, s.",
-)
+@options.session
 @options.model
-@click.option(
-    "--free-tip", is_flag=True, help="Also solve for the place of the seen point on the tip."
-)
-@click.option("--dry-run", is_flag=True, help="Write nothing.")
-@options.namespace
 @options.as_json
-def hand_eye(
-    folder: Path,
-    session: Path | None,
-    live: bool,
-    poses: int,
-    within: float,
-    model: Path | None,
-    free_tip: bool,
-    dry_run: bool,
-    namespace: str,
-    as_json: bool,
-) -> None:
+def hand_eye(folder: Path, session: Path, model: Path | None, as_json: bool) -> None:
     """Find where the two cameras stand, and write it into DIR/stereo_bridge.yaml.
 
     SESSION (CSV or bag) must be measured with the hand_eye that is in the file now. You may give
-    the same session again, because the earlier value is kept in measured.yaml. With --live, move
-    the arm to one pose after the other and let it rest. The arm's own errors increase the residual;
-    a calibrated --model makes it smaller. DIR/simulated_arm.yaml is changed too.
+    the same session again, because the earlier value is kept in measured.yaml. The arm's own errors
+    increase the residual; a calibrated --model makes it smaller. DIR/simulated_arm.yaml is changed
+    too.
 
     \b
-    Examples:
+    Example:
       longarm stereo hand-eye my_arm my_arm/session --model my_arm/model.yaml
-      longarm stereo hand-eye my_arm --live --poses 20
     """
     from longarm_comp.arm_folder.head_file import head_at, write_head
     from longarm_comp.core.arm.arm import Arm
@@ -301,32 +273,19 @@ def hand_eye(
     from longarm_comp.sessions.read import read_session
     from longarm_comp.workflows.inputs import physics
 
-    if (session is not None) == live:
-        given = "both" if live else "neither"
-        raise InputError("stereo hand-eye", "SESSION, --live", given, "one of the two")
     arm = Arm.load(folder / "arm.yaml")
-    known = physics(arm, model)
-    if session is not None:
-        rows = read_session(session, arm)
-    else:
-        from longarm_comp.jobs.rest_sightings import sightings_at_rest
-
-        with on_graph("hand_eye", namespace, arm) as client:
-            rows = sightings_at_rest(client, poses, within, note)
+    rows = read_session(session, arm)
     assumed = head_at(folder, rows.hash)
-    found = placed_cameras(known, rows, assumed, free_tip)
+    found = placed_cameras(physics(arm, model), rows, assumed)
     quality = _place_quality(found)
-    written = [] if dry_run else write_head(folder, found.pose, assumed, rows.hash, quality)
+    written = write_head(folder, found.pose, assumed, rows.hash, quality)
     if as_json:
         print_json({"files": written, "xyz": found.pose[:3, 3], "quaternion": found.quaternion,
-                    **quality, "tip_off_mm": found.tip_off_mm})  # fmt: skip
+                    **quality})  # fmt: skip
     else:
         _show_place(found)
-    if written:
-        note(
-            f"{' and '.join(written)} written: a running graph reads them when it is started again"
-        )
-    if arm.camera is not None and written:
+    note(f"{' and '.join(written)} written: a running graph reads them when it is started again")
+    if arm.camera is not None:
         off = float(sum((a - b) ** 2 for a, b in zip(arm.camera.position_m, found.pose[:3, 3],
                                                      strict=True)) ** 0.5)  # fmt: skip
         if off > 0.01:
@@ -360,7 +319,3 @@ def _show_place(found: HeadPlacement) -> None:
     note(f"{found.rows} rows, {found.outliers} left out as outliers; residual "
          f"{found.residual_mm:.2f} mm, on rows held out {found.held_out_mm:.2f} mm")  # fmt: skip
     note(f"it was assumed {found.moved_mm:.1f} mm and {found.turned_deg:.2f} deg from there")
-    if found.tip_off_mm is not None:
-        off = ", ".join(f"{v:.2f}" for v in found.tip_off_mm)
-        note(f"the seen point is at ({off}) mm from the declared tip, in the tip frame: "
-             "correct tip_in_marker or the tip of arm.yaml")  # fmt: skip

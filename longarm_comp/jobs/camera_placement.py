@@ -29,7 +29,6 @@ class HeadPlacement:
         held_out_mm: the same for rows that the fit had not seen (five folds).
         moved_mm, turned_deg: against where the session's file had it.
         rows, outliers: rows used and left out.
-        tip_off_mm: (3,) of the seen point from the declared tip, tip frame, where that was free.
     """
 
     pose: np.ndarray
@@ -41,7 +40,6 @@ class HeadPlacement:
     turned_deg: float
     rows: int
     outliers: int
-    tip_off_mm: np.ndarray | None
 
     @property
     def quaternion(self) -> np.ndarray:
@@ -49,21 +47,18 @@ class HeadPlacement:
         return quaternion.from_rotation(self.pose[:3, :3])
 
 
-def placed_cameras(
-    model: Model, session: Session, assumed: np.ndarray, free_tip: bool = False
-) -> HeadPlacement:
+def placed_cameras(model: Model, session: Session, assumed: np.ndarray) -> HeadPlacement:
     """Fit the head's pose to rows whose tip was measured through it.
 
     Args:
         assumed: (4, 4) left optical frame in the base frame that the sightings were computed with.
-        free_tip: the seen point's place in the tip frame is unknown too.
     """
     rows = session.take(session.located)
     if len(rows) < FEWEST_POSES:
         allowed = f"at least {FEWEST_POSES} rows with x, y and z"
         raise InputError(session.source, "rows", len(rows), allowed)
-    tips = model.pose(rows.q, rows.context())
-    spread = np.linalg.svd(tips[:, :3, 3] - tips[:, :3, 3].mean(axis=0), compute_uv=False)
+    tips = model.tip(rows.q, rows.context())
+    spread = np.linalg.svd(tips - tips.mean(axis=0), compute_uv=False)
     wide = 2.0 * spread / np.sqrt(len(rows))
     # The tips must reach over so much in two directions, or the head's rotation is hardly told
     if wide[1] < 0.05:
@@ -78,8 +73,7 @@ def placed_cameras(
     covariances = turn.T @ (sigma[:, :, None] ** 2 * np.eye(3)) @ turn
 
     def fitted(kept: np.ndarray) -> HandEye:
-        tip = None if free_tip else np.zeros(3)
-        return hand_eye(tips[kept], seen[kept], covariances[kept], marker_in_tip=tip)
+        return hand_eye(tips[kept], seen[kept], covariances[kept])
 
     every = np.arange(len(rows))
     fit = fitted(every)
@@ -101,12 +95,10 @@ def placed_cameras(
         turned_deg=float(np.degrees(angle)),
         rows=len(good),
         outliers=len(fit.outliers),
-        tip_off_mm=1e3 * fit.marker_in_tip if free_tip else None,
     )
 
 
 def _off(fit: HandEye, tips: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Squared distances (N,) m^2 of sightings from predicted tips."""
     found = seen @ fit.camera_in_base[:3, :3].T + fit.camera_in_base[:3, 3]
-    predicted = tips[:, :3, :3] @ fit.marker_in_tip + tips[:, :3, 3]
-    return np.sum((found - predicted) ** 2, axis=1)
+    return np.sum((found - tips) ** 2, axis=1)

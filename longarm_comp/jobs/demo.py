@@ -7,7 +7,7 @@ import shutil
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.jobs.client import ArmClient, Pace
-from longarm_comp.jobs.loop.run import Loop, LoopResult
+from longarm_comp.jobs.loop.run import Loop
 from longarm_comp.jobs.loop.settings import LoopSettings, Names
 from longarm_comp.jobs.loop.summary import write_loop
 from longarm_comp.jobs.targets import Trial
@@ -89,8 +89,6 @@ class DemoSettings:
         hidden: undeclared effects of the simulated arm, ``name=mm``.
         speed: motion so many times faster than the servos' file says.
         seed: of the hidden effects, the plan and the targets.
-        more_play: what the arm's play grows by before a second round, ``joint=rad``; empty: no
-            second round.
     """
 
     out: Path
@@ -100,7 +98,6 @@ class DemoSettings:
     speed: float = 20.0
     seed: int = 1
     arm: Path = field(default_factory=lambda: folder("config") / "arm_demo_steps.yaml")
-    more_play: str = ""
 
     def __post_init__(self) -> None:
         _ = self.loop  # its settings are checked
@@ -183,24 +180,15 @@ def demonstrate(
         say("bring up", 0.0)
         witness = TrueTip(client)
 
-        def go_round(folder: str = "") -> tuple[LoopResult, dict[str, Any]]:
-            to_do = replace(settings.loop, out=settings.out / folder)
-            # Five processes start; on a busy machine that takes its time
-            done = Loop(client, to_do, lambda report: True, witness=witness, say=say).run(120.0)
-            return done, write_loop(arm.name, to_do, done)
-
-        first, _ = go_round()
+        loop = Loop(client, settings.loop, lambda report: True, witness=witness, say=say)
+        first = loop.run(120.0)  # five processes start; on a busy machine that takes its time
+        write_loop(arm.name, settings.loop, first)
         inputs: tuple[str, ...] = ()
         if settings.predictor.is_file():  # nothing is trained where nothing was applied
             predictor = load_predictor(settings.predictor, arm, settings.model)
             inputs = tuple(predictor.encoding.names)
         for name in ("report.html", "report.json"):
             shutil.copyfile(settings.loop.path("diagnosis", 1) / name, settings.out / name)
-        second = None
-        if settings.more_play:
-            client.set_parameter("simulated_arm", "more_play", settings.more_play)
-            again, second = go_round(SECOND)
-            second["true_mean_mm"] = {r["model"]: r["true_mean_mm"] for r in rows(again.trials)}
     found, seconds = first.rounds[0], {k.removesuffix("_1"): v for k, v in first.seconds.items()}
     return {
         "rows": rows(first.trials),
@@ -221,14 +209,10 @@ def demonstrate(
             "predictor": str(settings.predictor),
             **{name: str(settings.out / f"{name}.html") for name in ("report", "loop")},
         },
-        **({} if second is None else {"second_round": second}),
     }
 
 
 _LOGS = "log"
-
-SECOND = "second_round"
-"""Folder of the round after the play grew."""
 
 
 def prepare(settings: DemoSettings) -> None:

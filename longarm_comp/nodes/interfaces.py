@@ -255,7 +255,6 @@ FREEZE = Service("~/freeze", SetBool, "true: learn no more at work; false: learn
 UNDO = Service(
     "~/undo", Trigger, "go back to the version before the last learned change, and freeze"
 )
-PAUSE = Service("collect/pause", SetBool, "true: `longarm collect` rests after this pose")
 RESET = Service("~/reset", Trigger, "end a fault whose cause is gone")
 
 REACH = Action("reach", Reach, "move the tip to a target and say where it came to rest")

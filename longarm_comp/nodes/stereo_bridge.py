@@ -25,7 +25,7 @@ from longarm_comp.devices.stereo import (
     StereoRig,
 )
 from longarm_comp.devices.stereo.camera_file import read_camera
-from longarm_comp.devices.stereo.marker import marker_of
+from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
@@ -64,13 +64,11 @@ PARAMS = (
         1.0,
     ),
     Param("tip_in_marker", [0.0, 0.0, 0.0], "the tip in the marker frame, m", -10.0, 10.0),
-    Param("marker.kind", "tags", "what is printed", choices=("tags", "charuco")),
     Param("marker.dictionary", "DICT_4X4_50", "OpenCV's name of the tag family"),
     Param("marker.tag_m", 0.06, "side of a tag's black square, m", 1e-4, 10.0),
     Param("marker.gap_m", 0.012, "white between tags, m", 0.0, 10.0),
-    Param("marker.square_m", 0.08, "side of a square of a ChArUco board, m", 1e-4, 10.0),
-    Param("marker.columns", 2, "tags or squares across", 1, 100),
-    Param("marker.rows", 2, "tags or squares down", 1, 100),
+    Param("marker.columns", 2, "tags across", 1, 100),
+    Param("marker.rows", 2, "tags down", 1, 100),
     Param("marker.first_id", 0, "id of the top left tag", 0, 100000),
     Param("limits.epipolar_px", 1.5, "largest median distance from epipolar lines", 0.01, 100.0),
     Param("limits.rms_px", 0.8, "largest rms reprojection error", 0.01, 100.0),
@@ -97,7 +95,7 @@ class _StereoBridge(ArmNode):
         self._prefix, self._publish_lost = prefix_of(self), p["publish_lost"]
         self._base_frame, self._frames = self._prefix + p["base_frame"], FrameTeller(self)
         self._rectified = p["rectified"]
-        self._target = marker_of(p)
+        self._target = TagBoard.of(p)
         turn = np.array(p["hand_eye.quaternion"])
         if not quaternion.is_unit(turn):
             where = "parameters of stereo_bridge"

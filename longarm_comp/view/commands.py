@@ -61,10 +61,6 @@ RELEASES = (
     Button("Reset fault", graph.RESET, Trigger.Request, _GREY,
            "Ends a fault whose cause is gone."),
 )  # fmt: skip
-PAUSES = (
-    Button("Pause collect", graph.PAUSE, _on, _GREY, "It rests after this pose."),
-    Button("Resume collect", graph.PAUSE, _off, _GREY, "It goes on."),
-)
 
 
 @dataclass
@@ -87,7 +83,7 @@ class Buttons:
         self._node = node
         self._pressed: deque[Button] = deque()
         self._calls: list[_Call] = []
-        services = {button.service for button in (*STOPS, *RELEASES, *PAUSES)}
+        services = {button.service for button in (*STOPS, *RELEASES)}
         self._clients = {service: service.client(node, of=DRIVER) for service in services}
 
     def press(self, button: Button) -> None:

@@ -12,7 +12,7 @@ import viser
 from viser import uplot
 
 from longarm_comp.view import words
-from longarm_comp.view.commands import PAUSES, RELEASES, STOPS, Button, Said
+from longarm_comp.view.commands import RELEASES, STOPS, Button, Said
 from longarm_comp.view.scene import Exaggeration
 from longarm_comp.view.state import PageState
 from longarm_comp.view.trace import Trace
@@ -41,7 +41,6 @@ class Panel:
         self._said = gui.add_html("")
         self._job = gui.add_html("", visible=False)
         self._bar = gui.add_progress_bar(0.0, visible=False)
-        self._pauses = self._group(PAUSES, press, visible=False)
         self._tip = gui.add_html("")
         with gui.add_folder("Health"):
             self._health = gui.add_html("")
@@ -101,7 +100,7 @@ class Panel:
             job = state.progress
             self._write(self._job, [_line(words.progress(job, now))])
             _set(self._bar, "value", 100.0 * min(job.done / job.of, 1.0))
-            for handle in (self._job, self._bar, self._pauses):
+            for handle in (self._job, self._bar):
                 _set(handle, "visible", True)
 
     def draw(self, trace: Trace) -> None:

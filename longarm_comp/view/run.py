@@ -10,7 +10,7 @@ from functools import partial
 
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.view import words
-from longarm_comp.view.commands import PAUSES, RELEASES, STOPS, Buttons
+from longarm_comp.view.commands import RELEASES, STOPS, Buttons
 from longarm_comp.view.listener import Listener
 from longarm_comp.view.panel import Panel
 from longarm_comp.view.plain import PlainPage
@@ -34,7 +34,7 @@ def view(
     """
     with GraphClient(namespace, stop, "view") as client, ExitStack() as open_page:
         listener, commands = Listener(client.node), Buttons(client.node)
-        plain = PlainPage((*STOPS, *RELEASES, *PAUSES), commands.press)
+        plain = PlainPage((*STOPS, *RELEASES), commands.press)
         gate = Gate(plain=plain.answer)
         server = open_page.enter_context(serving(port, gate))
         panel = Panel(server, commands.press, client.node.get_namespace())

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -11,9 +10,8 @@ from typing import Literal
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.boxes import Box
 from longarm_comp.core.arm.pose import Vec3
-from longarm_comp.core.data.allowed_poses import above, filled, in_view, outside_boxes
+from longarm_comp.core.data.allowed_poses import above, filled, outside_boxes
 from longarm_comp.core.data.plan import Plan, grid, paper_grid, sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.optimal_poses import POOL, Measure, Uncertainty, optimal_poses
@@ -36,8 +34,6 @@ Kind = Literal["grid", "sobol", "i-optimal", "d-optimal"]
 _FILLING = {"grid": (grid, lambda arm: len(paper_grid(arm))), "sobol": (sobol, lambda arm: 2**20)}
 """Makes a plan; says how many poses there are."""
 _OPTIMAL = ("i-optimal", "d-optimal")
-_GIVEN = "--keep-out"
-"""Name of a box that is not of arm.yaml, with its number."""
 NOISE = (3e-4, 1e-3)
 """Noise of a length (m) and an angle (rad) where nothing was measured yet."""
 
@@ -53,8 +49,6 @@ def plan(
     measured: SessionLike | None = None,
     measure: Measure = "position",
     noise: tuple[float, float] = NOISE,
-    view_deg: float | None = None,
-    keep_out: Sequence[Sequence[float]] = (),
     floor: float | None = None,
     seen: Callable[[np.ndarray], np.ndarray] | None = None,
     points: Mapping[str, Vec3] | None = None,
@@ -77,9 +71,6 @@ def plan(
         measure: what each pose measures: ``position``, ``pose``, ``distance`` to every anchor, or
             ``touch`` of one of `points`, for an optimal kind.
         noise: noise of a length (m) and an angle (rad), if nothing was measured yet.
-        view_deg: half of the view angle of the cameras in arm.yaml; the tip must be in view.
-        keep_out: further boxes that the arm must not enter, besides those of arm.yaml: x, y, z of
-        two corners each, m, base frame.
         floor: height (m, base frame) that the arm must stay above.
         seen: function that says which (M,) of the tip poses (M, 4, 4) the cameras see; others are
         left out.
@@ -94,12 +85,10 @@ def plan(
         InputError: n is out of range, no such kind, or the diagnosis asks for no poses.
         JobError: the rows measured so far could not be fitted; too few poses are allowed.
     """
-    within = bounded(arm, keep_out, floor)
+    within = arm if floor is None else above(arm, floor)
 
     def allowed(poses: Plan, where: Model) -> np.ndarray:
         free = outside_boxes(where, poses)
-        if view_deg is not None:
-            free = free & in_view(where, poses, math.radians(view_deg))
         return free if seen is None else free & seen(where.pose(poses.q))
 
     if kind == "i-optimal" or kind == "d-optimal":
@@ -135,13 +124,6 @@ def plan(
     return filled(make, arm, n, seed, lambda poses: allowed(poses, where), most(arm))
 
 
-def bounded(arm: Arm, keep_out: Sequence[Sequence[float]], floor: float | None) -> Arm:
-    """The arm with further boxes and a floor. Boxes of its own stay."""
-    boxes = {f"{_GIVEN} {k}": _box(given) for k, given in enumerate(keep_out, 1)}
-    arm = arm.model_copy(update={"keep_out": {**arm.keep_out, **boxes}})
-    return arm if floor is None else above(arm, floor)
-
-
 def _of_diagnosis(report: FilePath) -> tuple[Path, Path | None]:
     """Its model, and the session that it was made of where that is still there."""
     from longarm_comp.workflows.diagnosis_files import MODEL, SESSION  # draws pictures
@@ -150,11 +132,3 @@ def _of_diagnosis(report: FilePath) -> tuple[Path, Path | None]:
     said = read_stored(model).provenance.get(SESSION)
     path = Path(report) / str(said)
     return model, path if said and path.exists() else None
-
-
-def _box(given: Sequence[float]) -> Box:
-    box = np.array(given, dtype=float).reshape(-1)
-    low, high = np.sort(box.reshape(2, 3), axis=0) if box.shape == (6,) else (box, box)
-    if not np.isfinite(box).all() or not (low < high).all():
-        raise InputError("plan", "keep_out", list(given), "x, y, z of two corners (m)")
-    return Box(min_m=tuple(low.tolist()), max_m=tuple(high.tolist()))

@@ -44,6 +44,7 @@ def command(data: Path, show: shape.Show) -> shape.Figures:
         ]
         tables[f"{robot}: errors on the test rows"] = errors
         said = lines[-1].commanded
+        assert said is not None  # the last line is the diagnosed model
         before, after, *gain = (1e3 * v for v in (said.calibrated, said.written, *said.gain_ci95))
         record[robot][-1] |= {
             "commanded_mm": after,

@@ -8,7 +8,6 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
-from longarm_comp.core.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,35 +92,3 @@ def wanted_sides(
     # A side that the data know so many times better is worth a longer way
     better = usable[joints, 1 - natural] > 3.0 * usable[joints, natural]
     return np.where(better ^ forward, 1.0, -1.0)
-
-
-def sweep(
-    arm: Arm, start: np.ndarray, margin: float = 0.02, *, together: bool = True
-) -> np.ndarray:
-    """Way-points after which the history of every joint is known, (k, n) from and back to start.
-
-    Each joint goes to one end of its range and to the other, the nearer one first, and back.  No
-    play with a radius below half of the way between the ends remembers anything from before.
-
-    Args:
-        start: (n,) where the joints stand (rad, m), inside the limits.
-        margin: kept from every limit, as a share of the joint's range.
-        together: all joints at once, in three moves; else one after another.
-    """
-    start, span = np.asarray(start, dtype=float), arm.upper - arm.lower
-    if start.shape != (arm.n,) or not (np.abs(start - arm.mid) <= 0.5 * span + SAME_POSE).all():
-        raise InputError("sweep", "start", start.tolist(), f"{arm.n} joints inside their limits")
-    if not 0.0 <= margin < 0.5:
-        raise InputError("sweep", "margin", margin, "0 to below 0.5 of the range")
-    start = np.clip(start, arm.lower, arm.upper)
-    low, high = arm.lower + margin * span, arm.upper - margin * span
-    upper_nearer = high - start < start - low
-    ends = np.where(upper_nearer, high, low), np.where(upper_nearer, low, high)
-    if together:
-        return np.stack([*ends, start])
-    points = []
-    for joint in range(arm.n):
-        for place in (*ends, start):
-            points.append(start.copy())
-            points[-1][joint] = place[joint]
-    return np.array(points)

@@ -8,7 +8,6 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.boxes import Box
-from longarm_comp.core.arm.measuring import CameraSensor
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError, JobError
@@ -58,21 +57,3 @@ def filled(
             return plan if count == n else plan.take(free)
     why = "keep-out boxes, floor and cameras allow no more"
     raise JobError(f"only {len(free)} of {tried} poses are allowed: {why}", asked=n)
-
-
-def in_view(model: Model, plan: Plan, half_angle: float) -> np.ndarray:
-    """(M,) whether a camera of arm.yaml has the tip within an angle (rad) of its optical axis."""
-    arm = model.arm
-    eyes = [s.frame() for s in arm.sensors.values() if isinstance(s, CameraSensor)]
-    looks = [(np.array(frame.p), np.array(frame.a)) for frame in eyes]
-    if arm.camera is not None:
-        looks.append((np.array(arm.camera.position_m), np.array(arm.camera.optical_axis)))
-    if not looks:
-        raise InputError("plan", "view", half_angle, "a camera in arm.yaml that sees the tip")
-    tip = model.tip(plan.q)
-    seen = np.zeros(len(plan), dtype=bool)
-    for place, axis in looks:
-        ray = tip - place
-        along = ray @ axis / np.linalg.norm(axis)
-        seen |= along >= np.cos(half_angle) * np.linalg.norm(ray, axis=1)
-    return seen

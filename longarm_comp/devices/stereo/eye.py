@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.found import found_corners
 from longarm_comp.devices.stereo.limits import Limits
@@ -76,10 +75,8 @@ class StereoEye:
     _freedom: float = field(default=0.0, repr=False)
 
     def __post_init__(self) -> None:
-        self._hand_eye = _rigid("stereo", "camera_in_base", self.camera_in_base)
-        self._tip = np.asarray(self.tip_in_marker, dtype=float).reshape(-1)
-        if self._tip.shape != (3,) or not np.all(np.isfinite(self._tip)):
-            raise InputError("stereo", "tip_in_marker", self.tip_in_marker, "three finite metres")
+        self._hand_eye = np.asarray(self.camera_in_base, dtype=float)
+        self._tip = np.asarray(self.tip_in_marker, dtype=float)
 
     def measure(
         self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
@@ -209,14 +206,3 @@ def _size_seen(points: Array, corners: Array) -> float:
     """Spread of the triangulated points over the spread of the declared corners."""
     spread = [np.linalg.norm(p - p.mean(axis=0)) for p in (points, corners)]
     return float(spread[0] / spread[1])
-
-
-def _rigid(where: str, what: str, matrix: ArrayLike) -> Array:
-    out = np.array(matrix, dtype=float)
-    good = out.shape == (4, 4) and bool(np.all(np.isfinite(out)))
-    if good:
-        turn = out[:3, :3]
-        good = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0.0
-    if not (good and np.allclose(out[3], [0.0, 0.0, 0.0, 1.0])):
-        raise InputError(where, what, "not a rigid motion", "a 4x4 rotation and translation")
-    return out

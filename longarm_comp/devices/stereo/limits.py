@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import Array
 
 
@@ -37,15 +36,6 @@ class Limits:
     size: float = 0.05
     size_tolerance: float = 0.005
     edge_bias_px: float = 0.1
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.seen_share <= 1.0:
-            raise InputError("stereo limits", "seen_share", self.seen_share, "0 to 1")
-        if not self.edge_bias_px >= 0.0:
-            raise InputError("stereo limits", "edge_bias_px", self.edge_bias_px, "0 or more")
-        for name in ("epipolar_px", "rms_px", "edge_px", "size", "size_tolerance"):
-            if not getattr(self, name) > 0.0:
-                raise InputError("stereo limits", name, getattr(self, name), "more than 0")
 
     def tolerance(self, pixels: Array) -> float:
         """Relative 1 sigma of the size measured from an image with corners (N, 2) px."""

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Generic, TypeVar
 
-from longarm_comp.core.errors import InputError
-
 Image = TypeVar("Image")
 
 
@@ -63,12 +61,6 @@ class StereoPairer(Generic[Image]):
         default_factory=lambda: (deque(), deque()), repr=False
     )
     _done_ns: list[int | None] = field(default_factory=lambda: [None, None], repr=False)
-
-    def __post_init__(self) -> None:
-        if self.slop_ns < 0:
-            raise InputError("stereo pairing", "slop_ns", self.slop_ns, "zero or more nanoseconds")
-        if self.queue < 1:
-            raise InputError("stereo pairing", "queue", self.queue, "one image or more")
 
     def add(self, side: Side, stamp_ns: int, image: Image) -> list[Pair[Image]]:
         """Take one image; return the pairs that it completes (usually none or one)."""

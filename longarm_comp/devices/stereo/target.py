@@ -6,9 +6,10 @@ the paper towards the viewer; metres.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -79,6 +80,12 @@ class TagBoard:
         known = len(_dictionary(self.dictionary).bytesList)
         if not 0 <= self.first_id <= known - self.columns * self.rows:
             raise InputError("tag board", "first_id", self.first_id, f"ids inside 0..{known - 1}")
+
+    @classmethod
+    def of(cls, bridge: Mapping[str, Any]) -> TagBoard:
+        """The marker that the parameters of `stereo_bridge` describe, by dotted name."""
+        keys = ("tag_m", "gap_m", "columns", "rows", "dictionary", "first_id")
+        return cls(**{key: bridge[f"marker.{key}"] for key in keys})
 
     @property
     def n_corners(self) -> int:

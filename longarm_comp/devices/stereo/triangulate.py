@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 
@@ -31,12 +30,6 @@ class PixelNoise:
 
     sigma_px: float = 0.04
     weight: float = 4.0
-
-    def __post_init__(self) -> None:
-        if not self.sigma_px > 0.0:
-            raise InputError("stereo", "sigma_px", self.sigma_px, "more than 0 px")
-        if not self.weight >= 0.0:
-            raise InputError("stereo", "weight", self.weight, "0 or more")
 
     def estimate(self, residuals_px: Array, dof: int) -> float:
         """Sigma (px) given residuals (px) and their degrees of freedom."""
@@ -75,11 +68,6 @@ def triangulate(
     Raises:
         StereoRefusal: BEHIND_CAMERA, if a point does not lie in front of both cameras.
     """
-    left_px, right_px = np.asarray(left_px, dtype=float), np.asarray(right_px, dtype=float)
-    if left_px.shape != right_px.shape or left_px.ndim != 2 or left_px.shape[1] != 2:
-        raise InputError("triangulate", "pixels", (left_px.shape, right_px.shape), "both (N, 2)")
-    if not (len(left_px) and np.all(np.isfinite(left_px)) and np.all(np.isfinite(right_px))):
-        raise InputError("triangulate", "pixels", len(left_px), "one or more, finite")
     noise = noise or PixelNoise()
     points = _linear(rig, left_px, right_px)
     # Gauss-Newton from the linear start settles in two, to parts in 1e9 of the depth

@@ -1,9 +1,9 @@
-"""A plan looked at before anything moves: limits, boxes, cameras, way and time."""
+"""A plan looked at before anything moves: limits, boxes, cameras and way."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,16 +15,12 @@ from longarm_comp.core.data.allowed_poses import FLOOR
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import boxes_entered, entered
-from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import Model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.jobs.measurement_schedule import Visit
 
 _SLACK = 1e-6
 """Printed digits of a joint that stands on its limit, rad or m."""
-
-
-_OVER_FLOOR, _SEEN = "over the floor", "seen by both cameras"
 
 
 @dataclass(frozen=True)
@@ -51,59 +47,17 @@ class PlanCheck:
         return in_words(fault for fault in self.faults if fault)
 
 
-@dataclass(frozen=True, eq=False)
-class Preview:
-    """What a plan would do.
-
-    Attributes:
-        unasked: why the other questions could not be asked, by question.
-        lines: (N, k, 3) m, the arm at each visit from the foot to the tip.
-        seconds: the way at the servos' speeds, the run-ups and the rests; None: speeds unknown.
-    """
-
-    arm: Arm
-    visits: tuple[Visit, ...]
-    checks: tuple[PlanCheck, ...]
-    unasked: Mapping[str, str]
-    lines: np.ndarray
-    view: View | None
-    seconds: float | None
-
-    @property
-    def blocked(self) -> dict[int, str]:
-        """Visits that may not be driven, by index, and why."""
-        found: dict[int, str] = {}
-        for check in self.checks:
-            for visit, fault in zip(self.visits, check.faults, strict=True):
-                if fault and check.blocks:
-                    found.setdefault(visit.index, fault)
-        return dict(sorted(found.items()))
-
-    @property
-    def lowest_m(self) -> float:
-        """Height of the arm's lowest point, m, base frame."""
-        return float(self.lines[..., 2].min())
-
-    def faults(self) -> list[str]:
-        """For each visit its first fault, or ""."""
-        rows = zip(*(check.faults for check in self.checks), strict=True)
-        return [next((fault for fault in row if fault), "") for row in rows]
-
-
-def preview(
+def plan_checks(
     arm: Arm,
     visits: Sequence[Visit],
     *,
     view: View | None = None,
     servos: ServoConfig | None = None,
-    rest_s: float = 0.0,
-) -> Preview:
-    """Look at the visits of a plan."""
+) -> list[PlanCheck]:
+    """Questions to the visits of a plan: those that can be asked with what is known."""
     model = declared_model(arm)
     q = np.array([visit.q for visit in visits])
-    tips = model.pose(q)
     checks = [PlanCheck("inside the limits of arm.yaml", _limits(arm, visits), True)]
-    unasked = {}
     if servos is not None:
         checks.append(PlanCheck("inside the servos' limits", _servo_limits(arm, servos, q), True))
     if arm.keep_out:
@@ -111,15 +65,19 @@ def preview(
             *_boxes(model, visits),
             PlanCheck("way there is free", _ways(model, visits), False),
         ]
-    if FLOOR not in arm.keep_out:
-        unasked[_OVER_FLOOR] = "give --floor, or a keep_out box named floor in arm.yaml"
-    if view is None:
-        unasked[_SEEN] = "no stereo_bridge.yaml and simulated_arm.yaml beside arm.yaml"
-    else:
-        checks.append(PlanCheck(_SEEN, tuple(view.unseen(tips)), False))
-    seconds = None if servos is None else _seconds(arm, servos, visits, rest_s)
-    lines = outline(model, q)
-    return Preview(arm, tuple(visits), tuple(checks), unasked, lines, view, seconds)
+    if view is not None:
+        checks.append(PlanCheck("seen by both cameras", tuple(view.unseen(model.pose(q))), False))
+    return checks
+
+
+def blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit]) -> dict[int, str]:
+    """Visits that may not be driven, by index, and why."""
+    found: dict[int, str] = {}
+    for check in checks:
+        for visit, fault in zip(visits, check.faults, strict=True):
+            if fault and check.blocks:
+                found.setdefault(visit.index, fault)
+    return dict(sorted(found.items()))
 
 
 def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
@@ -131,24 +89,19 @@ def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
     return servos if sorted(servos.joints) == sorted(names) else None
 
 
-def refuse_blocked(found: Preview, where: object) -> None:
+def refuse_blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit], where: object) -> None:
     """Raise InputError where a visit may not be driven."""
-    for index, why in found.blocked.items():
-        more = len(found.blocked) - 1
-        others = f" (and {more} more poses)" if more else ""
+    found = blocked(checks, visits)
+    for index, why in found.items():
+        others = f" (and {len(found) - 1} more poses)" if len(found) > 1 else ""
         raise InputError(where, f"pose of visit {index}", why + others,
                          "poses that `longarm plan` makes for this arm and floor")  # fmt: skip
 
 
 def in_words(faults: Iterable[str]) -> str:
     """How many faults of each kind, the most frequent first."""
-    kinds = Counter(map(kind_of, faults))
+    kinds = Counter(fault.partition(": ")[0] for fault in faults)  # without their figures
     return ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
-
-
-def kind_of(fault: str) -> str:
-    """A fault without its figures."""
-    return fault.partition(": ")[0]
 
 
 def _limits(arm: Arm, visits: Sequence[Visit]) -> tuple[str, ...]:
@@ -179,7 +132,7 @@ def _boxes(model: Model, visits: Sequence[Visit]) -> list[PlanCheck]:
     for k, text in zip(owner, boxes_entered(model, stops), strict=True):
         side = found[text.startswith(f"{FLOOR}:")]
         side[k] = side[k] or text
-    asked = {_OVER_FLOOR: True, "outside the keep-out boxes": False}
+    asked = {"over the floor": True, "outside the keep-out boxes": False}
     names = {True: FLOOR in model.arm.keep_out, False: set(model.arm.keep_out) - {FLOOR}}
     return [PlanCheck(text, tuple(found[low]), True) for text, low in asked.items() if names[low]]
 
@@ -191,10 +144,3 @@ def _ways(model: Model, visits: Sequence[Visit]) -> tuple[str, ...]:
         found.append(entered(model, np.vstack([start, visit.path])))
         start = visit.q
     return tuple(found)
-
-
-def _seconds(arm: Arm, servos: ServoConfig, visits: Sequence[Visit], rest_s: float) -> float:
-    fastest = np.array([servos.joints[name].max_velocity for name in arm.joint_names])
-    way = np.concatenate([visit.path for visit in visits])
-    moving = np.abs(np.diff(way, axis=0)) / fastest
-    return float(moving.max(axis=1).sum()) + rest_s * len(visits)

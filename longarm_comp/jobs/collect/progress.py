@@ -11,8 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from longarm_comp.jobs.collect.preview import in_words
 
-_LEVELS = {"ended": DiagnosticStatus.ERROR, "paused": DiagnosticStatus.WARN,
-           "waiting": DiagnosticStatus.WARN}  # fmt: skip
+_LEVELS = {"ended": DiagnosticStatus.ERROR, "waiting": DiagnosticStatus.WARN}
 
 
 def progress_message(now: Progress, namespace: str) -> DiagnosticStatus:
@@ -44,8 +43,8 @@ class Progress:
             or "" where it was seen.
         error_mm: distance of the last seen tip from the declared arm's; NaN: none yet.
         seconds_left: NaN: not known yet.
-        state: "running", "paused", "waiting", "done" or "ended".
-        why: why it is paused, waits or ended.
+        state: "running", "waiting", "done" or "ended".
+        why: why it waits or ended.
     """
 
     done: int

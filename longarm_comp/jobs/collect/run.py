@@ -7,7 +7,6 @@ was; so a session that was broken off anywhere is readable, and `collect` goes o
 from __future__ import annotations
 
 import json
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,6 @@ from typing import Any
 import numpy as np
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, String
-from std_srvs.srv import SetBool
 
 from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm.history import SAME_POSE
@@ -106,7 +104,6 @@ def collect(
     resume: bool = False,
     give_up: int = _GIVE_UP,
     view: View | None = None,
-    pause: threading.Event | None = None,
     progress: Callable[[Progress], None] = lambda now: None,
 ) -> Collected:
     """Visit every pose of a plan that the bag does not hold yet.
@@ -118,16 +115,14 @@ def collect(
         client: of the arm; its `arm` has the boxes.
         give_up: end when none of so many first visits saw the marker; 0: never.
         view: what the cameras see by the files, to say why a marker is lost.
-        pause: while it is set, nothing is driven.
     """
-    pause = pause or threading.Event()
     done = (
         visited(path, todo, client.arm.n)
         if resume and (path / "metadata.yaml").is_file()
         else set()
     )
     with SegmentedBag(path, resume=resume) as bag:
-        run = _Run(client, Recorder(client.node, bag), pace or Pace(), pause, progress,
+        run = _Run(client, Recorder(client.node, bag), pace or Pace(), progress,
                    Causes(client, client.arm, view), len(done), len(todo))  # fmt: skip
         try:
             run.drive([visit for visit in todo if visit.index not in done], give_up)
@@ -143,14 +138,13 @@ class _Run:
     """The visits of one call of `collect`."""
 
     def __init__(
-        self, client: ArmClient, recorder: Recorder, pace: Pace, pause: threading.Event,
+        self, client: ArmClient, recorder: Recorder, pace: Pace,
         progress: Callable[[Progress], None], causes: Causes, before: int, total: int,
     ) -> None:  # fmt: skip
-        self._client, self._recorder, self._pace, self._pause = client, recorder, pace, pause
+        self._client, self._recorder, self._pace = client, recorder, pace
         self._show, self._causes, self._before, self._total = progress, causes, before, total
         self._payload = client.node.create_publisher(Float64, "payload", 5)
         self._publisher = graph.COLLECT_PROGRESS.publisher(client.node)
-        self._pauses = graph.PAUSE.server(client.node, self._on_pause)
         self._model = declared_model(client.arm)
         self._driving_s, self._error_mm = 0.0, float("nan")
         self._visit: Visit | None = None
@@ -169,7 +163,6 @@ class _Run:
         _hear_circumstances(self._client, self._recorder)
         half = max(5, len(left) // 2)
         while left:
-            self._rest()
             visit = self._next(left)
             if visit is None:
                 break
@@ -257,12 +250,6 @@ class _Run:
         self.blocked = why
         return None
 
-    def _rest(self) -> None:
-        """Wait while it is paused."""
-        if self._pause.is_set():
-            self._tell("paused", "collect/pause or Ctrl-Z goes on")
-            self._client.until(lambda: not self._pause.is_set(), float("inf"), "pause")
-
     def _wait_for_driver(self, why: str) -> None:
         self._tell("waiting", why)
 
@@ -275,12 +262,6 @@ class _Run:
                 return False
 
         self._client.until(takes, float("inf"), "driver")
-
-    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        (self._pause.set if request.data else self._pause.clear)()
-        response.success = True
-        response.message = "rests after this pose" if request.data else "goes on"
-        return response
 
     def _now(self, state: str = "running", why: str = "") -> Progress:
         visit, made = self._visit, len(self.made)

@@ -15,7 +15,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig
-from longarm_comp.devices.stereo.marker import tags_of
+from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.sim.cameras import CameraPair, render, tag_plate
 from longarm_comp.sim.plant import mounting
 
@@ -60,7 +60,7 @@ def seen_from(
         np.array(bridge["hand_eye.xyz"]), np.array(bridge["hand_eye.quaternion"])
     )
     rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
-    eye = StereoEye(rig, tags_of(bridge), hand_eye, bridge["tip_in_marker"])
+    eye = StereoEye(rig, TagBoard.of(bridge), hand_eye, bridge["tip_in_marker"])
     rng = np.random.default_rng(0)
     off, lost = [], []
     for k, tip in enumerate(declared_model(arm).pose(sobol(arm, poses, 0).q)):
