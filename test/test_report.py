@@ -156,7 +156,7 @@ def test_verdict_and_tables_tell_the_record(verdict: str, folders: dict[str, Pat
     for finding in report["findings"]:
         assert " or ".join(finding["set"]) in page.words()
     held = report["held_out"]["rows"]
-    assert ("the hold-out was opened 1 time." in page.words()) == bool(held)
+    assert ("they were used 1 time." in page.words()) == bool(held)
     shown = page.tables.get("errors", [])
     assert len(shown) == (len(held) + 2 if held else 0)  # head, rows, noise floor
     for line, row in zip(shown[1:], held, strict=False):
