@@ -78,10 +78,12 @@ class _Row(BaseModel):
     type: Literal["revolute", "prismatic", "fixed"] = _asked(
         "revolute", "type (revolute, prismatic, fixed)"
     )
-    alpha: float = _asked("0", "alpha: angle from the last z to this z about the last x, deg")
-    a: float = _asked("0", "a: distance from the last z to this z along the last x, m")
-    d: float = _asked("0", "d: distance from the last x to this x along this z, m")
-    theta: float = _asked("0", "theta: angle from the last x to this x about this z, deg")
+    alpha: float = _asked(
+        "0", "alpha: angle from the previous z to this z about the previous x, deg"
+    )
+    a: float = _asked("0", "a: distance from the previous z to this z along the previous x, m")
+    d: float = _asked("0", "d: distance from the previous x to this x along this z, m")
+    theta: float = _asked("0", "theta: angle from the previous x to this x about this z, deg")
     limits: Limits = _asked("-45..45", "limits, deg or m, LOWER..UPPER")
     tube_a: Tube = _asked("0", "tube along a: outer/inner diameter, mm; 0: rigid")
     tube_d: Tube = _asked("0", "tube along d: outer/inner diameter, mm; 0: rigid")
