@@ -187,7 +187,7 @@ def test_calibrate_and_evaluate_say_what_was_placed_and_what_is_untold(tmp_path:
             assert last["n"] == 0 and last["mean_mm"] is None and last["mean_mrad"] < 1.5
         shown = CliRunner().invoke(evaluate_command, [names[0], "--test", names[1], "--json"])
         assert shown.exit_code == 0, shown.output
-        assert json.loads(shown.stdout)["placed"] and "was first placed" in shown.stderr
+        assert json.loads(shown.stdout)["placed"] and "was placed" in shown.stderr
         with_model = ["--test", names[1], "--model", names[2], "--json"]
         shown = CliRunner().invoke(evaluate_command, [names[0], *with_model])
         assert shown.exit_code == 0, shown.output

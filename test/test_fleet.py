@@ -115,7 +115,7 @@ def test_what_most_arms_of_a_kind_have_is_the_kinds() -> None:
     assert page.tables["kind"][1:] == [["play", "joint 2", "2 of 3", "1.50", "1.00", "2.00"]]
     own = [row[-1] for row in page.tables["arms"][1:]]
     assert own == ["give at joint 2 (1.00 mm)", "–", "–", "give at joint 2 (4.00 mm)"]
-    assert "no model in use to tell drift by" in page.words()
+    assert "without a model in use drift is not known" in page.words()
 
 
 def test_folders_without_arms_are_refused(tmp_path: Path) -> None:

@@ -289,14 +289,14 @@ def test_gates() -> None:
     plausible.check_worth(9 * error[:5], error[:5], "rows")  # too few to tell
     rows = Session.record(np.zeros((40, 1)), 1e3 * error)
     plausible.check_noise(np.full(3, 0.02), rows)
-    with pytest.raises(JobError, match="no noise"):
+    with pytest.raises(JobError, match="more than noise"):
         plausible.check_noise(np.full(3, 0.084), rows)
 
 
 def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
     session = measured(Model(SMALL), box(SMALL, 80, rng), rng)
     monkeypatch.setattr(plausible, "NO_NOISE", 1e-6)
-    with pytest.raises(JobError, match="no noise"):
+    with pytest.raises(JobError, match="more than noise"):
         la.diagnose(SMALL, session, network=False)
     monkeypatch.setattr(plausible, "INCREDIBLE", 0.0)
     with pytest.raises(JobError, match="not credible"):

@@ -156,7 +156,7 @@ def test_verdict_and_tables_tell_the_record(verdict: str, folders: dict[str, Pat
     for finding in report["findings"]:
         assert " or ".join(finding["set"]) in page.words()
     held = report["held_out"]["rows"]
-    assert ("the hold-out was opened 1 time." in page.words()) == bool(held)
+    assert ("they were used 1 time." in page.words()) == bool(held)
     shown = page.tables.get("errors", [])
     assert len(shown) == (len(held) + 2 if held else 0)  # head, rows, noise floor
     for line, row in zip(shown[1:], held, strict=False):
@@ -276,4 +276,4 @@ def test_one_row_without_error_and_no_row_at_all_are_drawn(tmp_path: Path) -> No
     empty = SeenRows(np.zeros(0, int), origin[:0], {"calibrated": origin[:0]})
     report["held_out"] = {"n": 0, "rows": [], "before_after_ci95_mm": None}
     write_report(report, dataclasses.replace(detail, held_out=empty), tmp_path)
-    assert "No hold-out was opened." in page_of(tmp_path).words()
+    assert "No held-out rows were used." in page_of(tmp_path).words()

@@ -223,7 +223,7 @@ def test_no_line_of_the_table_is_below_the_noise(told: list[Told]) -> None:
         rows = page.tables["errors"]
         floor = next((row for row in rows if row[0].startswith("noise floor")), None)
         if floor is None:
-            assert "The errors leave no room for noise of that size" in page.words()
+            assert "The errors are too small for noise of that size" in page.words()
             continue
         for row in rows[1 : rows.index(floor)]:
             for value, least in zip(row[1:8], floor[1:8], strict=True):

@@ -272,7 +272,7 @@ def read_report(folder: str | Path) -> DiagnosisReport:
     """The report.json in the folder of a diagnosis.
 
     Raises:
-        InputError: there is none, or it is none.
+        InputError: the folder has no report, or the file is not a report.
     """
     path = Path(folder) / "report.json"
     try:

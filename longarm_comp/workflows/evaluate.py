@@ -62,7 +62,9 @@ class Evaluation(ErrorTable):
             worst = (f"{row} ({1e3 * size:.3g} mm)" for row, size in self[last].worst)
             said.append(f"worst rows of {last}, by index: {', '.join(worst)}")
         if self.placed:
-            said.append("the declared arm was placed by these rows first: they see it elsewhere")
+            said.append(
+                "the declared arm was placed by these rows first, because they see it elsewhere"
+            )
         if self.outside:
             said.append(
                 f"{self.outside} poses lie outside the network's training data: physics only"

@@ -17,7 +17,7 @@ from studies.commands import shape
     ),
     options.output(
         "build/fleet",
-        "Folder for arms and diagnoses; what is there is gone on with.",
+        "Folder for arms and diagnoses; existing results are continued.",
         outputs.left_to_the_command,
     ),
     options.seed,

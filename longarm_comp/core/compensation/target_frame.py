@@ -100,7 +100,7 @@ def placement(
         allowed = (
             f"{BASE} (the arm's own) or {MEASURED} (that of the measurements), by a column frame "
             f"or --frame: the calibration found the base elsewhere, {1e3 * away:.4g} mm apart at "
-            f"a target; up to {1e3 * usual:.3g} mm would be an error of setting up"
+            f"a target; up to {1e3 * usual:.3g} mm would count as an error of setup"
         )
         raise InputError(where, "frame", "not said", allowed)
     return Placement(MEASURED if found else BASE, still, base, bool(found))
