@@ -33,6 +33,7 @@ from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message
+from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.srv import Compensate
 
 
@@ -79,6 +80,8 @@ def test_target_pose_becomes_a_trajectory(stage: Bench, arm: Arm, demo_arm_path:
     assert stories[0].status == Compensate.Response.NO_PREDICTOR
     assert "physics only" in stories[0].message
     assert list(trajectories[0].joint_names) == list(arm.joint_names)
+    assert trajectories[0].header.frame_id == ""  # joints have no frame, and it holds no id
+    assert stories[0].id == order_id(trajectories[0])
     sent = np.array(trajectories[0].points[0].positions)
     np.testing.assert_allclose(model.pose(sent), target, atol=2e-6)
     assert list(stories[0].executed.position) == sent.tolist()

@@ -162,6 +162,7 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
     assert got.goal_time_tolerance == duration(3.0)
     sent, names_sent = got.trajectory, list(got.trajectory.joint_names)
     assert abs(stamp_ns(sent.header.stamp) - time.time_ns()) < 60e9 and names_sent == names
+    assert sent.header.frame_id == ""
     went = np.array([point.positions for point in sent.points])
     model, rigid = declared_model(arm), Model(arm)
     np.testing.assert_allclose(went[0], arm.mid, atol=1e-9)

@@ -16,6 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from builtin_interfaces.msg import Time
 from driver_rig import Rig
 from lifecycle_msgs.msg import Transition
+from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.duration import Duration as Lapse
 from rosgraph_msgs.msg import Clock
@@ -273,6 +274,17 @@ def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Pat
     assert "\n" not in "".join(d.description for d in described)  # its own, not a section's
     assert described[1].additional_constraints == "above 0"
     assert described[0].floating_point_range[0].to_value == 500.0
+    told = {name: d.additional_constraints for name, d in zip(names, described, strict=True)}
+    assert told["joints.boom.pinion_radius_m"] == "from 1e-06 to 1e+06"
+    assert told["joints.boom.direction"] == "one of 1, -1"
+    assert told["joints.shoulder.type"] == "one of revolute, prismatic"
+    free = {"zero_ticks", "lower", "upper"}  # any number
+    numbers = (ParameterType.PARAMETER_INTEGER, ParameterType.PARAMETER_DOUBLE)
+    assert not [
+        d.name for d in described
+        if d.type in numbers and d.name.split(".")[-1] not in free
+        and not (d.additional_constraints or d.floating_point_range or d.integer_range)
+    ]  # fmt: skip
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text(rig.file.read_text().replace("gear_ratio", "gear_ration"))
     second = rig.stage.python(

@@ -26,8 +26,9 @@ from longarm_comp.nodes.interfaces import Service
 
 _ANSWER_S = 60.0
 """A node that is starting beside six others on two cores has answered by then."""
-_ASK_AGAIN_S = 2.0
-"""Without an answer for so long, a request that may be served twice is sent again."""
+_ASK_AGAIN_S = 0.25, 2.0
+"""Pauses after which a request that may be served twice is sent again: the first, and the longest;
+each is twice the one before, and another server begins them anew."""
 
 _GET = Service("~/get_parameters", GetParameters, "offered by every node of rclpy")
 _SET = Service("~/set_parameters", SetParameters, "the same")
@@ -119,19 +120,22 @@ class GraphClient:
     ) -> Any:
         """Call a service and return its response.
 
-        The middleware drops an answer to a client that the server has not matched yet.
+        The middleware drops an answer to a client that the server has not matched yet, and counts a
+        server that was killed for some seconds more.
 
         Args:
-            again: ask again where no answer came for a while; for requests that may be served
-                twice.
+            again: ask again where no answer came for a while, or another server has come; for
+                requests that may be served twice.
         """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
-        asked = [client.call_async(request)]
-        sent = time.monotonic()
+        (first, longest), servers = _ASK_AGAIN_S, self.node.count_services(client.srv_name)
+        pause, sent, asked = first, time.monotonic(), [client.call_async(request)]
 
         def answered() -> Any:
-            nonlocal sent
-            if again and time.monotonic() - sent > _ASK_AGAIN_S:
+            nonlocal pause, sent, servers
+            before, servers = servers, self.node.count_services(client.srv_name)
+            if again and (servers > before or time.monotonic() - sent > pause):
+                pause = first if servers > before else min(2.0 * pause, longest)
                 asked.append(client.call_async(request))
                 sent = time.monotonic()
             return next((future for future in asked if future.done()), None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from rcl_interfaces.msg import (
@@ -169,12 +169,14 @@ def described(section: type[BaseModel], field: str) -> ParameterDescriptor:
     if found is None:
         return made  # refused by the section's own check
     made.description = found.description or ""
-    bounds: dict[str, float] = {}
-    for rule in found.metadata:
-        bounds |= {k: getattr(rule, k) for k in ("ge", "gt", "le", "lt") if hasattr(rule, k)}
-    if bounds:
-        words = {"ge": "from", "gt": "above", "le": "to", "lt": "below"}
-        made.additional_constraints = " ".join(f"{words[k]} {v:g}" for k, v in bounds.items())
+    parts = get_args(found.annotation)  # of one of some values, or of a number that may be absent
+    rules = [*found.metadata, *(r for part in parts for said in get_args(part)[1:]
+                                for r in said.metadata)]  # fmt: skip
+    words = {"ge": "from", "gt": "above", "le": "to", "lt": "below"}
+    said = [f"{words[k]} {getattr(rule, k):g}" for rule in rules for k in words if hasattr(rule, k)]
+    if get_origin(found.annotation) is Literal:
+        said = ["one of " + ", ".join(map(str, parts))]
+    made.additional_constraints = " ".join(said)
     return made
 
 

@@ -1,0 +1,78 @@
+"""A client of a running graph whose servers come and go."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+import rclpy
+from nodes_bench import own_graph
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from longarm_comp.jobs import graph_client
+from longarm_comp.jobs.graph_client import GraphClient
+
+
+class Servers:
+    """Nodes that offer the service `ask`; those in the executor answer."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.nodes: list[Node] = []
+
+    def offer(self, name: str) -> Node:
+        """A server that is found and does not answer, as one that was killed a moment ago."""
+        self.nodes.append(Node(name, context=self.context))
+        self.nodes[-1].create_service(Trigger, "ask", self._answer)
+        return self.nodes[-1]
+
+    def _answer(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = True
+        return response
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        for node in self.nodes:
+            node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def servers(tmp_path: Path) -> Iterator[Servers]:
+    with own_graph(tmp_path):
+        made = Servers()
+        try:
+            yield made
+        finally:
+            made.close()
+
+
+def test_a_request_is_sent_again_to_a_server_that_comes_after_it(
+    servers: Servers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(graph_client, "_ASK_AGAIN_S", (1e9, 1e9))
+    servers.offer("dead")
+    with GraphClient(name="asker") as client:
+        service = client.node.create_client(Trigger, "ask")
+        asked: list[Any] = []
+
+        def sent(request: Any) -> Any:
+            asked.append(request)
+            if len(asked) == 1:
+                servers.executor.add_node(servers.offer("alive"))
+                threading.Thread(target=servers.executor.spin, daemon=True).start()
+            return own(request)
+
+        own, service.call_async = service.call_async, sent
+        assert client.call(service, Trigger.Request(), 60.0, again=True).success
+    assert len(asked) == 2
