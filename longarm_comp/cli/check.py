@@ -20,9 +20,8 @@ def command(folder: Path, as_json: bool) -> None:
     Reads arm.yaml and the servo, camera and marker files beside it, compares them with each
     other, and computes at how many poses the cameras see the marker. Lists the declared
     beams as they stand and prints the sag of the arm held out: compare both with the arm. Exit
-    code 3 where something is missing or implausible; what is only unmeasured leaves 0. Values that
-    `servo setup`, `stereo calibrate` and `stereo hand-eye` wrote count as measured until they are
-    changed.
+    code 3 where something is missing or implausible; what is only unmeasured leaves 0. What
+    `servo setup`, `stereo calibrate` and `stereo hand-eye` wrote counts as measured.
 
     \b
     Example:

@@ -23,8 +23,8 @@ from longarm_comp.core.errors import JobError
 def command(namespace: str, port: int, show: bool) -> None:
     """Show a running graph on a page in the browser of this machine, until Ctrl-C.
 
-    Arm as declared and as it hangs, target, tip and errors, charts, health of the nodes, progress
-    of `collect`, and buttons for hold, software stop and reset. Only this machine reaches the page,
+    Arm as declared and as it hangs, target, tip and errors, health of the nodes, progress of
+    `collect`, and buttons for hold, software stop and reset. Only this machine reaches the page,
     and only with the link that is printed, which opens it once, in one browser.
 
     \b

@@ -14,10 +14,9 @@ from longarm_comp.view.listener import Listener
 from longarm_comp.view.panel import Panel
 from longarm_comp.view.scene import Scene
 from longarm_comp.view.server import Gate, serving
-from longarm_comp.view.trace import Trace
 
-_DRAWN_S, _CHART_S = 0.2, 0.5
-"""Between two pictures; charts are sent whole, so rarely."""
+_DRAWN_S = 0.2
+"""Between two pictures."""
 
 
 def view(
@@ -35,9 +34,9 @@ def view(
         gate = Gate()
         server = open_page.enter_context(serving(port, gate))
         panel = Panel(server, commands.press, client.node.get_namespace())
-        scene, trace = Scene(server), Trace()
+        scene = Scene(server)
         opened(partial(gate.link, server.get_port()))
-        drawn = charted = 0.0
+        drawn = 0.0
         while not stop.is_set():
             client.executor.spin_once(timeout_sec=0.02)
             now = time.monotonic()
@@ -46,7 +45,3 @@ def view(
                 drawn = now
                 panel.show(listener.state, now, commands.said)
                 scene.show(listener.state, now, panel.exaggeration)
-            if now - charted >= _CHART_S:
-                charted = now
-                if trace.add(listener.state, now, time.time()):
-                    panel.draw(trace)
