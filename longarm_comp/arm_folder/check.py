@@ -5,22 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES, camera_path
-from longarm_comp.arm_folder.findings import (
-    LEVELS,
-    FolderFinding,
-    declared,
-    implausible,
-    measured,
-    missing,
-    unmeasured,
-)
 from longarm_comp.arm_folder.make import ARM, NODES
 from longarm_comp.arm_folder.measured import FILE, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, strangers
@@ -35,6 +27,38 @@ from longarm_comp.core.model.model import unstack
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.cameras import CameraPair
+
+Level = Literal["missing", "implausible", "unmeasured", "measured", "declared"]
+LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
+
+
+@dataclass(frozen=True)
+class FolderFinding:
+    """One thing about a folder.
+
+    Attributes:
+        level: missing and implausible must be put right; unmeasured is an assumption; measured
+            is what a command measured and nobody changed since; declared is what arm.yaml says, for
+            people to compare with the arm.
+        where: file, and the key in it.
+        text: what is the matter, and what to do.
+    """
+
+    level: Level
+    where: str
+    text: str
+
+    @property
+    def blocks(self) -> bool:
+        """Whether the folder cannot be used as it is."""
+        return self.level in ("missing", "implausible")
+
+
+missing = partial(FolderFinding, "missing")
+implausible = partial(FolderFinding, "implausible")
+unmeasured = partial(FolderFinding, "unmeasured")
+measured = partial(FolderFinding, "measured")
+declared = partial(FolderFinding, "declared")
 
 
 def recorded(folder: Path, file: str) -> bool:
