@@ -15,13 +15,12 @@ from longarm_comp.arm_folder.check import check_folder
 from longarm_comp.arm_folder.head_file import head_at, head_pose
 from longarm_comp.arm_folder.measured import note_measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
-from longarm_comp.arm_folder.servos import SERVOS, servo_values
+from longarm_comp.arm_folder.servos import SERVOS
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo import StereoEye, StereoRig
 from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.jobs.camera_placement import placed_cameras
@@ -109,8 +108,7 @@ def test_the_tip_is_seen_where_it_is_afterwards(
     assert found["held_out_mm"] < 0.5
     off = 1e3 * np.abs(head_pose(folder)[:3, 3] - head.true.camera_in_base[:3, 3])
     assert (off < 4.0 * np.array(found["position_sd_mm"]) + 0.2).all()
-    joints = ServoConfig.load(folder / SERVOS).joints  # at 2048, as if that had been measured
-    note_measured(folder, SERVOS, "servo setup", servo_values(joints), {})
+    note_measured(folder, SERVOS, "servo setup", {})
     listed = {f.where: f.level for f in check_folder(folder)}
     assert listed["stereo_bridge.yaml"] == "measured" and listed["arm.yaml: camera"] == "unmeasured"
     assert listed[SERVOS] == "measured" and f"{SERVOS}: zero_ticks" not in listed
@@ -129,7 +127,7 @@ def test_what_does_not_tell_it_is_refused(
     assert "at least 10" in shell.refused("stereo", "hand-eye", folder, "few.csv")
     spoiled = copied(folder, shell.folder / "spoiled")
     told = {"session": session.hash, "before": {"xyz": [0.0, 0.0]}}
-    note_measured(spoiled, "stereo_bridge.yaml", "stereo hand-eye", {}, told)
+    note_measured(spoiled, "stereo_bridge.yaml", "stereo hand-eye", told)
     with pytest.raises(InputError, match=r"measured\.yaml: stereo_bridge\.yaml: facts\.before"):
         head_at(spoiled, session.hash)
     same = Session.record(np.tile(session.q[0], (12, 1)), np.tile(session.xyz[0], (12, 1)))

@@ -41,7 +41,6 @@ def test_bad_pictures_are_refused_with_the_right_reason(reason: RefusalReason) -
         eye.measure(*pair(FAULTS[reason]), 0)
     assert refusal.value.reason is reason
     assert refusal.value.facts["image"] in ("left", "right")
-    assert eye.refusals == {reason: 1} and eye.sightings == 0
     assert eye.measure(*pair(), 1).corners == 4  # and the eye goes on
 
 

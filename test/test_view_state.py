@@ -19,7 +19,6 @@ from longarm_comp.view.state import (
     SeenTip,
     true_to_scale,
 )
-from longarm_comp.view.trace import Trace
 
 DECLARED = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5], [1.0, 0.0, 0.5]])
 HANGING = DECLARED - np.array([[0.0], [0.0], [0.01]]) * np.array([0.0, 0.0, 1.0])
@@ -135,17 +134,3 @@ def test_exaggeration_drift_and_progress_in_words() -> None:
     job = CollectProgress("collect", 7, 24, "at pose 6", 10.0)
     assert words.progress(job, 12.0) == "collect: 7 of 24, at pose 6"
     assert words.progress(job, 22.0) == "collect: 7 of 24, at pose 6; heard 12 s ago"
-
-
-def test_charts_keep_what_is_known_and_show_the_line_that_warns() -> None:
-    trace, state = Trace(), replace(at_rest(), evidence=2.0)
-    assert not trace.add(PageState(), 20.0, 1.0) and not trace.add(state, 60.0, 1.0)
-    assert trace.drift_range == (0.0, 1.1)
-    assert trace.add(state, 20.0, 2.0) and trace.add(replace(state, tip=None), 20.0, 2.5)
-    at, missed, unpredicted = trace.errors
-    np.testing.assert_allclose(at, [2.0, 2.5])
-    np.testing.assert_allclose(missed, [5.0, math.nan])
-    np.testing.assert_allclose(unpredicted, [math.hypot(3.0, 6.0), math.nan])
-    _, evidence, line = trace.drift
-    np.testing.assert_allclose([evidence, line], [[2.0, 2.0], [1.0, 1.0]])
-    assert trace.error_range[1] > math.hypot(3.0, 6.0) and trace.drift_range[1] > 2.0

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from longarm_comp.arm_folder.measured import note_measured
-from longarm_comp.devices.camera_info import CameraInfo
 from longarm_comp.devices.stereo.board_calibration import BoardCalibration
-from longarm_comp.devices.stereo.camera_file import calibration_of, read_camera, write_camera
+from longarm_comp.devices.stereo.camera_file import calibration_of, write_camera
 
 CAMERAS = "cameras"
 SIDES = ("left", "right")
@@ -33,18 +32,5 @@ def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
         "rms_px": round(found.fit.rms_px, 4),
         "held_out_mm": round(found.held_out_mm, 4),
     }
-    note_measured(folder, CAMERAS, "stereo calibrate", _values(cameras), facts)
+    note_measured(folder, CAMERAS, "stereo calibrate", facts)
     return [camera_path(folder, side) for side in SIDES]
-
-
-def camera_values(folder: Path) -> dict[str, object]:
-    """Values of both files as the record of measurements names them."""
-    return _values({side: read_camera(camera_path(folder, side)) for side in SIDES})
-
-
-def _values(cameras: dict[str, CameraInfo]) -> dict[str, object]:
-    return {
-        f"{side}.{key}": list(getattr(camera, key))
-        for side, camera in cameras.items()
-        for key in ("k", "d", "r", "p")
-    }

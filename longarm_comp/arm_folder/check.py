@@ -5,25 +5,18 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES, camera_path, camera_values
-from longarm_comp.arm_folder.findings import (
-    LEVELS,
-    FolderFinding,
-    declared,
-    implausible,
-    measured,
-    missing,
-    unmeasured,
-)
+from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES, camera_path
 from longarm_comp.arm_folder.make import ARM, NODES
-from longarm_comp.arm_folder.measured import FILE, Measured, read_measured
+from longarm_comp.arm_folder.measured import FILE, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, strangers
-from longarm_comp.arm_folder.servos import SERVOS, ZERO_TICKS, servo_values
+from longarm_comp.arm_folder.servos import ZERO_TICKS
 from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.beam import Beam, Rect, Tube
@@ -33,13 +26,45 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import unstack
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.sim.cameras import CameraPair
+
+Level = Literal["missing", "implausible", "unmeasured", "measured", "declared"]
+LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
+
+
+@dataclass(frozen=True)
+class FolderFinding:
+    """One thing about a folder.
+
+    Attributes:
+        level: missing and implausible must be put right; unmeasured is an assumption; measured
+            is what a command measured and nobody changed since; declared is what arm.yaml says, for
+            people to compare with the arm.
+        where: file, and the key in it.
+        text: what is the matter, and what to do.
+    """
+
+    level: Level
+    where: str
+    text: str
+
+    @property
+    def blocks(self) -> bool:
+        """Whether the folder cannot be used as it is."""
+        return self.level in ("missing", "implausible")
+
+
+missing = partial(FolderFinding, "missing")
+implausible = partial(FolderFinding, "implausible")
+unmeasured = partial(FolderFinding, "unmeasured")
+measured = partial(FolderFinding, "measured")
+declared = partial(FolderFinding, "declared")
 
 
 def recorded(folder: Path, file: str) -> bool:
-    """Whether a file holds what was measured last."""
+    """Whether a file was measured."""
     try:
-        entry = read_measured(folder).get(file)
-        return entry is not None and not entry.changed(_now(folder, file))
+        return file in read_measured(folder)
     except InputError:
         return False
 
@@ -52,39 +77,12 @@ def of_record(folder: Path) -> Iterator[FolderFinding]:
         yield implausible(f"{FILE}: {error.field}", f"{error.value}; allowed: {error.allowed}")
         return
     for file, entry in entries.items():
-        yield from _of_entry(folder, file, entry)
-    if CAMERAS not in entries:
-        files = [camera_path(folder, side).is_file() for side in SIDES]
-        if not all(files):
-            said = "no calibration (longarm stereo calibrate), unless the camera driver has one"
-            yield unmeasured(CAMERAS, said)
-
-
-def _of_entry(folder: Path, file: str, entry: Measured) -> Iterator[FolderFinding]:
-    try:
-        changed = entry.changed(_now(folder, file))
-    except InputError as error:
-        if file == CAMERAS:  # the other files are checked for themselves
-            text = f"{error.value}; allowed: {error.allowed}"
-            yield implausible(f"{CAMERAS}: {error.field}", text)
-        return
-    if changed:
-        names = ", ".join(changed[:3]) + (" and others" if len(changed) > 3 else "")
-        said = f"{names} changed by hand since {entry.at} ({entry.by}): measure again"
-        yield unmeasured(f"{file}: changed", said)
-    else:
         told = {k: v for k, v in entry.facts.items() if k not in ("session", "before")}
         facts = ", ".join(f"{name} {value}" for name, value in told.items())
         yield measured(file, f"{entry.at}, longarm {entry.by}: {facts}")
-
-
-def _now(folder: Path, file: str) -> dict[str, Any]:
-    """Values of a file as the record names them. Raises InputError."""
-    if file == CAMERAS:
-        return camera_values(folder)
-    if file == SERVOS:
-        return servo_values(ServoConfig.load(folder / file).joints)
-    return read_parameters(folder / file)
+    if CAMERAS not in entries and not all(camera_path(folder, side).is_file() for side in SIDES):
+        said = "no calibration (longarm stereo calibrate), unless the camera driver has one"
+        yield unmeasured(CAMERAS, said)
 
 
 def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[FolderFinding]:
@@ -276,17 +274,22 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[FolderFinding]:
     if not look or "simulated_arm" not in read:
         return found
     simulated = read["simulated_arm"]
-    off = float(np.linalg.norm(np.subtract(simulated["camera.position"], bridge["hand_eye.xyz"])))
-    if off > 0.01 and not placed:
-        said = f"{1e3 * off:.0f} mm from camera.position of simulated_arm.yaml"
-        found.append(implausible("stereo_bridge.yaml: hand_eye", said))
-        return found
-    why = View.of(bridge, simulated).unseen(declared_model(arm).pose(sobol(arm, 64, 0).q))
+    stands = CameraPair(tuple(simulated["camera.position"]), tuple(simulated["camera.axis"]))
+    assumed = View.of(bridge, simulated)
+    view = replace(assumed, left_in_base=stands.left_in_base)
+    tips = declared_model(arm).pose(sobol(arm, 64, 0).q)
+    why = view.unseen(tips)
     seen = why.count("")
+    read_as = assumed.left_in_base @ np.linalg.inv(view.left_in_base) @ tips
+    off = 1e3 * float(np.median(np.linalg.norm((read_as - tips)[:, :3, 3], axis=1)))
     if seen < 0.5 * len(why):
         said = f"the marker is seen at {seen} of {len(why)} poses, at most others {_mostly(why)}: "
         said += "move the cameras, turn the marker (marker.mounting) or narrow the limits in "
         found.append(implausible("simulated_arm.yaml: camera, marker", f"{said}arm.yaml"))
+    elif off > 10.0 and not placed:
+        said = f"the tip is measured {off:.0f} mm from where it is: the cameras of "
+        said += "simulated_arm.yaml stand elsewhere"
+        found.append(implausible("stereo_bridge.yaml: hand_eye", said))
     return found
 
 

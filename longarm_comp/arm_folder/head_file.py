@@ -61,7 +61,7 @@ def write_head(
         "before": dict(zip(("xyz", "quaternion"), _numbers(before), strict=True)),
     }
     # The record first: it says where the head was, if the rest is broken off and done again.
-    note_measured(folder, BRIDGE, "stereo hand-eye", values, told)
+    note_measured(folder, BRIDGE, "stereo hand-eye", told)
     _edit(folder / BRIDGE, values)
     written = [BRIDGE]
     if (folder / SIMULATED).is_file():

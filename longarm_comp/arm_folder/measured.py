@@ -1,8 +1,4 @@
-"""What was measured of an arm's folder: `measured.yaml`, written by the commands that measure.
-
-Each entry keeps the values that were found. A file that holds other values now was changed by hand
-since, and its values count as declared.
-"""
+"""What was measured of an arm's folder: `measured.yaml`, written by the commands that measure."""
 
 from __future__ import annotations
 
@@ -19,27 +15,16 @@ from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 
 FILE = "measured.yaml"
-_HEAD = """# What was measured, when, and by which command. `longarm check` compares the values with
-# the files: what was changed by hand since then counts as declared.
-"""
+_HEAD = "# What was measured, when, by which command, and how well. `longarm check` lists it.\n"
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One measurement.
-
-    Attributes:
-        values: dotted names of parameters and what was found for them.
-    """
+    """One measurement: when, by which command, and what was found of it."""
 
     at: str
     by: str
-    values: dict[str, Any]
     facts: dict[str, Any]
-
-    def changed(self, now: Mapping[str, Any]) -> list[str]:
-        """Names of parameters that have other values now."""
-        return [name for name, value in self.values.items() if now.get(name) != value]
 
 
 def read_measured(folder: Path) -> dict[str, Measured]:
@@ -50,22 +35,18 @@ def read_measured(folder: Path) -> dict[str, Measured]:
     data = read_yaml(path)
     try:
         return {
-            str(file): Measured(
-                str(entry["at"]), str(entry["by"]), dict(entry["values"]), dict(entry["facts"])
-            )
+            str(file): Measured(str(entry["at"]), str(entry["by"]), dict(entry["facts"]))
             for file, entry in data.items()
         }
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        allowed = "FILE: {at, by, values, facts}, as the commands write it"
+        allowed = "FILE: {at, by, facts}, as the commands write it"
         raise InputError(path, "entry", repr(error), allowed) from error
 
 
-def note_measured(
-    folder: Path, file: str, by: str, values: Mapping[str, Any], facts: Mapping[str, Any]
-) -> None:
+def note_measured(folder: Path, file: str, by: str, facts: Mapping[str, Any]) -> None:
     """Add a measurement to the record, in place of an earlier one of the same file."""
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
-    known = {**read_measured(folder), file: Measured(now, by, dict(values), dict(facts))}
+    known = {**read_measured(folder), file: Measured(now, by, dict(facts))}
     entries = {name: vars(entry) for name, entry in known.items()}
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, width=100)
     write_text(folder / FILE, _HEAD + text)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from longarm_comp.arm_folder.measured import note_measured
 from longarm_comp.arm_folder.yaml_edit import edited, ros_path
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import parse_yaml
 from longarm_comp.devices.servo_bus import ServoModel, models
 from longarm_comp.devices.servo_config import ServoConfig
@@ -41,23 +38,6 @@ def with_joints(
     if ServoConfig.parse(parse_yaml(made, str(where)), str(where)).joints != joints:
         raise InputError(where, "joints", "cannot be edited", "a line or a block for each joint")
     return made
-
-
-def write_servos(
-    folder: Path, text: str, joints: Mapping[str, JointConfig], facts: Mapping[str, Any]
-) -> None:
-    """Write the servo file in one step, and what was measured."""
-    write_text(folder / SERVOS, text)
-    note_measured(folder, SERVOS, "servo setup", servo_values(joints), facts)
-
-
-def servo_values(joints: Mapping[str, JointConfig]) -> dict[str, Any]:
-    """What a setup finds of each joint, by dotted name."""
-    return {
-        f"joints.{name}.{key}": getattr(joint, key)
-        for name, joint in joints.items()
-        for key in KEYS
-    }
 
 
 DEFAULT_MODEL = "sts3215"

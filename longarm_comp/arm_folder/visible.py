@@ -163,7 +163,8 @@ def view_beside(arm: Path) -> View | None:
 
 def _lens_beside(arm: Path) -> Lens | None:
     """The cameras' lens by the calibration beside an arm.yaml; None where there is none."""
-    from longarm_comp.arm_folder.camera_files import SIDES, camera_path, read_camera
+    from longarm_comp.arm_folder.camera_files import SIDES, camera_path
+    from longarm_comp.devices.stereo.camera_file import read_camera
 
     files = [camera_path(arm.absolute().parent, side) for side in SIDES]
     if not all(file.is_file() for file in files):

@@ -117,8 +117,10 @@ def _run(
     line: Mapping[str, Any],
     as_json: bool,
 ) -> None:
-    from longarm_comp.arm_folder.servos import SERVOS, with_joints, write_servos
+    from longarm_comp.arm_folder.measured import note_measured
+    from longarm_comp.arm_folder.servos import SERVOS, with_joints
     from longarm_comp.cli.servo import asked_port, refuse_clashes, scanned, show
+    from longarm_comp.core.files import write_text
     from longarm_comp.devices.servo_bus import open_bus
     from longarm_comp.devices.servo_config import ServoConfig
     from longarm_comp.devices.servo_setup import ServoSetup, shown, zero_from_pose
@@ -146,7 +148,8 @@ def _run(
     line_found = {key: getattr(found, key) for key in ("protocol", "port", "baudrate")}
     text = with_joints(file.read_text("utf-8"), line_found, joints, file)
     dialogue.go_on(f"{file} will be written.")
-    write_servos(folder, text, joints, {"zero": "pose"})
+    write_text(file, text)
+    note_measured(folder, SERVOS, "servo setup", {"zero": "pose"})
     reads = _read_back(ServoConfig.load(file))
     facts = {
         name: {

@@ -23,7 +23,7 @@ from longarm_comp.core.errors import JobError
 def command(namespace: str, port: int, show: bool) -> None:
     """Show a running graph on a page in the browser of this machine, until Ctrl-C.
 
-    The page shows the arm as declared and as it hangs, target, tip and errors, charts, the health
+    The page shows the arm as declared and as it hangs, target, tip and errors, the health
     of the nodes and the progress of `collect`. It has buttons for hold, software stop and reset.
     Only this machine can open the page, with the printed link, which works once and in one browser.
 

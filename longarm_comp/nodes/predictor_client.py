@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,21 +13,8 @@ from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.expansion import Expansion
 from longarm_comp.nodes.messages import joints_message
+from longarm_comp.nodes.rclpy_inside import ServiceCaller
 from longarm_interfaces.srv import PredictError
-
-
-class Caller(Protocol):
-    """A client of `predict_error`, for one thread."""
-
-    @property
-    def present(self) -> bool:
-        """Whether the service is on the graph."""
-
-    def send(self, request: Any) -> int:
-        """Send a request and return its number."""
-
-    def answer(self, number: int, within_s: float) -> Any:
-        """The response to a request, or None after ``within_s``. Earlier responses are dropped."""
 
 
 class NoAnswer(JobError):  # noqa: N818
@@ -55,7 +41,7 @@ class PredictorClient:
         file_hash: of the predictor that answered last.
     """
 
-    def __init__(self, caller: Caller, arm: Arm, timeout_s: float) -> None:
+    def __init__(self, caller: ServiceCaller, arm: Arm, timeout_s: float) -> None:
         self._caller, self._arm, self._timeout_s = caller, arm, timeout_s
         self._silent = False  # a question was not answered in time
         self._probe: int | None = None

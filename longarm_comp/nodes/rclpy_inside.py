@@ -96,9 +96,9 @@ class Inlets:
         """
         self._services.append(service.server(self._node, callback, self._aside))
 
-    def caller(self, service: ServiceName) -> _ServiceCaller:
+    def caller(self, service: ServiceName) -> ServiceCaller:
         """A client of a service, for the same thread."""
-        return _ServiceCaller(service.client(self._node, self._aside), self._node)
+        return ServiceCaller(service.client(self._node, self._aside), self._node)
 
     def start(self) -> None:
         """Build the wait set, when everything is declared."""
@@ -155,7 +155,7 @@ def _send(service: Service, header: Any, response: Any) -> None:
     service.send_response(response, header)
 
 
-class _ServiceCaller:
+class ServiceCaller:
     """A service client that waits in the calling thread, without an executor.
 
     rclpy offers this only for topics (`rclpy.wait_for_message`); this works the same way.

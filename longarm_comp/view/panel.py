@@ -1,4 +1,4 @@
-"""The page's panel: state in words, buttons, sliders, charts, health and progress."""
+"""The page's panel: state in words, buttons, sliders, health and progress."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from functools import partial
 from html import escape
 from typing import Any
 
-import numpy as np
 import viser
-from viser import uplot
 
 from longarm_comp.view import words
 from longarm_comp.view.commands import RELEASES, STOPS, Button, Said
 from longarm_comp.view.scene import Exaggeration
 from longarm_comp.view.state import PageState
-from longarm_comp.view.trace import Trace
 
 _BAD, _DOUBTFUL, _GOOD = "#b00020", "#8a4b00", "inherit"
 _COLOURS = {words.WELL: _GOOD, words.WARNING: _DOUBTFUL}
@@ -47,12 +44,6 @@ class Panel:
         self._deflection = gui.add_slider("Deflection ×", min=1, max=100, step=1, initial_value=10)
         self._error = gui.add_slider("Error arrows ×", min=1, max=500, step=1, initial_value=100)
         self._scale = gui.add_html("")
-        self._errors = self._chart(
-            "Error at rest, mm", ("tip − target", "tip − predicted"), ("#c81e28", "#e17800")
-        )
-        self._drift = self._chart(
-            "Evidence of drift", ("evidence", "warns at 1"), ("#1e64dc", "#888888")
-        )
 
     def _group(
         self, buttons: Sequence[Button], press: Callable[[Button], None], visible: bool = True
@@ -63,18 +54,6 @@ class Panel:
         group = self._server.gui.add_button_group("", tuple(named), hint=hints, visible=visible)
         group.on_click(lambda event: press(named[event.target.value]))
         return group
-
-    def _chart(self, title: str, names: Sequence[str], colours: Sequence[str]) -> Any:
-        lines = [
-            uplot.Series(label=name, stroke=colour, width=2)
-            for name, colour in zip(names, colours, strict=True)
-        ]
-        nothing = tuple(np.zeros(0) for _ in range(len(names) + 1))
-        return self._server.gui.add_uplot(
-            nothing, (uplot.Series(label="time"), *lines), title=title, height=150,
-            scales={"x": uplot.Scale(time=True), "y": uplot.Scale(range=(0.0, 1.1))},
-            legend=uplot.Legend(show=True),
-        )  # fmt: skip
 
     @property
     def exaggeration(self) -> Exaggeration:
@@ -102,15 +81,6 @@ class Panel:
             _set(self._bar, "value", 100.0 * min(job.done / job.of, 1.0))
             for handle in (self._job, self._bar):
                 _set(handle, "visible", True)
-
-    def draw(self, trace: Trace) -> None:
-        """Show the charts of a trace."""
-        for chart, data, (low, high) in (
-            (self._errors, trace.errors, trace.error_range),
-            (self._drift, trace.drift, trace.drift_range),
-        ):
-            chart.data = data
-            _set(chart, "scales", {"x": chart.scales["x"], "y": uplot.Scale(range=(low, high))})
 
     def _show_health(self, state: PageState, now: float) -> None:
         lines = []

@@ -16,10 +16,9 @@ from longarm_comp.view.panel import Panel
 from longarm_comp.view.plain import PlainPage
 from longarm_comp.view.scene import Scene
 from longarm_comp.view.server import Gate, serving
-from longarm_comp.view.trace import Trace
 
-_DRAWN_S, _CHART_S = 0.2, 0.5
-"""Between two pictures; charts are sent whole, so rarely."""
+_DRAWN_S = 0.2
+"""Between two pictures."""
 
 
 def view(
@@ -38,9 +37,9 @@ def view(
         gate = Gate(plain=plain.answer)
         server = open_page.enter_context(serving(port, gate))
         panel = Panel(server, commands.press, client.node.get_namespace())
-        scene, trace = Scene(server), Trace()
+        scene = Scene(server)
         opened(partial(gate.link, server.get_port()))
-        drawn = charted = 0.0
+        drawn = 0.0
         while not stop.is_set():
             client.executor.spin_once(timeout_sec=0.02)
             now = time.monotonic()
@@ -50,7 +49,3 @@ def view(
                 panel.show(listener.state, now, commands.said)
                 plain.lines = words.in_lines(listener.state, now, namespace, commands.said.text)
                 scene.show(listener.state, now, panel.exaggeration)
-            if now - charted >= _CHART_S:
-                charted = now
-                if trace.add(listener.state, now, time.time()):
-                    panel.draw(trace)

@@ -84,12 +84,7 @@ def millimetres(vector: np.ndarray) -> str:
     parts = ", ".join(
         f"{axis} {1e3 * part:+.2f}" for axis, part in zip("xyz", vector.tolist(), strict=True)
     )
-    return f"{length_mm(vector):.2f} mm ({parts})"
-
-
-def length_mm(vector: np.ndarray | None) -> float:
-    """Length in mm of a vector (3,) in m; NaN without one."""
-    return math.nan if vector is None else 1e3 * math.dist((0.0, 0.0, 0.0), vector.tolist())
+    return f"{1e3 * math.dist((0.0, 0.0, 0.0), vector.tolist()):.2f} mm ({parts})"
 
 
 LEGEND = (

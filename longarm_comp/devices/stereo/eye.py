@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, field
 
 import cv2
@@ -55,7 +54,7 @@ class StereoSighting:
 
 @dataclass
 class StereoEye:
-    """Measures the tip with a stereo rig and counts what it refuses.
+    """Measures the tip with a stereo rig.
 
     Args:
         camera_in_base: (4, 4) pose of the left optical frame in the base frame (hand-eye).
@@ -69,8 +68,6 @@ class StereoEye:
     tip_in_marker: ArrayLike = (0.0, 0.0, 0.0)
     limits: Limits = field(default_factory=Limits)
     noise: PixelNoise = field(default_factory=PixelNoise)
-    sightings: int = 0
-    refusals: Counter[RefusalReason] = field(default_factory=Counter)
     _square_px2: float = field(default=0.0, repr=False)
     _freedom: float = field(default=0.0, repr=False)
 
@@ -84,18 +81,12 @@ class StereoEye:
         """The sighting of one pair, images (H, W) grey or (H, W, 3) BGR, uint8.
 
         Raises:
-            StereoRefusal: with the reason, which is also counted in `refusals`.
+            StereoRefusal: with the reason.
         """
         try:
-            sighting = self._measure(left, right, stamp_ns)
+            return self._measure(left, right, stamp_ns)
         except np.linalg.LinAlgError as error:  # rays so nearly parallel that nothing can be solved
-            self.refusals[RefusalReason.REPROJECTION] += 1
             raise StereoRefusal(RefusalReason.REPROJECTION, cause=str(error)) from error
-        except StereoRefusal as refusal:
-            self.refusals[refusal.reason] += 1
-            raise
-        self.sightings += 1
-        return sighting
 
     @property
     def cameras(self) -> tuple[Array, Array]:
