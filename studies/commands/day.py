@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     options.seed,
     options.written(
         "-o/--output",
-        "Folder for day.json, day.png and a file for each arm; a broken-off study continues.",
+        "Folder for day.json, day.png and a file an arm, from which a stopped study continues.",
         outputs.folder("day.json", "day.png", told_by="day.json"),
     ),
 )
