@@ -26,7 +26,7 @@ from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
 
 DROOP = "servo_droop=5.0"
-TIP_STANDS = "By readings the tip stands at"
+TIP_STANDS = "By the readings the tip is at"
 
 
 def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.Result:

@@ -11,7 +11,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import Pace
 
 NEAR_NOISE = 2.0
-"""A mean error below so many times what the the noise alone shows is as good as measured."""
+"""A mean error below so many times what the noise alone shows is as good as measured."""
 
 RULE = (
     "another round follows if the last one brought the tip nearer by more than chance and the mean "
