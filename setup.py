@@ -67,7 +67,6 @@ EXTRAS = {
         "dynamixel-sdk",
         "example-robot-data",
         "hypothesis",
-        "jsonschema",
         "msgspec",
         "mypy",
         "packaging",

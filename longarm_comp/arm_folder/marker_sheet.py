@@ -11,6 +11,7 @@ import numpy as np
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.devices.stereo import CharucoTarget, TagBoard
+from longarm_comp.sim.marker_images import charuco_plate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,24 +84,17 @@ def _draw_tags(axes: Axes, board: TagBoard, left: float, top: float) -> None:
 
 
 def _draw_charuco(axes: Axes, board: CharucoTarget, left: float, top: float) -> None:
-    """Tags where OpenCV has them, black squares in between."""
-    side, inset = 1e3 * board.square_m, 500.0 * (board.square_m - board.tag_m)
-    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
-    grid = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square_m, board.tag_m, family)
-    middles = np.array(grid.getObjPoints()).mean(axis=1)[:, :2]
-    places = [tuple(place) for place in np.floor(middles / board.square_m).astype(int).tolist()]
-    tags = dict(zip(places, np.ravel(grid.getIds()).tolist(), strict=True))
-    for row in range(board.rows):
-        for column in range(board.columns):
-            x, y = left + column * side, top - row * side
-            number = tags.get((column, row))
-            if number is None:
-                _fill(axes, x, y, side, "black")
-            else:
-                _draw_tag(axes, board, number, x + inset, y - inset)
+    """As OpenCV draws it; its corners are whole pixels."""
+    grid = board.square_m, board.tag_m, board.columns, board.rows
+    plate = charuco_plate(*grid, board.dictionary)
+    wide, high = (1e3 * side for side in plate.size_m)
+    axes.imshow(
+        plate.texture, cmap="gray", interpolation="nearest", aspect="auto",
+        extent=(left, left + wide, top - high, top),
+    )  # fmt: skip
 
 
-def _draw_tag(axes: Axes, board: Printed, number: int, left: float, top: float) -> None:
+def _draw_tag(axes: Axes, board: TagBoard, number: int, left: float, top: float) -> None:
     """Black square with white cells; left, top: its corner, mm."""
     family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     cells = cv2.aruco.generateImageMarker(family, number, family.markerSize + 2)

@@ -27,15 +27,12 @@ class StereoCalibration:
     Args:
         rig: frame = the raw left optical frame; lengths in the unit of the board's points.
         rms_px: of the boards' reprojection, both cameras.
-        epipolar_rms_px: of each pair's triangulation residuals, in the order given (NaN where a
-            pair was not usable): large where the board moved between the two exposures.
         used: indices of the pairs that were fitted.
         rejected: indices of pairs with too few corners or with outlying residuals.
     """
 
     rig: StereoRig
     rms_px: float
-    epipolar_rms_px: tuple[float, ...]
     used: tuple[int, ...]
     rejected: tuple[int, ...]
 
@@ -94,7 +91,7 @@ def calibrate_stereo(
     if not rms < 2.0:
         raise JobError("stereo calibration does not fit the pictures", rms_px=float(rms))
     rejected = tuple(i for i in range(len(pairs)) if i not in used)
-    return StereoCalibration(rig, float(rms), tuple(map(float, off)), tuple(used), rejected)
+    return StereoCalibration(rig, float(rms), tuple(used), rejected)
 
 
 def _flat(points: np.ndarray) -> np.ndarray:

@@ -31,10 +31,9 @@ class Side(Enum):
 
 @dataclass(frozen=True)
 class Pair(Generic[Image]):
-    """Two images taken together. `stamp_ns` is the left one's; `apart_ns` = right - left."""
+    """Two images taken together. `stamp_ns` is the left one's."""
 
     stamp_ns: int
-    apart_ns: int
     left: Image
     right: Image
 
@@ -93,7 +92,7 @@ class StereoPairer(Generic[Image]):
             else:
                 (stamp, left_image), (other, right_image) = left.popleft(), right.popleft()
                 self._done_ns = [stamp, other]
-                found.append(Pair(stamp, apart, left_image, right_image))
+                found.append(Pair(stamp, left_image, right_image))
         self.pairs += len(found)
         return found
 

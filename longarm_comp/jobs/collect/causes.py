@@ -42,10 +42,6 @@ class Causes:
         why = said.removeprefix(MARKER_LOST)
         return near + (why.partition(" (")[0] if why != said else "not seen")
 
-    def error_mm(self, q: np.ndarray, tip: np.ndarray) -> float:
-        """Distance of a tip (3,), m, from the declared arm's at q (n,)."""
-        return 1e3 * float(np.linalg.norm(tip - self._model.tip(q)))
-
     def _on_info(self, side: str, message: CameraInfo) -> None:
         self._infos[side] = message
         if self._view is None or len(self._infos) < 2:

@@ -17,12 +17,12 @@ _LEVELS = {"ended": DiagnosticStatus.ERROR, "waiting": DiagnosticStatus.WARN}
 def progress_message(now: Progress, namespace: str) -> DiagnosticStatus:
     """Name ``collect``; what is not known yet has no value (docs/ros.md)."""
     losing = DiagnosticStatus.WARN if now.lost else DiagnosticStatus.OK
-    numbers = {"error_mm": now.error_mm, "eta_s": now.seconds_left}
     values = {
         "state": now.state, "done": now.done, "total": now.total, "seen": now.seen,
         "lost": len(now.lost), "pose": now.visit,
-        **{name: f"{value:.3f}" for name, value in numbers.items() if math.isfinite(value)},
     }  # fmt: skip
+    if math.isfinite(now.seconds_left):
+        values["eta_s"] = f"{now.seconds_left:.3f}"
     return DiagnosticStatus(
         level=_LEVELS.get(now.state, losing),
         name="collect",
@@ -41,7 +41,6 @@ class Progress:
         q: (n,) joints it goes to, rad and m; None before the first and after the last.
         made: visits of this run by their index, the last one last: why the marker was lost there,
             or "" where it was seen.
-        error_mm: distance of the last seen tip from the declared arm's; NaN: none yet.
         seconds_left: NaN: not known yet.
         state: "running", "waiting", "done" or "ended".
         why: why it waits or ended.
@@ -52,7 +51,6 @@ class Progress:
     visit: int = -1
     q: np.ndarray | None = None
     made: Mapping[int, str] = field(default_factory=dict)
-    error_mm: float = float("nan")
     seconds_left: float = float("nan")
     state: str = "running"
     why: str = ""

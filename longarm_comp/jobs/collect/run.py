@@ -146,7 +146,7 @@ class _Run:
         self._payload = client.node.create_publisher(Float64, "payload", 5)
         self._publisher = graph.COLLECT_PROGRESS.publisher(client.node)
         self._model = declared_model(client.arm)
-        self._driving_s, self._error_mm = 0.0, float("nan")
+        self._driving_s = 0.0
         self._visit: Visit | None = None
         self.made: dict[int, str] = {}
         """Visits in the bag, of this run: why the marker was lost there, or ""."""
@@ -199,11 +199,8 @@ class _Run:
                     raise
                 self._wait_for_driver(str(stopped))
                 begun_s = time.monotonic()
-        self.made[visit.index] = ""
-        if row.located[0]:
-            self._error_mm = self._causes.error_mm(visit.q, row.xyz[0])
-        else:
-            self.made[visit.index] = self._causes.of(visit.q, row.lost.get(visit.index, ""))
+        why = row.lost.get(visit.index, "")
+        self.made[visit.index] = "" if row.located[0] else self._causes.of(visit.q, why)
         self._driving_s += time.monotonic() - begun_s
         self._tell()
 
@@ -270,7 +267,7 @@ class _Run:
         return Progress(
             done, self._total, -1 if visit is None else visit.index,
             None if visit is None else visit.q, dict(self.made),
-            self._error_mm, each * (self._total - done), state, why,
+            each * (self._total - done), state, why,
         )  # fmt: skip
 
     def _tell(self, state: str = "running", why: str = "") -> None:
