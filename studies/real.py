@@ -30,11 +30,10 @@ from longarm_comp.core.identify.calibrate import (
     warm,
 )
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.diagnosis import CALIBRATED, Diagnosis
 from longarm_comp.core.identify.fit import fit_together
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.placement import placed
-from longarm_comp.core.identify.proof import CALIBRATED
 from longarm_comp.core.model.model import Model, Slot
 from studies.interval import mean_ci95
 from studies.real_sessions import Measured, justin, laser_tracked

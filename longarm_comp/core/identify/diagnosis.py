@@ -89,6 +89,11 @@ class Diagnosis:
         return self.fit.model
 
     @property
+    def gives_way(self) -> bool:
+        """Whether what every arm gives way by is in the model to use."""
+        return self.search.tolerance.give and self.written != CALIBRATED
+
+    @property
     def left_out(self) -> bool:
         """Whether something was found that the model to use leaves out."""
         return self.written != list(self.fits)[-1]
@@ -177,6 +182,10 @@ def _summary(found: Diagnosis) -> str:
     gain = f"Held-out mean error {_change(found)}"
     if found.verdict == "noise":
         text = "After calibration nothing but noise is left; no effect was added."
+        if found.gives_way:
+            text = "Joints, seats and links give way a little, as in every arm, which was added; "
+            text += "nothing but noise is left."
+            return f"{text} {gain}."
         return f"{text} {gain} by the calibration."
     if found.verdict == "unknown":
         return f"The model lacks something that no effect of the library explains: {left}."
