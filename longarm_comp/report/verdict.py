@@ -26,8 +26,12 @@ def meaning(report: DiagnosisReport) -> str:
     none = f"{_count(unnamed).lower()} cause without a name was found and added"
     none = none.replace("cause", "causes").replace("was", "were") if unnamed > 1 else none
     added = none if unnamed else "none was added"
+    gives = report.written is not None and report.written.model == "with_effects"
+    noise = "Nothing beyond the noise was found; nothing was added."
+    if gives and not n:
+        noise = "Nothing but noise is left, once every part gives way a little, as in every arm."
     return {
-        "noise": "Nothing beyond the noise was found; nothing was added.",
+        "noise": noise,
         "named": f"{_count(n)} {_explain(n)} what the model lacked.",
         "set": (
             f"{_count(n)} {_explain(n)} what the model lacked; "

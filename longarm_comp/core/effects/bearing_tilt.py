@@ -28,6 +28,7 @@ class BearingTilt(JointTerm):
     title: ClassVar[str] = "soft bearing"
     action: ClassVar[str] = "Check seat and preload of the bearing; replace it if it rocks by hand."
     loaded: ClassVar[bool] = True
+    elastic: ClassVar[bool] = True
 
     about_x: float = parameter(
         "rad/(N m)", "tilt about x_{i-1} per moment", prior=2e-3, lower=0.0, like="seat"

@@ -127,6 +127,8 @@ class _Term:
         seen_only: moves the frame of the measurements, and gravity with it.
         continuous: changes little for a small motion of the joints.
         loaded: depends on the loads, so that it must be iterated as the arm sags.
+        elastic: a part that gives way under its load. No arm is without, so a little of it at every
+            place is no finding.
         searched: tried by a diagnosis. Geometry is always fitted instead.
         aliases: effects that no measurement of the tip can distinguish from it. One of the two
             must declare it.
@@ -156,6 +158,7 @@ class _Term:
     passing: ClassVar[bool] = False
     seen_only: ClassVar[bool] = False
     loaded: ClassVar[bool] = False
+    elastic: ClassVar[bool] = False
     continuous: ClassVar[bool] = True
     searched: ClassVar[bool] = True
     aliases: ClassVar[tuple[str, ...]] = ()

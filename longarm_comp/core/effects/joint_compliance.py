@@ -30,6 +30,7 @@ class JointCompliance(JointTerm):
         "cable": "Use stiffer cables or raise their pretension; check their anchors.",
     }
     loaded: ClassVar[bool] = True
+    elastic: ClassVar[bool] = True
 
     compliance: float = parameter("rad/(N m)", "torsion per gravity torque", prior=4e-3, lower=0.0)
 

@@ -33,6 +33,7 @@ class LinkBending(Effect):
         "Declare the link's beam in arm.yaml; check its clamping. A stiffer profile lowers it."
     )
     loaded: ClassVar[bool] = True
+    elastic: ClassVar[bool] = True
 
     row: int = place(rows)
     bending: float = parameter("1/(N m^2)", "1 / EI of the link", prior=1e-4, lower=0.0)

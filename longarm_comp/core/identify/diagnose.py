@@ -25,6 +25,7 @@ from longarm_comp.core.identify.discover.propose import doubts, proposed
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.give import with_give
 from longarm_comp.core.identify.intervals import intervals
 from longarm_comp.core.identify.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.identify.model_fit import ModelFit
@@ -114,7 +115,8 @@ def diagnose(
     fits = _fits(start, found)
     columns = columns_at(found.fit)
     beside = tolerances(found.fit, columns, found.candidates, found.found, found.tolerance)
-    structure = examine(found.fit, fits[CALIBRATED], rng, beside)
+    fullest = list(fits.values())[-1]
+    structure = examine(fullest, fits[CALIBRATED], rng, beside)
     expected = expected_commanded(fits, found.found)
     written = least(expected)
     final = fits[written]
@@ -150,7 +152,7 @@ def diagnose(
         expected=expected,
         written=written,
         intervals=ends,
-        structure=with_unseen(structure, found.fit, held_out),
+        structure=with_unseen(structure, fullest, held_out),
         models=models,
         proof=prove(models, None if network is None else (final.model, network), held_out),
         network=network,
@@ -173,7 +175,10 @@ def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
     """Calibration alone, with the effects that have a name, with functions: the same rows."""
     whole, noise = found.fit, found.noise
     bare = fit(start, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
-    made = {CALIBRATED: bare, WITH_EFFECTS: whole if found.found else bare}
+    if found.tolerance.give:
+        whole = with_give(whole, found.candidates)
+    more = found.found or found.tolerance.give
+    made = {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
     functions = {t.key for f in found.found if f.unnamed for t in f.terms}
     if functions:
         named = whole.model.without(functions)

@@ -89,6 +89,11 @@ class Diagnosis:
         return self.fit.model
 
     @property
+    def gives_way(self) -> bool:
+        """Whether what every arm gives way by is in the model to use."""
+        return self.search.tolerance.give and self.written != CALIBRATED
+
+    @property
     def left_out(self) -> bool:
         """Whether something was found that the model to use leaves out."""
         return self.written != list(self.fits)[-1]
@@ -176,6 +181,9 @@ def _summary(found: Diagnosis) -> str:
     unnamed = f" {left} and has no name." if left else ""
     gain = f"Held-out mean error {_change(found)}"
     if found.verdict == "noise":
+        if found.gives_way:
+            text = "Every joint, seat and link yields a little; the model now holds this. "
+            return f"{text}Beyond it only noise is left. {gain}."
         text = "After calibration only noise is left; no effect was added."
         return f"{text} {gain} by the calibration."
     if found.verdict == "unknown":

@@ -31,9 +31,10 @@ from longarm_comp.core.identify.posterior.found import (
     instead,
 )
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
-from longarm_comp.core.identify.posterior.offers import TOLERANCES, offered, tolerances
+from longarm_comp.core.identify.posterior.offers import offered, tolerances
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
+from longarm_comp.core.identify.posterior.tolerance import BARE, TOLERANCES, Tolerance
 from longarm_comp.core.identify.step_scan import UnknownStep, scan
 from longarm_comp.core.model.model import Model
 
@@ -61,7 +62,7 @@ class ExplainedSession:
         noise: as judged last.
         candidates: the library as it was offered last.
         unknown_steps: where steps show, but not their size.
-        tolerance: share of its own shift by which the form of what was found may err.
+        tolerance: what moves the rows besides.
     """
 
     fit: ModelFit
@@ -70,7 +71,7 @@ class ExplainedSession:
     noise: NoiseEstimate
     candidates: tuple[Candidate, ...]
     unknown_steps: tuple[UnknownStep, ...] = ()
-    tolerance: float = 0.0
+    tolerance: Tolerance = BARE[-1]
 
     @property
     def chosen(self) -> tuple[Term, ...]:
@@ -203,12 +204,13 @@ class _Search:
             max_iterations=STEPS, close=NEAR, **start,  # type: ignore[arg-type]
         )  # fmt: skip
 
-    def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, float]:
+    def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Tolerance]:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
         columns, library = columns_at(fitted), self.candidates
         if not found:
-            beside = tolerances(fitted, columns, library, (), TOLERANCES[0])
-            return columns.without((), beside).evidence, TOLERANCES[0]
+            bare = ((columns.without((), tolerances(fitted, columns, library, (), t)), t)
+                    for t in BARE)  # fmt: skip
+            return max((marginal.evidence, t) for marginal, t in bare)
         every = (
             offered(fitted, columns, library, self.propositions, found, t, others=False)
             for t in TOLERANCES
@@ -256,8 +258,8 @@ class _Search:
             return -math.inf
 
     def _offered(self, state: _State) -> list[OfferedEffects]:
-        """By tolerance of the forms of what is in the model; one where there is nothing."""
-        tried = TOLERANCES if state.found else TOLERANCES[:1]
+        """By tolerance; forms count where something is in the model."""
+        tried = TOLERANCES if state.found else BARE
         library, functions = self.candidates, self.propositions
         return [
             offered(state.fit, state.columns, library, functions, state.found, t) for t in tried

@@ -27,6 +27,7 @@ from longarm_comp.core.identify.posterior.single_effects import (
     Offer,
     OfferBank,
 )
+from longarm_comp.core.identify.posterior.tolerance import Tolerance
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
 
@@ -45,16 +46,16 @@ class OfferedEffects:
         widths: (K,) units of the bank's columns.
         known: offers that were found before.
         base: log evidence of nothing.
-        tolerance: share of its own shift by which the form of what is in the model may err.
+        tolerance: what may move the rows besides.
     """
 
     fitted: ModelFit
     things: Sequence[Candidate]
     bank: OfferBank
     widths: np.ndarray
-    known: tuple[int, ...] = ()
-    base: float = 0.0
-    tolerance: float = 0.0
+    known: tuple[int, ...]
+    base: float
+    tolerance: Tolerance
 
     def explained(self) -> Explained:
         """The posterior over the offers."""

@@ -16,18 +16,17 @@ import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import FitColumns, FitMarginal, shift_of
+from longarm_comp.core.identify.give import GIVE, giving
 from longarm_comp.core.identify.linear import CHANCES, SIZES, Products
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
+from longarm_comp.core.identify.posterior.tolerance import Tolerance
 from longarm_comp.core.identify.structure import smooth_in
 from longarm_comp.core.model.model import slots_of
 
-TOLERANCES = (0.01, 0.03, 0.1)
-"""Shares of its own shift by which an effect's form may err, equally likely beforehand: play,
-friction and stiffness of real joints differ by a tenth from place to place along their way."""
 AMPLITUDES = (3.0, 30.0, 300.0)
 """Of a function without a name: prior standard deviations of its shift, in units of the noise."""
 
@@ -38,7 +37,7 @@ def offered(
     library: Sequence[Candidate],
     functions: Sequence[Proposition],
     found: Sequence[FoundEffect],
-    tolerance: float,
+    tolerance: Tolerance,
     *,
     others: bool = True,
 ) -> OfferedEffects:
@@ -50,7 +49,7 @@ def offered(
         library: the named effects.
         functions: without a name.
         found: what was found so far; it stays on offer in its present form.
-        tolerance: share of its own shift by which the form of each of these may err.
+        tolerance: what may move the rows besides.
         others: whether more than these is on offer.
     """
     arm = fitted.model.arm
@@ -151,28 +150,31 @@ def tolerances(
     columns: FitColumns,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
-    tolerance: float,
+    tolerance: Tolerance,
 ) -> np.ndarray | None:
     """(m, k) whitened: what is there besides what was found, and no finding.
 
-    That is what every arm has (`Parameter.usual`), and by how much the shift of each effect in the
-    model may differ from its form.  The latter varies with every joint, smoothly.  A row so near to
-    a threshold that the threshold's own tolerance decides its side says nothing of that side.
+    That is what every arm has (`Parameter.usual`, `give.py`), and by how much the shift of each
+    effect in the model may differ from its form.  The latter varies with every joint, smoothly.  A
+    row so near to a threshold that the threshold's own tolerance decides its side says nothing of
+    that side.
     """
     session = fitted.session
     ways = np.concatenate([smooth_in(q)[:, :2] for q in session.q.T], axis=1)
-    ways = ways * (tolerance / math.sqrt(max(ways.shape[1], 1)))
+    ways = ways * (tolerance.form / math.sqrt(max(ways.shape[1], 1)))
     arm = fitted.model.arm
     usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
     made = [columns.of(usual) * shares] if usual else []
+    if tolerance.give and (parts := giving(library)):
+        made.append(columns.of(parts) * GIVE)
     held = {t.key: t for t in fitted.model.terms}
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
             shift = shift_of(fitted, columns, terms)
             made.append(shift[:, :, None] * ways[:, None, :])
-            made += [_undecided(fitted, columns, t, tolerance) for t in terms if t.scales()]
+            made += [_undecided(fitted, columns, t, tolerance.form) for t in terms if t.scales()]
     return fitted.whitened(np.concatenate(made, axis=-1)) if made else None
 
 

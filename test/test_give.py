@@ -1,0 +1,90 @@
+"""What every arm gives way by: in the model where the rows ask for it, and named nowhere."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from touching import ARM
+
+from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.diagnosis import CALIBRATED, WITH_EFFECTS, Diagnosis
+from longarm_comp.core.identify.give import GIVE, giving
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+
+NOISE_M = 1e-4
+
+
+def parts() -> tuple[Effect, ...]:
+    """All joints, seats and links of a Panda."""
+    offered = library(ARM, rows_of(declared_model(ARM), 4).context()).testable
+    return tuple(t for t in giving(offered) if isinstance(t, Effect))
+
+
+def giving_way(size: float) -> Model:
+    """An arm whose parts give way by some of what a finding is, each by its own amount."""
+    model = declared_model(ARM).plus(*parts())
+    draws = np.abs(np.random.default_rng(3).standard_normal(len(model.slots)))
+    amounts = [
+        size * draw * s.parameter.width if s.owner.elastic else 0.0
+        for draw, s in zip(draws, model.slots, strict=True)
+    ]
+    return model.with_values(np.array(amounts))
+
+
+def rows_of(model: Model, count: int, seed: int = 5) -> Session:
+    """Positions that a tracker saw."""
+    rng = np.random.default_rng([seed, count])
+    q = ARM.lower + (ARM.upper - ARM.lower) * rng.random((count, ARM.n))
+    return Session.record(q, model.tip(q) + NOISE_M * rng.standard_normal((count, 3)))
+
+
+@cache
+def found(size: float) -> Diagnosis:
+    """The diagnosis of such an arm, functions and all."""
+    true = giving_way(size)
+    return diagnose(ARM, rows_of(true, 120), test=rows_of(true, 60, seed=6))
+
+
+def test_the_parts_are_joints_seats_and_links() -> None:
+    assert {t.name for t in parts()} == {"joint_compliance", "bearing_tilt", "link_bending"}
+    assert len(parts()) == 7 + 7 + 5
+
+
+def test_a_little_of_everything_is_in_the_model_and_no_finding() -> None:
+    """It takes off what calibration leaves, and its priors are a tenth of a finding's."""
+    diagnosis = found(GIVE)
+    assert diagnosis.search.tolerance.give
+    assert diagnosis.findings == ()
+    assert diagnosis.written == WITH_EFFECTS
+    elastic = [s for s in diagnosis.model.slots if s.owner.elastic]
+    assert {s.owner.key for s in elastic} == {t.key for t in parts()}
+    bare = dataclasses.replace(diagnosis.model, beyond=())
+    for slot, usual in zip(diagnosis.model.slots, bare.slots, strict=True):
+        if slot.owner.elastic:
+            assert slot.parameter.width == pytest.approx(GIVE * usual.parameter.width)
+    test = rows_of(giving_way(GIVE), 60, seed=7)
+    left = {
+        name: np.linalg.norm(errors(fit.model, test), axis=1).mean()
+        for name, fit in diagnosis.fits.items()
+    }
+    assert left[WITH_EFFECTS] < 0.7 * left[CALIBRATED]
+
+
+def test_a_rigid_arm_stays_rigid() -> None:
+    diagnosis = found(0.0)
+    assert not diagnosis.search.tolerance.give
+    assert diagnosis.written == CALIBRATED
+    assert not any(s.owner.elastic for s in diagnosis.model.slots)
+    assert "give way" not in diagnosis.summary
+
+
+def test_the_sentence_says_that_parts_give_way() -> None:
+    assert "give way a little, as in every arm" in found(GIVE).summary
