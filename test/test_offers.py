@@ -214,7 +214,13 @@ def test_so_do_those_that_stand_in_the_place_of_another() -> None:
     """Of a rival and its own look-alike one is judged, by a fit, and both have half of it."""
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
     fitted, found = explained_by(rows, Twin(2))
-    twin = judged(fitted, library(DEMO, rows.context(), KINDS).testable, found, 0.01)["twin"]
+    kinds = library(DEMO, rows.context(), KINDS).testable
+    twin = judged(fitted, kinds, found, 0.01)["twin"]
+    one_name = [c for c in kinds if c.name != "servo_droop"]
+    alone = dict(judged(fitted, one_name, found, 0.01)["twin"].names)
+    names = len({c.name for c in kinds})  # every name is as likely as any other
+    both = 2 * dict(twin.names)["joint_compliance"] / dict(twin.names)["twin"] * names
+    assert both == pytest.approx(alone["joint_compliance"] / alone["twin"] * (names - 1), rel=1e-3)
     for made in (twin, twin.against({"joint_compliance": -0.5})[0]):
         chances = dict(made.names)
         assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)

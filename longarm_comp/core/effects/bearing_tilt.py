@@ -43,7 +43,10 @@ class BearingTilt(JointTerm):
         return moving_joints(arm)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 10 mrad under the arm's typical torque."""
+        """Prior: 10 mrad under the arm's typical torque.
+
+        First seats of real arms, fitted: Justin 11 to 18 mrad, UR5 1, Pandas 0.2 to 4.
+        """
         return with_prior(self.declared(), prior=0.01 / typical_loads(arm)[1])
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:

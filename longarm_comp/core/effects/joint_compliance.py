@@ -40,7 +40,10 @@ class JointCompliance(JointTerm):
         return moving_joints(arm)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 20 mrad (2 % of the reach) under the arm's typical load."""
+        """Prior: 20 mrad (2 % of the reach) under the arm's typical load.
+
+        Fitted to real arms with all seats: Justin 43 to 75 mrad, WAM 18 and 24, Pandas up to 11.
+        """
         force, torque = typical_loads(arm)
         if arm.joints[self.joint - 1].type == "prismatic":
             return with_prior(self.declared(), unit="m/N", prior=0.002 * reach(arm) / force)

@@ -51,7 +51,10 @@ class LinkBending(Effect):
         return math.log(every / len(self.sites(arm)))
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 10 mrad over a quarter of the reach under the arm's typical torque."""
+        """Prior: 10 mrad over a quarter of the reach under the arm's typical torque.
+
+        A short bracket of that section turns by little, as the arm's own beams would.
+        """
         return with_prior(self.declared(), prior=0.01 / (typical_loads(arm)[1] * reach(arm) / 4))
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
