@@ -28,12 +28,12 @@ def banks(fit: ModelFit) -> tuple[Bank, ...]:
     at = posture(fit.model, rows)
     (spots, units), *seen_sides = sides(fit)
     functions = Functions(arm_inputs(arm, at, rows))
-    made = [Bank(spots, units, functions, _axes(arm, spots))]
+    made = [Bank(fit, spots, units, functions, _axes(arm, spots))]
     for spots, units in seen_sides:
         points = fit.model.measured(rows.q, rows.context())
         free = all(spot.component == DISTANCE for spot in spots)
         seen = Functions(camera_inputs(points, rows), None if free else SeenCoordinate)
-        made.append(Bank(spots, units, seen))
+        made.append(Bank(fit, spots, units, seen))
     return tuple(made)
 
 
