@@ -157,7 +157,7 @@ def diagnose(
         split_by=split_by,
         doubts=doubts(found.fit, unnamed),
         next_q=proposed(found.fit, unnamed, seed),
-        not_testable=(*offered.not_testable, *_unknown_steps(found)),
+        not_testable=offered.not_testable,
         train=train,
         held_out=held_out,
         holdout_uses=sealed.uses,
@@ -186,12 +186,6 @@ def _hash(model: Model) -> str:
     """SHA-256 of a model's terms and values."""
     terms = repr([t.variant for t in model.terms]).encode()
     return hashlib.sha256(terms + np.asarray(model.values, float).tobytes()).hexdigest()
-
-
-def _unknown_steps(found: ExplainedSession) -> list[tuple[str, str]]:
-    """(effect, why) where steps show, but not their size, and nothing of the kind was named."""
-    named = {(t.name, t.where) for t in found.chosen}
-    return [(u.name, u.why) for u in found.unknown_steps if (u.name, u.where) not in named]
 
 
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:

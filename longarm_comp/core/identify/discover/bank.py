@@ -177,8 +177,8 @@ class Bank:
                 members = [(k, alone[n]) for k in self._vectors[v]]
                 yield self._hypothesis(members, self._single[n])
         every = self.functions.each_joint if self._axes else []
-        for members in every:
-            seen = [(self._axes[j], f) for j, f in members if np.isfinite(worth[self._axes[j], f])]
+        for joints in every:
+            seen = [(self._axes[j], f) for j, f in joints if np.isfinite(worth[self._axes[j], f])]
             if len(seen) > 1:
                 yield self._hypothesis(seen, None)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
@@ -22,7 +22,7 @@ from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
-from longarm_comp.core.identify.posterior.forms import refined, retuned
+from longarm_comp.core.identify.posterior.forms import refined
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     Explained,
@@ -34,7 +34,7 @@ from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import TOLERANCES, offered, tolerances
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
-from longarm_comp.core.identify.step_scan import UnknownStep, scan
+from longarm_comp.core.identify.step_scan import scan
 from longarm_comp.core.model.model import Model
 
 Functions = Callable[[ModelFit, Sequence[FoundEffect]], tuple[Proposition, ...]]
@@ -60,7 +60,6 @@ class ExplainedSession:
         doubtful: single effects that may be there, not in the model.
         noise: as judged last.
         candidates: the library as it was offered last.
-        unknown_steps: where steps show, but not their size.
         tolerance: share of its own shift by which the form of what was found may err.
     """
 
@@ -69,7 +68,6 @@ class ExplainedSession:
     doubtful: tuple[FoundEffect, ...]
     noise: NoiseEstimate
     candidates: tuple[Candidate, ...]
-    unknown_steps: tuple[UnknownStep, ...] = ()
     tolerance: float = 0.0
 
     @property
@@ -131,7 +129,6 @@ class _Search:
     known: NoiseEstimate | None
     stepped: Sequence[type[Effect]]
     propositions: tuple[Proposition, ...] = ()
-    unknown: dict[str, UnknownStep] = field(default_factory=dict)
 
     def run(self, functions: bool, say: Callable[[str], None]) -> ExplainedSession:
         say("geometry")
@@ -152,7 +149,6 @@ class _Search:
             doubtful,
             state.noise,
             tuple(self.candidates),
-            tuple(self.unknown.values()),
             self._standing(state.fit, state.found)[1],
         )
 
@@ -266,10 +262,8 @@ class _Search:
     def _scan(self, state: _State) -> None:
         """Offer the steps that the residual shows."""
         need = NONE + math.log(max(len(self.candidates), 1))
-        scans = [scan(state.fit, state.columns, kind, need) for kind in self.stepped]
-        shown = [candidate for each in scans for candidate in each.found]
+        shown = [c for kind in self.stepped for c in scan(state.fit, state.columns, kind, need)]
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
-        self.unknown |= {each.where: each for made in scans for each in made.unknown}
 
     def _taken(self, state: _State, found: tuple[FoundEffect, ...]) -> _State | None:
         """The model fitted with what was found; None where that runs away."""
@@ -338,10 +332,7 @@ class _Search:
         if not term.scales():
             return term
         fitted = next(t for t in state.fit.model.terms if t.key == term.key)
-        better = retuned(state.fit, state.columns, fitted)
-        if better is not fitted:
-            return better
-        return refined(state.fit, state.columns, term, self.candidates)
+        return refined(state.fit, state.columns, fitted, self.candidates)
 
 
 def _loose(found: FoundEffect) -> FoundEffect:
