@@ -20,8 +20,7 @@ from longarm_comp.core.identify.diagnosis import (
     WITH_FUNCTIONS,
     Diagnosis,
 )
-from longarm_comp.core.identify.discover.causes import causes
-from longarm_comp.core.identify.discover.propose import doubts, proposed
+from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.fit import fit
@@ -37,7 +36,7 @@ from longarm_comp.core.identify.proof import LearnedCorrection, prove
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import examine
 from longarm_comp.core.identify.unseen import with_unseen
-from longarm_comp.core.identify.wind_up import as_fitted, refined, wind_up, with_run_ups
+from longarm_comp.core.identify.wind_up import as_fitted, run_up, taken, with_run_ups
 from longarm_comp.core.identify.written import expected_commanded, least
 from longarm_comp.core.model.model import Model
 
@@ -79,13 +78,12 @@ def diagnose(
         JobError: a fit did not stay finite, or what is left is no instrument's noise.
     """
     say = progress or (lambda _: None)
-    rng = np.random.default_rng(seed)
 
     @cache
-    def rows(run_up: float) -> tuple[Session, Session]:
+    def rows(length: float) -> tuple[Session, Session]:
         """To fit and to hold out, with unrecorded run-ups taken to be so long (rad)."""
-        held = None if test is None else with_run_ups(test, arm, run_up)
-        return _split(with_run_ups(session, arm, run_up), held, seed)
+        held = None if test is None else with_run_ups(test, arm, length)
+        return _split(with_run_ups(session, arm, length), held, seed)
 
     nominal = model or declared_model(arm)
     session = as_fitted(session, nominal)
@@ -96,9 +94,9 @@ def diagnose(
     offered = library(arm, train.context(), kinds, start.terms)
     candidates = offered.testable
     say("memory of the joints")
-    memory = wind_up(start, lambda run_up: rows(run_up)[0], candidates)
-    if memory is not None:
-        candidates, (train, rest) = memory.candidates(candidates), rows(memory.run_up)
+    length = run_up(start, lambda length: rows(length)[0], candidates)
+    if length:
+        candidates, (train, rest) = taken(candidates, length), rows(length)
     found = explain_session(
         start,
         train,
@@ -107,14 +105,11 @@ def diagnose(
         stepped=offered.stepped,
         progress=say,
     )
-    if memory is not None:
-        found, memory = refined(found, memory, lambda run_up: rows(run_up)[0])
-        candidates, (train, rest) = memory.candidates(candidates), rows(memory.run_up)
     say("structure")
     fits = _fits(start, found)
     columns = columns_at(found.fit)
     beside = tolerances(found.fit, columns, found.candidates, found.found, found.tolerance)
-    structure = examine(found.fit, fits[CALIBRATED], rng, beside)
+    structure = examine(found.fit, fits[CALIBRATED], beside)
     expected = expected_commanded(fits, found.found)
     written = least(expected)
     final = fits[written]
@@ -135,7 +130,7 @@ def diagnose(
     }
     open_ = [f for f in named if f.alternatives]
     split_by = tuple(next_poses(found, f, f.alternatives[0], POSES_TO_SPLIT, seed) for f in open_)
-    ends = intervals(final, added, candidates, rng)
+    ends = intervals(final, added, candidates)
     sealed = Sealed(rest)
     finished = _hash(final.model)
     sealed.release(finished)

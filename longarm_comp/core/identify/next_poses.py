@@ -10,10 +10,8 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.identify.candidates import CandidateColumns
 from longarm_comp.core.identify.findings import EffectFinding, Rival
 from longarm_comp.core.identify.model_fit import ModelFit, priors
+from longarm_comp.core.identify.optimal_poses import POOL
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
-
-POOL = 512
-"""Poses that are looked at: of six joints each has three values then."""
 
 
 @dataclass(frozen=True)

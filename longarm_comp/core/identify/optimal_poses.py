@@ -25,7 +25,7 @@ from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import whiten
-from longarm_comp.core.identify.sensor_frames import started
+from longarm_comp.core.identify.placement import started
 from longarm_comp.core.model.model import Model, Slot
 
 Criterion = Literal["i-optimal", "d-optimal"]

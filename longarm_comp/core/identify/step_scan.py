@@ -14,7 +14,7 @@ import numpy as np
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.evidence import FitColumns, FitMarginal
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import slots_of
 
@@ -41,7 +41,7 @@ def scan(
         kind: the effect (`Effect.of_step`).
         need: log evidence that a step must have, its own price paid.
     """
-    arm, marginal, kept = fitted.model.arm, FitMarginal(fitted), fitted.weights > 0
+    arm, marginal, kept = fitted.model.arm, columns.without(()), fitted.weights > 0
     have = {joint for t in fitted.model.effects if isinstance(t, kind) for joint in t.joints}
     rows = [row for row in arm.commanded if row not in have]
     motions = [JointZero(row) for row in rows]

@@ -22,7 +22,7 @@ from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
-from longarm_comp.core.identify.posterior.forms import refined
+from longarm_comp.core.identify.posterior.forms import BETTER, refined
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     Explained,
@@ -42,8 +42,6 @@ ROUNDS = 8
 """Of posterior and fit, at most, of the library and then of functions; three are usual."""
 REFORMED = 3
 """Times that forms are moved between two rounds, each time with the rest as it has become."""
-BETTER = 1.0
-"""Log evidence by which an explanation must be better to take the place of the one in the model."""
 STEPS = 6
 """Gauss-Newton steps of a fit between rounds; the last fit converges."""
 NEAR = 0.3
@@ -111,12 +109,16 @@ def explain_session(
 
 @dataclass(frozen=True)
 class _State:
-    """A model with what was found in it, fitted; the noise, and columns at that fit."""
+    """A model with what was found in it, fitted; the noise."""
 
     found: tuple[FoundEffect, ...]
     fit: ModelFit
     noise: NoiseEstimate
-    columns: FitColumns
+
+    @property
+    def columns(self) -> FitColumns:
+        """Of candidates at that fit."""
+        return columns_at(self.fit)
 
 
 @dataclass
@@ -285,14 +287,11 @@ class _Search:
         held = {t.key for f in found for t in f.terms}
         judged, weights = noise_step.from_residual(first, at.of(distinct(self.candidates, held)))
         noise = judged if self.known is None else noise_step.agreed(self.known, judged)
-        return self._looked(
-            found,
-            fit(
-                first.model, self.session, sigma=noise.sigma, rho=noise.rho, weights=weights,
-                max_iterations=STEPS, close=NEAR, begun=first,
-            ),
-            noise,
+        fitted = fit(
+            first.model, self.session, sigma=noise.sigma, rho=noise.rho, weights=weights,
+            max_iterations=STEPS, close=NEAR, begun=first,
         )  # fmt: skip
+        return _State(found, fitted, noise)
 
     def _settled(self, state: _State) -> _State:
         """The last fit taken to its end."""
@@ -300,14 +299,7 @@ class _Search:
         done = fit(
             was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights, begun=was
         )
-        return self._looked(state.found, done, state.noise)
-
-    def _looked(
-        self, found: tuple[FoundEffect, ...], fitted: ModelFit, noise: NoiseEstimate
-    ) -> _State:
-        columns = columns_at(fitted)
-        columns.prepare(distinct(self.candidates))
-        return _State(found, fitted, noise, columns)
+        return replace(state, fit=done)
 
     def _reformed(self, state: _State, say: Callable[[str], None]) -> _State:
         """Forms on a scale moved to where the evidence is highest, each with the rest as it is."""

@@ -20,13 +20,13 @@ from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 LOOKS = 7
-"""Values looked at side by side; then as many again around the best of them, and so on."""
+"""Values looked at side by side; then as many again around the best of them, and so on.  Where rows
+were set aside that may want any value, all of two such looks are looked at first."""
 CLOSER = 4
 """Times: the last values are a thousandth of the range apart."""
-VALUES = 33
-"""Values of each scale that are looked at where rows were set aside: they may want any of them."""
-WORTH = 0.5
-"""Log evidence that a form must bring to be taken instead of the one that is there."""
+BETTER = 1.0
+"""Log evidence by which an explanation, or a form, must be better to take the place of the one in
+the model."""
 
 
 def refined(
@@ -54,7 +54,7 @@ def refined(
     scales = term.scales()
     if (fit.weights == 0).any():
         ends = [(float(getattr(term, field)), low) for field, (low, _) in scales.items()]
-        lines = [np.linspace(low, high, VALUES).tolist() for low, high in scales.values()]
+        lines = [np.linspace(low, high, LOOKS**2).tolist() for low, high in scales.values()]
         crosses = [
             [*centre[:k], value, *centre[k + 1 :]]
             for centre in zip(*ends, strict=True)
@@ -62,7 +62,7 @@ def refined(
             for value in line
         ]
         looks = [_at(term, list(scales), np.array(point)) for point in crosses]
-        if agreement(looks).max() > agreement([term])[0] + WORTH:
+        if agreement(looks).max() > agreement([term])[0] + BETTER:
             return _highest(term, np.array(crosses), agreement)
     tried = itertools.product(*(_tried(term, field, candidates) for field in scales))
     return _highest(term, np.array(list(tried)), evidence)
@@ -74,7 +74,7 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
     The term where none is better.
     """
     fields = list(term.scales())
-    least = float(worth([term])[0]) + WORTH
+    least = float(worth([term])[0]) + BETTER
     best, here = -np.inf, term
     for _ in range(CLOSER + 1):
         found = worth([_at(term, fields, point) for point in grid])
@@ -82,7 +82,7 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
         centre = chances @ grid / chances.sum()
         looked = [_at(term, fields, point) for point in (centre, grid[int(np.argmax(found))])]
         for moved, now in zip(looked, worth(looked).tolist(), strict=True):
-            if now > best + WORTH:
+            if now > best + BETTER:
                 best, here = now, moved
         reach = (
             _beside(float(getattr(here, f)), np.unique(v))

@@ -13,8 +13,14 @@ from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.quantities import AXES
 from longarm_comp.core.effects.shapes import Shape, Threshold, Wave
 from longarm_comp.core.identify.candidates import Term
-from longarm_comp.core.identify.discover.bank import Bank, Hypothesis, marginal_of
-from longarm_comp.core.identify.discover.banks import CAMERA, banks, term_of
+from longarm_comp.core.identify.discover.bank import (
+    CAMERA,
+    Bank,
+    Hypothesis,
+    banks,
+    marginal_of,
+    term_of,
+)
 from longarm_comp.core.identify.discover.functions import nearby
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
