@@ -218,7 +218,7 @@ def optimal_poses(
     pool = pool.take(kept)
     x = uncertain.measures(pool, measure)
     tips = uncertain.tips(random_joints(arm, REFERENCE, rng))
-    choice = _Choice(x, uncertain.information, tips if criterion == "i-optimal" else None)
+    choice = Choice(x, uncertain.information, tips if criterion == "i-optimal" else None)
     begun = _first_touches(pool)[: n // 2]
     chosen = choice.exchanged(choice.grown(begun, n - len(begun)))
     more = choice.grown(chosen, AHEAD)
@@ -236,7 +236,7 @@ def _first_touches(pool: Plan) -> list[int]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Choice:
+class Choice:
     """Choice among M poses.
 
     Attributes:
@@ -302,7 +302,7 @@ class _Known:
         left: (M, d, d) x C tips C x' of every pose.
     """
 
-    choice: _Choice
+    choice: Choice
     covariance: np.ndarray
     own: np.ndarray
     error: np.ndarray | None = None
