@@ -183,14 +183,12 @@ def _hash(model: Model) -> str:
 
 
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
-    train, rest = _divided(session, test, seed)
-    return spread(train, MOST_ROWS), rest
-
-
-def _divided(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
+    """Rows to fit and to hold out: as given, as labelled, or by blocks."""
+    roles = session.labels.get("role", np.array([]))
     if test is not None:
-        return session, test
-    roles = session.labels.get("role")
-    if roles is not None and (roles == "test").any() and (roles != "test").any():
-        return session.take(roles != "test"), session.take(roles == "test")
-    return blocked_split(session, rng=seed)
+        train, rest = session, test
+    elif (roles == "test").any() and (roles != "test").any():
+        train, rest = session.take(roles != "test"), session.take(roles == "test")
+    else:
+        train, rest = blocked_split(session, rng=seed)
+    return spread(train, MOST_ROWS), rest

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from longarm_comp.core.effects.components import COMPONENTS, Move, Turn
 from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.quantities import AXES
 from longarm_comp.core.effects.shapes import Shape, Threshold, Wave
-from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.discover.bank import (
     CAMERA,
     Bank,
@@ -24,7 +22,7 @@ from longarm_comp.core.identify.discover.bank import (
 from longarm_comp.core.identify.discover.functions import nearby
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.posterior.found import Proposition
+from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
 
 REFINED = 4
 """Candidates of a bank that are tried with other thresholds and frequencies."""
@@ -36,12 +34,7 @@ LOOKS = np.log(4.0)
 """Log odds paid for them."""
 
 
-class HasTerms(Protocol):
-    @property
-    def terms(self) -> tuple[Term, ...]: ...
-
-
-def propositions(fit: ModelFit, found: Sequence[HasTerms]) -> tuple[Proposition, ...]:
+def propositions(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Proposition, ...]:
     """The functions that explain most, on top of everything and in the place of what was found.
 
     Args:
