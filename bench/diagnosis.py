@@ -1,6 +1,6 @@
 """Benchmarks of diagnosis: time and memory over samples and over candidates.
 
-They cover all steps: geometry, search, structure, aliases, bootstrap, proof on a sealed hold-out
+They cover all steps: geometry, search, structure, intervals, proof on a sealed hold-out
 and next poses.  Two effects are hidden in the session, a compliant joint 2 and play in joint 4.
 """
 
@@ -53,7 +53,7 @@ def _facts(cost: Cost) -> dict[str, Any]:
 
 
 def beside_goal(repeats: int = 3) -> Result:
-    """The whole diagnosis of 300 samples with bootstrap, one core; goal 30 s."""
+    """The whole diagnosis of 300 samples, one core; goal 30 s."""
     costs = [_cost(300, len(LIBRARY), seed) for seed in range(repeats)]
     each = [cost.result["cpu_s"] for cost in costs]
     return beside("s CPU", each, "goal", [GOAL_S], **_facts(costs[0]))

@@ -14,8 +14,9 @@ from longarm_comp.core.effects.joint_term import reach, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.evidence import FitMarginal, columns_at
+from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 from longarm_comp.core.model.model import Model
 from studies.real_sessions import declared
@@ -29,7 +30,7 @@ def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
     rigid = scale * (truth.tip(fitted.session.q) - fitted.model.tip(fitted.session.q))
     softer = Candidate("link_stiffness", (LinkStiffness(beam=DEMO.links[-1].name),))
     columns = columns_at(fitted)
-    marginal = FitMarginal(fitted, data=fitted.data + fitted.whitened(rigid[..., None])[:, 0])
+    marginal = Marginal(fitted.design, fitted.data + fitted.whitened(rigid[..., None])[:, 0])
     white = fitted.whitened(columns.of(softer.terms))[:, 0]
     u = np.linspace(-0.9 / 0.5, 8.0, 400_001)
     s, t = white @ marginal.project(white), white @ marginal.py

@@ -25,10 +25,9 @@ from longarm_comp.core.effects.shapes import Legendre, Linear, Square, Switch
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.discover.causes import Cause, causes
+from longarm_comp.core.identify.discover.causes import POSES, Cause, causes, doubts, proposed
 from longarm_comp.core.identify.discover.functions import Functions, switch
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
-from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, loads

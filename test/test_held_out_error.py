@@ -11,8 +11,7 @@ from small_arm import ARM
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.structure import Structure
-from longarm_comp.core.identify.unseen import with_unseen
+from longarm_comp.core.identify.structure import Structure, with_unseen
 
 NOTHING = Structure(False, 0.5, (), 0.0, 1.0, ())
 

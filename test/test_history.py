@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,12 @@ from longarm_comp.core.compensation.online import Readings, compensate_now
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.wind_up import as_fitted
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.arm_truth import TrueArm
@@ -309,6 +313,17 @@ def commanded(arm: Arm, model: Model) -> float:
         tip = truly.tip(arrival.outcome.command, TrueContext(behind=after.behind))
         misses.append(np.linalg.norm(tip - target))
     return float(np.mean(misses))
+
+
+def test_a_model_keeps_the_run_ups_that_it_was_fitted_with(rng: np.random.Generator) -> None:
+    """What it holds is not tried again, so nothing else may take them to be unknown."""
+    model = declared_model(ARM).plus(FrictionHysteresis(2, far=0.1, run_up=0.05, width=0.01))
+    q = ARM.lower + (ARM.upper - ARM.lower) * (0.1 + 0.8 * rng.random((60, ARM.n)))
+    told = Session.record(q, np.zeros((60, 3)), approach=rng.choice([-1.0, 1.0], 60))
+    context = as_fitted(told, model).context()
+    seen = model.tip(q, context) + 1e-4 * rng.standard_normal((60, 3))
+    found = diagnose(ARM, dataclasses.replace(told, xyz=seen), model=model, kinds=(JointGain,))
+    assert (found.train.legs != 0).any(axis=(1, 2)).all()
 
 
 def test_along_a_path_every_way_point_has_the_history_of_a_move_there() -> None:

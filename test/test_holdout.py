@@ -13,7 +13,7 @@ from longarm_comp.core.data import holdout
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.proof import block_means
+from longarm_comp.core.identify.practical import Gain
 from longarm_comp.sim.hidden import drives
 
 GAIN = (drives.JointGain(at(2, 0.02)),)
@@ -68,9 +68,12 @@ def test_what_is_held_out_selects_nothing() -> None:
     assert unfair.rows["with_effects"].mean > 0.03
 
 
-def test_blocks_of_a_bootstrap_stay_whole(rng: np.random.Generator) -> None:
+def test_a_gain_is_as_sure_as_its_blocks(rng: np.random.Generator) -> None:
     """Errors that last for a block leave fewer independent ones than rows."""
-    even = block_means(np.ones(100), rng)
-    np.testing.assert_allclose(even, 1.0)
-    lasting = np.repeat(rng.standard_normal(20), 50)
-    assert block_means(lasting, rng).std() == pytest.approx(lasting.std() / np.sqrt(20), rel=0.1)
+    lasting = np.repeat(1.0 + 0.1 * rng.standard_normal(20), 50)
+    before = np.outer(lasting, [1.0, 0.0, 0.0])
+    low, high = Gain.of(before, 0.0 * before).ci95
+    assert low < lasting.mean() < high
+    assert high - low == pytest.approx(2 * 1.96 * lasting.std() / np.sqrt(20), rel=0.05)
+    low, high = Gain.of(before, before).ci95
+    assert low == high == 0.0

@@ -38,7 +38,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.sensor_frames import started
+from longarm_comp.core.identify.placement import started
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.record import checked

@@ -21,7 +21,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.optimal_poses import Uncertainty, _Choice, optimal_poses
+from longarm_comp.core.identify.optimal_poses import Choice, Uncertainty, optimal_poses
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.poses import read_poses
@@ -46,9 +46,9 @@ def test_a_gain_is_what_the_criterion_loses(unknown: Uncertainty) -> None:
     x = unknown.measures(sobol(ARM, 20, 1), "position")
     tips = unknown.tips(random_joints(ARM, 50, 2))
     for weight in (tips, None):
-        choice = _Choice(x, unknown.information, weight)
+        choice = Choice(x, unknown.information, weight)
 
-        def criterion(rows: list[int], choice: _Choice = choice) -> float:
+        def criterion(rows: list[int], choice: Choice = choice) -> float:
             cover = choice.covariance(rows)
             if choice.tips is None:
                 return float(np.linalg.slogdet(cover)[1])
@@ -70,7 +70,7 @@ def test_no_digits_are_lost_while_everything_is_unknown() -> None:
     """The poses are those that a new inverse each time would choose."""
     wide = Uncertainty.of(Model(ARM), None, "position", known=False, sigma=NOISE)
     tips = wide.tips(random_joints(ARM, 50, 2))
-    choice = _Choice(wide.measures(sobol(ARM, 64, 1), "position"), wide.information, tips)
+    choice = Choice(wide.measures(sobol(ARM, 64, 1), "position"), wide.information, tips)
     anew: list[int] = []
     for _ in range(20):
         anew.append(choice.after(anew).best(anew))

@@ -1,4 +1,4 @@
-"""Servo steps of a size that nobody declared: found, paid for, or said to be unknown."""
+"""Servo steps of a size that nobody declared: found, and paid for."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import FitMarginal, columns_at
+from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 from longarm_comp.core.model.model_file import load_model, save_model, store
@@ -76,18 +76,13 @@ def test_nothing_hidden_shows_no_step(levels: int) -> None:
     for seed in range(6):
         state = looked(session(n=150, seed=seed, levels=levels))
         assert steps(state) == []
-        assert not state.unknown_steps
 
 
-def test_on_few_levels_a_step_is_unknown_and_never_added() -> None:
+def test_on_few_levels_a_step_is_not_looked_for() -> None:
     hidden = drives.ServoQuantisation(at(2, math.radians(0.77)))
     rows = session([hidden], n=200, seed=3, levels=5)
     state = looked(rows)
     assert not any(c.scanned for c in state.candidates)
-    (step,) = state.unknown_steps
-    assert step.where == "joint 2"
-    why = step.why
-    assert why.startswith("step unknown at joint 2, which stood at 5 positions only: ")
     assert steps(looked(session([hidden], n=200, seed=3))) == [2]
 
 
@@ -99,7 +94,6 @@ def test_on_few_levels_a_step_is_unknown_and_never_added() -> None:
 def test_what_is_no_step_is_not_taken_for_one(hidden: HiddenEffect) -> None:
     state = looked(session([hidden], n=200, seed=3))
     assert steps(state) == []
-    assert not state.unknown_steps
 
 
 def test_a_step_that_was_looked_for_pays_for_the_looking() -> None:
@@ -110,7 +104,8 @@ def test_a_step_that_was_looked_for_pays_for_the_looking() -> None:
     assert odd.price(ARM) == pytest.approx(math.log(4 * wide / STEP))
     assert listed.price(ARM) == declared.price(ARM) == 0.0
     fitted = looked(session(n=60)).fit
-    marginal, columns = FitMarginal(fitted), columns_at(fitted)
+    columns = columns_at(fitted)
+    marginal = columns.without(())
     (found,) = evidence_of_each(fitted, marginal, columns, [Candidate(odd.name, (odd,))])
     shift = fitted.whitened(columns.shift([odd])[..., None])[:, 0]
     gain = marginal.project(shift) @ (marginal.y - 0.5 * shift)

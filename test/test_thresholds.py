@@ -14,13 +14,13 @@ from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import OUTLIER
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.explain import explain_session
-from longarm_comp.core.identify.posterior.forms import retuned
+from longarm_comp.core.identify.posterior.forms import refined
 from longarm_comp.core.model.model import Model
 
 PLAY = Backlash(6, gate=0.1, blend=0.01, width=0.03)
@@ -54,6 +54,10 @@ def fitted(arm: Arm, rows: Session, start: Backlash, *others: JointCompliance) -
     return fit(model, rows, sigma=SIGMA)
 
 
+def tried(arm: Arm, rows: Session) -> tuple[Candidate, ...]:
+    return library(arm, rows.context(), (Backlash,)).testable
+
+
 def play_of(found: ModelFit) -> Backlash:
     term = next(t for t in found.model.terms if t.name == "backlash")
     assert isinstance(term, Backlash)
@@ -66,11 +70,10 @@ def test_rows_set_aside_on_the_wrong_side_move_the_threshold(
 ) -> None:
     found = fitted(arm, rows, dataclasses.replace(PLAY, gate=gate, blend=blend))
     assert len(found.outliers) > 1
-    moved = retuned(found, columns_at(found), play_of(found))
+    moved = refined(found, columns_at(found), play_of(found), tried(arm, rows))
     assert isinstance(moved, Backlash)
     assert moved.gate == pytest.approx(0.1, abs=0.01)
     assert moved.blend < 0.03
-    assert moved.width == play_of(found).width
 
 
 def test_a_threshold_that_rows_agree_on_stays(arm: Arm, rows: Session) -> None:
@@ -80,8 +83,8 @@ def test_a_threshold_that_rows_agree_on_stays(arm: Arm, rows: Session) -> None:
     for session in (rows, dataclasses.replace(rows, xyz=xyz)):
         found = fitted(arm, session, PLAY, JointCompliance(2))
         columns = columns_at(found)
-        for term in found.model.effects[-2:]:
-            assert retuned(found, columns, term) is term
+        moved = refined(found, columns, play_of(found), tried(arm, rows))
+        assert moved.gate == pytest.approx(0.1, abs=0.01)  # type: ignore[union-attr]
     assert (np.abs(found.residual[[3, 40, 71]]) > OUTLIER * SIGMA).any(axis=1).all()
 
 

@@ -34,7 +34,7 @@ from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.optimal_poses import Uncertainty
-from longarm_comp.core.identify.sensor_frames import started
+from longarm_comp.core.identify.placement import started
 from longarm_comp.core.identify.standing import untold
 from longarm_comp.core.identify.touch_poses import touch_pool
 from longarm_comp.core.model.declared_model import declared_model

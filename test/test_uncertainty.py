@@ -21,13 +21,13 @@ from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.joint_gain import JointGain as Gain
 from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.arm_share import arm_share
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.uncertainty import (
     LeftOut,
     about_the_mean,
+    arm_share,
     uncertainty,
     with_uncertainty,
 )

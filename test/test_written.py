@@ -21,7 +21,7 @@ from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.posterior.found import FoundEffect
-from longarm_comp.core.identify.written import expected_commanded, least
+from longarm_comp.core.identify.practical import expected_commanded, least
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import checked

@@ -13,8 +13,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import WITH_EFFECTS, WITH_FUNCTIONS, Diagnosis
 from longarm_comp.core.identify.discover.causes import Cause
-from longarm_comp.core.identify.findings import EffectFinding
-from longarm_comp.core.identify.in_words import left_in_words
+from longarm_comp.core.identify.findings import EffectFinding, left_in_words
 from longarm_comp.core.identify.practical import Gain, Practical, practical
 from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.report.candidate_states import candidate_rows, sizes

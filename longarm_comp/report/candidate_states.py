@@ -9,8 +9,9 @@ from typing import Any
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
-from longarm_comp.core.identify.visible_size import IMPLAUSIBLE, Smallest, detectable
+from longarm_comp.core.identify.visible_size import Smallest, detectable
 
 Label = tuple[str, str]
 
@@ -89,7 +90,7 @@ def _unseen(one: Smallest) -> str:
         return "would not show at any size: the geometry explains it, or the poses do not excite it"
     return (
         f"would show above {1e3 * one.shift_m:.1f} mm at the tip only, {one.size:.0f} times its "
-        f"typical size (believed up to {IMPLAUSIBLE:.0f})"
+        f"typical size (believed up to {INCREDIBLE:.0f})"
     )
 
 

@@ -142,9 +142,8 @@ class _Term:
             any displacement of that joint at the tip, and remaining structure is sought in it.
         stepped: has steps of a size that a scan finds (`of_step`).
         bends_beams: the declared beams bend by it.
-        remembers: how far its joint winds up is part of its form: `near` and `far`, radii of two
-            play operators, and `run_up`, one for the whole session, which are sought in the data.
-            Its first parameter is what the side of arrival alone decides.
+        remembers: of its joint's history. The length that unrecorded run-ups were taken to have is
+            part of its form: `run_up`, one for the whole session, which is sought in the data.
         bounded: holds within the data that it was found in only (`Effect.outside`).
         acts: where it acts: a motor's encoder sees ``servo``, one at the joint ``gear`` too.
     """

@@ -40,8 +40,8 @@ class FrictionHysteresis(JointTerm):
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     remembers: ClassVar[bool] = True
 
-    near: float = form(0.04)
-    far: float = form(0.15)
+    near: float = form(0.04, lower=0.01, upper=0.6)
+    far: float = form(0.15, lower=0.01, upper=0.6)
     run_up: float = form(0.0)
     width: float = parameter("rad", "full width, from side to side", prior=0.01, lower=0.0)
     inner: float = parameter("rad", "part that winds up over `near`", prior=3e-3, lower=0.0)

@@ -20,8 +20,7 @@ from longarm_comp.core.identify.diagnosis import (
     WITH_FUNCTIONS,
     Diagnosis,
 )
-from longarm_comp.core.identify.discover.causes import causes
-from longarm_comp.core.identify.discover.propose import doubts, proposed
+from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.fit import fit
@@ -34,12 +33,11 @@ from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.plausible import check_fits, check_noise
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.offers import tolerances
+from longarm_comp.core.identify.practical import expected_commanded, least
 from longarm_comp.core.identify.proof import LearnedCorrection, prove
 from longarm_comp.core.identify.standing import standing
-from longarm_comp.core.identify.structure import examine
-from longarm_comp.core.identify.unseen import with_unseen
-from longarm_comp.core.identify.wind_up import as_fitted, refined, wind_up, with_run_ups
-from longarm_comp.core.identify.written import expected_commanded, least
+from longarm_comp.core.identify.structure import examine, with_unseen
+from longarm_comp.core.identify.wind_up import as_fitted, run_up, taken, with_run_ups
 from longarm_comp.core.model.model import Model
 
 POSES_TO_SPLIT = 12
@@ -80,13 +78,12 @@ def diagnose(
         JobError: a fit did not stay finite, or what is left is no instrument's noise.
     """
     say = progress or (lambda _: None)
-    rng = np.random.default_rng(seed)
 
     @cache
-    def rows(run_up: float) -> tuple[Session, Session]:
+    def rows(length: float) -> tuple[Session, Session]:
         """To fit and to hold out, with unrecorded run-ups taken to be so long (rad)."""
-        held = None if test is None else with_run_ups(test, arm, run_up)
-        return _split(with_run_ups(session, arm, run_up), held, seed)
+        held = None if test is None else with_run_ups(test, arm, length)
+        return _split(with_run_ups(session, arm, length), held, seed)
 
     nominal = model or declared_model(arm)
     session = as_fitted(session, nominal)
@@ -97,9 +94,9 @@ def diagnose(
     offered = library(arm, train.context(), kinds, start.terms)
     candidates = offered.testable
     say("memory of the joints")
-    memory = wind_up(start, lambda run_up: rows(run_up)[0], candidates)
-    if memory is not None:
-        candidates, (train, rest) = memory.candidates(candidates), rows(memory.run_up)
+    length = run_up(start, lambda length: rows(length)[0], candidates)
+    if length:
+        candidates, (train, rest) = taken(candidates, length), rows(length)
     found = explain_session(
         start,
         train,
@@ -108,15 +105,12 @@ def diagnose(
         stepped=offered.stepped,
         progress=say,
     )
-    if memory is not None:
-        found, memory = refined(found, memory, lambda run_up: rows(run_up)[0])
-        candidates, (train, rest) = memory.candidates(candidates), rows(memory.run_up)
     say("structure")
     fits = _fits(start, found)
     columns = columns_at(found.fit)
     beside = tolerances(found.fit, columns, found.candidates, found.found, found.tolerance)
     fullest = list(fits.values())[-1]
-    structure = examine(fullest, fits[CALIBRATED], rng, beside)
+    structure = examine(fullest, fits[CALIBRATED], beside)
     expected = expected_commanded(fits, found.found)
     written = least(expected)
     final = fits[written]
@@ -137,7 +131,7 @@ def diagnose(
     }
     open_ = [f for f in named if f.alternatives]
     split_by = tuple(next_poses(found, f, f.alternatives[0], POSES_TO_SPLIT, seed) for f in open_)
-    ends = intervals(final, added, candidates, rng)
+    ends = intervals(final, added, candidates)
     sealed = Sealed(rest)
     finished = _hash(final.model)
     sealed.release(finished)
@@ -159,7 +153,7 @@ def diagnose(
         split_by=split_by,
         doubts=doubts(found.fit, unnamed),
         next_q=proposed(found.fit, unnamed, seed),
-        not_testable=(*offered.not_testable, *_unknown_steps(found)),
+        not_testable=offered.not_testable,
         train=train,
         held_out=held_out,
         holdout_uses=sealed.uses,
@@ -193,21 +187,13 @@ def _hash(model: Model) -> str:
     return hashlib.sha256(terms + np.asarray(model.values, float).tobytes()).hexdigest()
 
 
-def _unknown_steps(found: ExplainedSession) -> list[tuple[str, str]]:
-    """(effect, why) where steps show, but not their size, and nothing of the kind was named."""
-    named = {(t.name, t.where) for t in found.chosen}
-    return [(u.name, u.why) for u in found.unknown_steps if (u.name, u.where) not in named]
-
-
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
-    train, rest = _divided(session, test, seed)
-    return spread(train, MOST_ROWS), rest
-
-
-def _divided(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
+    """Rows to fit and to hold out: as given, as labelled, or by blocks."""
+    roles = session.labels.get("role", np.array([]))
     if test is not None:
-        return session, test
-    roles = session.labels.get("role")
-    if roles is not None and (roles == "test").any() and (roles != "test").any():
-        return session.take(roles != "test"), session.take(roles == "test")
-    return blocked_split(session, rng=seed)
+        train, rest = session, test
+    elif (roles == "test").any() and (roles != "test").any():
+        train, rest = session.take(roles != "test"), session.take(roles == "test")
+    else:
+        train, rest = blocked_split(session, rng=seed)
+    return spread(train, MOST_ROWS), rest

@@ -14,8 +14,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.discover.causes import Cause
-from longarm_comp.core.identify.findings import EffectFinding
-from longarm_comp.core.identify.in_words import improvement, left_in_words, sentence
+from longarm_comp.core.identify.findings import EffectFinding, improvement, left_in_words, sentence
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.next_poses import NextPoses

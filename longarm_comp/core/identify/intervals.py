@@ -1,4 +1,4 @@
-"""95 % intervals of the parameters of a fit: the wider of Laplace and a block bootstrap."""
+"""95 % intervals of the parameters of a fit: the wider of Laplace and what blocks of rows say."""
 
 from __future__ import annotations
 
@@ -15,16 +15,12 @@ from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.posterior.forms import neighbours
 
-RESAMPLES = 300
-"""Draws of the bootstrap: a standard deviation is then known to 4 %."""
 BLOCKS = 30
-"""Blocks of rows that are drawn; noise that lasts for a while stays within one."""
+"""Blocks of rows whose pulls scatter; noise that lasts for a while stays within one."""
 LOOSE = 3.0
 """Times a found value that its prior must reach, so that it hardly pulls at the interval."""
 TOUCHES = 0.05
 """Share of an interval within which a value is at its bound."""
-STEP = 0.05
-"""Of the width between the neighbouring tried values: step of a form's slope."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,6 @@ def intervals(
     fit: ModelFit,
     found: Sequence[Term],
     candidates: Sequence[Candidate],
-    rng: np.random.Generator,
 ) -> dict[int, Interval]:
     """By position in the fit's slots.
 
@@ -57,7 +52,6 @@ def intervals(
         fit: final.
         found: the terms that a search added.
         candidates: the library.
-        rng: for the bootstrap.
     """
     wider = _wider(fit, found)
     design = np.concatenate([fit.design * wider, _otherwise(fit, found, candidates)], axis=1)
@@ -65,15 +59,14 @@ def intervals(
     gram = np.stack([design[s].T @ design[s] for s in parts])
     right = np.stack([design[s].T @ fit.data[s] for s in parts])
     one = np.eye(design.shape[1])
-    counts = rng.multinomial(len(parts), np.full(len(parts), 1 / len(parts)), size=RESAMPLES)
-    draws = np.array(
-        [np.linalg.solve(np.tensordot(n, gram, axes=1) + one, n @ right) for n in counts]
-    )
     inverse = np.linalg.inv(gram.sum(0) + one)
+    u = inverse @ right.sum(0)
+    pulls = (right - gram @ u) @ inverse
+    robust = np.sqrt((pulls**2).sum(0) * len(parts) / max(len(parts) - 1, 1))
     kept = slice(len(fit.slots))
     scale = priors(fit.slots) * wider
-    centre = (inverse @ right.sum(0))[kept] * scale
-    sd = np.maximum(draws.std(axis=0), np.sqrt(np.diag(inverse)))[kept] * scale
+    centre = u[kept] * scale
+    sd = np.maximum(robust, np.sqrt(np.diag(inverse)))[kept] * scale
     half = ndtri(0.975) * sd
     made = {}
     for k, (slot, value) in enumerate(zip(fit.slots, fit.model.values, strict=True)):
@@ -130,22 +123,21 @@ def _slopes(
     fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> list[np.ndarray]:
     """(N, d, 1) change of the rows as each scale moves half way to the next tried value."""
-    ways: list[tuple[Term, Term, float]] = []
+    ways: list[tuple[Term, Term]] = []
     for term in terms:
         for field in term.scales():
             low, high = neighbours(term, field, candidates)
             here = float(getattr(term, field))
-            step = STEP if here < 0.5 * (low + high) else -STEP
-            moved = dataclasses.replace(term, **{field: here + step * (high - low)})
-            ways.append((term, moved, 0.5 / step))
-    columns.of([t for term, moved, _ in ways for t in (term, moved)])  # all at once: much faster
+            half = 0.5 * (high - low) * (1.0 if here < 0.5 * (low + high) else -1.0)
+            ways.append((term, dataclasses.replace(term, **{field: here + half})))
+    columns.of([t for pair in ways for t in pair])  # all at once: much faster
     made = []
-    for term, moved, times in ways:
+    for term, moved in ways:
         values = [
             v / slot.parameter.prior
             for v, slot in zip(fit.model.values, fit.slots, strict=True)
             if slot.owner.key == term.key
         ]
         change = (columns.of([moved]) - columns.of([term])) @ np.array(values)
-        made.append(times * change[..., None])
+        made.append(change[..., None])
     return made

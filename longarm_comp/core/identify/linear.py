@@ -7,7 +7,6 @@ deviations, so that the prior is the unit normal.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -40,14 +39,11 @@ class Posterior:
         covariance = cho_solve((np.linalg.cholesky(gram + one), True), one)
         return cls(covariance @ right, covariance, float(len(right) - np.trace(covariance)))
 
-    def evidence(self, own: np.ndarray) -> float:
-        """Log Bayes factor of the columns at some positions on top of the others.
-
-        In the terms of `Marginal` their block of the covariance is ``(I+S)^-1`` and their mean
-        ``(I+S)^-1 t``.
-        """
-        mean, block = self.u[own], self.covariance[np.ix_(own, own)]
-        return float(mean @ np.linalg.solve(block, mean) + np.linalg.slogdet(block)[1]) / 2
+    @property
+    def evidence(self) -> float:
+        """Log Bayes factor of the columns against none, bounds ignored."""
+        inverse = np.linalg.solve(self.covariance, self.u)
+        return float(self.u @ inverse + np.linalg.slogdet(self.covariance)[1]) / 2
 
 
 def solve(
@@ -113,71 +109,18 @@ class Marginal:
         """P b: what the columns already there cannot (cheaply) take up."""
         return b - self.a @ self._solved(self.a.T @ b)
 
-    def added(self, b: np.ndarray) -> Added:
-        """Score of the columns b, (m, k)."""
-        return Added.of(*self.normal(Products(b, b.T @ b, self.a.T @ b)))
+    def added(self, b: np.ndarray) -> Posterior:
+        """What further columns (m, k) would bring, without bounds."""
+        return Posterior.of(*self.normal(b))
 
-    def normal(self, of: Products) -> tuple[np.ndarray, np.ndarray]:
-        """``S`` (k, k) and ``t`` (k,) of columns whose products are known."""
-        return self.normals([of])[0]
-
-    def normals(self, each: Sequence[Products]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """`normal` of many: one solution for all of them."""
-        cross = np.concatenate([of.cross for of in each], axis=1)
-        solved, taken = self._solved(cross), cross.T @ self._coefficients
-        made, start = [], 0
-        for of in each:
-            mine = slice(start, start + len(of.gram))
-            start = mine.stop
-            s = of.gram - of.cross.T @ solved[:, mine]
-            made.append(((s + s.T) / 2, of.b.T @ self.y - taken[mine]))
-        return made
+    def normal(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """``S`` (k, k) and ``t`` (k,) of further columns (m, k)."""
+        cross = self.a.T @ b
+        s = b.T @ b - cross.T @ self._solved(cross)
+        return (s + s.T) / 2, b.T @ self.y - cross.T @ self._coefficients
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
         return np.asarray(cho_solve(self._factor, right, check_finite=False))
-
-
-@dataclass(frozen=True)
-class Products:
-    """Further columns and their products with themselves and with the columns already there.
-
-    Attributes:
-        b: (m, k).
-        gram: (k, k) B'B.
-        cross: (p, k) A'B.
-    """
-
-    b: np.ndarray
-    gram: np.ndarray
-    cross: np.ndarray
-
-
-@dataclass(frozen=True)
-class Added:
-    """What further columns would bring; of many candidates of one size, arrays (..., ) of it.
-
-    Attributes:
-        log_bayes_factor: (...) against leaving them out.
-        fit_gain: (...) gain in penalised log likelihood alone.
-        mean: (..., k) scaled parameters.
-        covariance: (..., k, k) of them.
-    """
-
-    log_bayes_factor: np.ndarray
-    fit_gain: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
-
-    @classmethod
-    def of(cls, s: np.ndarray, t: np.ndarray) -> Added:
-        """From the normal equations (`Marginal.normal`), (..., k, k) and (..., k)."""
-        factor = np.linalg.cholesky(np.eye(t.shape[-1]) + s)
-        inverse = np.linalg.inv(factor)
-        back = np.swapaxes(inverse, -1, -2)
-        z = (inverse @ t[..., None])[..., 0]
-        half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
-        gain = (z * z).sum(-1) / 2
-        return cls(gain - half_log_det, gain, (back @ z[..., None])[..., 0], back @ inverse)
 
 
 def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

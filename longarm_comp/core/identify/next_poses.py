@@ -10,10 +10,8 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.identify.candidates import CandidateColumns
 from longarm_comp.core.identify.findings import EffectFinding, Rival
 from longarm_comp.core.identify.model_fit import ModelFit, priors
+from longarm_comp.core.identify.optimal_poses import POOL, Choice
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
-
-POOL = 512
-"""Poses that are looked at: of six joints each has three values then."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +36,10 @@ class NextPoses:
 def next_poses(
     result: ExplainedSession, found: EffectFinding, other: Rival, count: int, seed: int = 0
 ) -> NextPoses:
-    """Greedy choice of the poses that the alternative explains worst.
+    """Greedy choice of the poses that tell best how much of the found effect there is.
 
-    At every step the alternative (with the geometry) is refitted to what the found effect
-    predicts for the session and the poses chosen so far, and the pose where it is then most
-    wrong, in units of the noise, is added.
+    Geometry and the alternative are free beside it: what they cannot explain of it is what speaks
+    for it.
     """
     fit = result.fit
     arm = fit.model.arm
@@ -60,22 +57,16 @@ def next_poses(
     theirs, mine = _designs(fit, found, other, _rows(fit))
     far, shift = _designs(fit, found, other, (q, pool))
     scale = _noise(fit)[None, :, None]
-    far, shift = far / scale, shift / scale[..., 0]
-    gram = theirs.T @ theirs + np.eye(theirs.shape[1])
-    right = theirs.T @ mine
-    chosen: list[int] = []
-    for _ in range(count):
-        wrong = ((shift - far @ np.linalg.solve(gram, right)) ** 2).sum(axis=1)
-        wrong[chosen] = -1.0
-        best = int(np.argmax(wrong))
-        chosen.append(best)
-        gram = gram + far[best].T @ far[best]
-        right = right + far[best].T @ shift[best]
-    u = np.linalg.solve(gram, right)
-    total = ((mine - theirs @ u) ** 2).sum() + ((shift[chosen] - far[chosen] @ u) ** 2).sum()
+    own = np.concatenate([theirs, mine[:, None]], axis=1)
+    information = own.T @ own + np.diag([*np.ones(theirs.shape[1]), 0.0])
+    amount = np.zeros_like(information)
+    amount[-1, -1] = 1.0
+    choice = Choice(np.concatenate([far, shift[..., None]], axis=2) / scale, information, amount)
+    chosen = choice.grown([], count)
+    odds = 0.5 / choice.covariance(chosen)[-1, -1]
     payload = typical["payload_kg"][chosen] if heaviest > 0 else None
     between = (found.name, other.candidate.name)
-    return NextPoses(q[chosen], side[chosen], between, float(total) / 2, payload)
+    return NextPoses(q[chosen], side[chosen], between, float(odds), payload)
 
 
 def _noise(fit: ModelFit) -> np.ndarray:

@@ -25,7 +25,7 @@ from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import whiten
-from longarm_comp.core.identify.sensor_frames import started
+from longarm_comp.core.identify.placement import started
 from longarm_comp.core.model.model import Model, Slot
 
 Criterion = Literal["i-optimal", "d-optimal"]
@@ -218,7 +218,7 @@ def optimal_poses(
     pool = pool.take(kept)
     x = uncertain.measures(pool, measure)
     tips = uncertain.tips(random_joints(arm, REFERENCE, rng))
-    choice = _Choice(x, uncertain.information, tips if criterion == "i-optimal" else None)
+    choice = Choice(x, uncertain.information, tips if criterion == "i-optimal" else None)
     begun = _first_touches(pool)[: n // 2]
     chosen = choice.exchanged(choice.grown(begun, n - len(begun)))
     more = choice.grown(chosen, AHEAD)
@@ -236,7 +236,7 @@ def _first_touches(pool: Plan) -> list[int]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Choice:
+class Choice:
     """Choice among M poses.
 
     Attributes:
@@ -302,7 +302,7 @@ class _Known:
         left: (M, d, d) x C tips C x' of every pose.
     """
 
-    choice: _Choice
+    choice: Choice
     covariance: np.ndarray
     own: np.ndarray
     error: np.ndarray | None = None

@@ -7,6 +7,7 @@ import numpy as np
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
+from longarm_comp.core.identify.noise import ENOUGH_REPEATS
 from longarm_comp.core.identify.standing import misplaced
 from longarm_comp.core.model.model import Model
 
@@ -14,8 +15,6 @@ WORSE = 1.5
 """Held-out error of a model, in that of placed frames alone, from which it is worse."""
 RISES = 4.0
 """Held-out error, in that of the fitted rows, from which the fit does not carry over."""
-ENOUGH = 15
-"""Held-out rows, at least, that such a comparison takes."""
 NO_NOISE = 0.05
 """Noise, as a share of the sightings' spread, that no instrument has."""
 INCREDIBLE = 15.0
@@ -42,7 +41,7 @@ def check_worth(
         JobError: it is worse.
     """
     there, here = 1e3 * _median(held_out), 1e3 * _median(plain)
-    if len(held_out) >= ENOUGH and there > WORSE * here:
+    if len(held_out) >= ENOUGH_REPEATS and there > WORSE * here:
         raise JobError(
             f"calibration is worse on held-out rows than {than}: {here:.3g} -> "
             f"{there:.3g} {unit}; the rows do not determine the geometry, or are not of this arm",
@@ -65,7 +64,7 @@ def check_carries_over(
         JobError: its error rises.
     """
     here, there = 1e3 * _median(fitted), 1e3 * _median(held_out)
-    if len(held_out) >= ENOUGH and there > RISES * here:
+    if len(held_out) >= ENOUGH_REPEATS and there > RISES * here:
         raise JobError(
             f"calibration fails at held-out rows: {here:.3g} -> {there:.3g} {unit}; "
             "there are too few rows, or something changed between them",
@@ -119,7 +118,7 @@ def displaced(model: Model, session: Session) -> str:
 def _off(model: Model, session: Session) -> float:
     """Median error of a misplaced arm, m; 0 of one that is in its place."""
     rows = session.take(session.placed)
-    if len(rows) < ENOUGH or not misplaced(model, rows):
+    if len(rows) < ENOUGH_REPEATS or not misplaced(model, rows):
         return 0.0
     return _median(errors(model, rows))
 
@@ -149,28 +148,21 @@ def check_noise(sigma: np.ndarray, session: Session) -> None:
         )
 
 
-def incredible(model: Model) -> str:
-    """An effect of a size that no arm has (a tip mass of 89 kg), in words; empty where none is."""
-    for slot in model.slots:
-        value, p = getattr(slot.owner, slot.parameter.name), slot.parameter
-        if not slot.owner.geometry and abs(value) > INCREDIBLE * p.prior:
-            return (
-                f"{slot.owner.name} at {slot.owner.where}: {p.name} {value:.3g} {p.unit} is not "
-                f"credible (typical {p.prior:.2g})"
-            )
-    return ""
-
-
 def check_sizes(model: Model, source: str) -> None:
-    """No effect may be of a size that no arm has.
+    """No effect may be of a size that no arm has (a tip mass of 89 kg).
 
     Raises:
         JobError: one is.
     """
-    why = incredible(model)
-    if why:
-        left = "the rows do not belong to this arm, or something else is missing"
-        raise JobError(f"{why}; {left}", session=source)
+    for slot in model.slots:
+        value, p = getattr(slot.owner, slot.parameter.name), slot.parameter
+        if not slot.owner.geometry and abs(value) > INCREDIBLE * p.prior:
+            raise JobError(
+                f"{slot.owner.name} at {slot.owner.where}: {p.name} {value:.3g} {p.unit} is not "
+                f"credible (typical {p.prior:.2g}); the rows do not belong to this arm, or "
+                "something else is missing",
+                session=source,
+            )
 
 
 def _median(error: np.ndarray) -> float:

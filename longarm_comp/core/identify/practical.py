@@ -1,4 +1,7 @@
-"""What a finding means in practice: its size at the tip, and what it brings on held-out rows.
+"""In practice: which model is written, and what a finding means.
+
+Written is the model with the least error that a command may expect of it.  A finding has a size at
+the tip and brings something on held-out rows.
 
 The gain of one finding among several is that of the whole model over the model without it, the
 rest fitted again (to first order), so that what geometry can take up does not count for it.
@@ -6,22 +9,22 @@ rest fitted again (to first order), so that what geometry can take up does not c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.data.commanded import as_commanded, own_way
+from longarm_comp.core.data.commanded import as_commanded, commanded_errors, own_way
 from longarm_comp.core.data.measurement import errors, posture
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.intervals import BLOCKS
 from longarm_comp.core.identify.model_fit import ModelFit, priors
-from longarm_comp.core.identify.proof import block_means
+from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.model.model import Model
-
-SEED = 0
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class Gain:
 
     Attributes:
         before, after: the means.
-        ci95: of before - after: paired block bootstrap.
+        ci95: of before - after, from the scatter of blocks of successive rows.
     """
 
     before: float
@@ -43,9 +46,12 @@ class Gain:
         if not len(before):
             return cls(0.0, 0.0, (0.0, 0.0))
         long, short = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
-        drawn = block_means(long - short, np.random.default_rng(SEED))
-        low, high = np.percentile(drawn, [2.5, 97.5])
-        return cls(float(long.mean()), float(short.mean()), (float(low), float(high)))
+        gain = long - short
+        blocks = np.array_split(gain - gain.mean(), min(BLOCKS, len(gain)))
+        off = np.array([block.sum() for block in blocks]) / len(gain)
+        half = 1.96 * float(np.sqrt((off**2).sum() * len(off) / max(len(off) - 1, 1)))
+        middle = float(gain.mean())
+        return cls(float(long.mean()), float(short.mean()), (middle - half, middle + half))
 
 
 @dataclass(frozen=True)
@@ -110,3 +116,38 @@ def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
     upper = np.array([s.parameter.upper for s in kept]) / scale
     found = linear.solve(marginal.a, marginal.y, lower, upper)
     return fitted.model.without(places).with_values(found.u * scale)
+
+
+def expected_commanded(
+    fits: Mapping[str, ModelFit], found: Sequence[FoundEffect]
+) -> dict[str, float]:
+    """RMS error (m) of a command by each model, expected under the posterior.
+
+    By the rows that were fitted.  A row's residual is what the model leaves there, less the share
+    that the fit took: twice the variance of the prediction is added, which is what it misses on a
+    new row (Mallows' C_p).  What the measuring side is said to do moves what is seen, not the tip,
+    with the probability that it is the measuring side that does it; otherwise a command errs by it.
+
+    Args:
+        fits: by name, on the same rows.
+        found: single effects of the fullest of them.
+    """
+    ours = 1.0
+    for f in found:
+        if isinstance(f.terms[0], Bias):
+            ours *= f.there * dict(f.names).get(f.name, 0.0)
+    return {name: _expected(fit, ours) for name, fit in fits.items()}
+
+
+def _expected(fit: ModelFit, measuring_side: float) -> float:
+    rows = fit.session.take(fit.weights > 0)
+    seen, told = errors(fit.model, rows), commanded_errors(fit.model, rows)
+    square = measuring_side * (seen**2).sum(1) + (1.0 - measuring_side) * (told**2).sum(1)
+    columns = fit.columns[fit.weights > 0] * fit.metres[:, None]
+    variance = np.einsum("nip,pq,niq->n", columns, fit.covariance, columns, optimize=True)
+    return float(np.sqrt(square.mean() + 2.0 * variance.mean()))
+
+
+def least(expected: Mapping[str, float]) -> str:
+    """The model to write; of equals the plainer one, which comes first."""
+    return min(expected, key=lambda name: expected[name])

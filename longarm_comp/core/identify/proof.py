@@ -17,10 +17,6 @@ from longarm_comp.core.model.model import Model
 
 NETWORK = "with_network"
 """Name of the stage with a learned correction on top of the model."""
-RESAMPLES = 2000
-"""Draws of a bootstrap: 50 of them lie beyond either end of a 95 % interval."""
-BLOCKS = 20
-"""Blocks of rows that a paired bootstrap draws; at 20 a 95 % interval is known to a tenth."""
 
 
 class LearnedError(Protocol):
@@ -93,12 +89,3 @@ def prove(
         told[NETWORK] = commanded_errors(model, placed) - error
         turned[NETWORK] = turns(model, placed)
     return Proof(seen, told, turned)
-
-
-def block_means(gain: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Means of (M,) over successive blocks drawn with replacement, (RESAMPLES,)."""
-    blocks = np.array_split(gain, min(BLOCKS, len(gain)))
-    sums = np.array([b.sum() for b in blocks])
-    sizes = np.array([len(b) for b in blocks])
-    drawn = rng.integers(len(blocks), size=(RESAMPLES, len(blocks)))
-    return sums[drawn].sum(1) / sizes[drawn].sum(1)

@@ -1,26 +1,30 @@
-"""Is there anything left?  A score test per group of inputs, calibrated by permutation.
+"""Is there anything left?  An F test per group of inputs.
 
 It knows no physics: whatever moves the tip, or a joint, as some function of a joint, of a pair
 of joints, of the approach, temperature, time or payload shows here (`features`), whether the
-library has a name for it or not.
+library has a name for it or not.  Besides: do poses that no fit has seen err by more than the
+noise?  That is said, and used for nothing.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.special import bdtrc, fdtrc, gammaincinv
 
 from longarm_comp.core.arm.history import play
+from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.linear import Marginal, inliers, solve
 from longarm_comp.core.identify.model_fit import ModelFit
 
-PERMUTATIONS = 400
 SIGNIFICANT = 0.005
-"""Chance of structure where there is none; 400 permutations tell half of it."""
+"""Chance of structure where there is none."""
 MOST_GROUPS = 40
 """Groups that count as the structure, at most; those above a third of the strongest are named."""
 WORTH = 0.25
@@ -59,55 +63,49 @@ class Structure:
     sign: str = ""
 
 
-def examine(
-    fit: ModelFit, base: ModelFit, rng: np.random.Generator, beside: np.ndarray | None = None
-) -> Structure:
+def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> Structure:
     """Test what a fit leaves, as a function of every input.
+
+    Each group of columns is held against the rest of the residual (F test), and the smallest
+    chance counts as often as groups were tried.
 
     Args:
         fit: with everything that was named.
         base: the geometry alone, on the same rows and with the same noise.
-        rng: for the permutations.
         beside: (m, k) whitened columns of what the forms of the fitted effects may leave.
     """
     tested = groups(fit)
     design = fit.design if beside is None else np.concatenate([fit.design, beside], axis=1)
     marginal = Marginal(design, fit.data)
     residual = fit.whitened(fit.residual[..., None])[:, 0]
-    rows = residual.reshape(-1, fit.width)
-    draws = np.stack([_shuffled(rows, fit, rng) for _ in range(PERMUTATIONS)], axis=1)
-    null = marginal.project(draws)
-    real = marginal.py
-    statistics, nulls, smooth = [], [], []
+    left = float(marginal.py @ marginal.py)
+    free = max(len(marginal.py) - fit.effective, 2.0)
+    found: list[tuple[Group, float, float, np.ndarray]] = []
     for group in tested:
         b = fit.whitened(group.columns)
         pb = marginal.project(b)
         gram = b.T @ pb
         values, vectors = np.linalg.eigh((gram + gram.T) / 2)
-        good = values > 1e-6 * len(rows)
+        good = values > 1e-6 * len(b) / fit.width
         if not good.any():
             continue
-        root = vectors[:, good] / np.sqrt(values[good])
-        directions = pb @ root if fit.rho else b @ root
-        real_score = ((directions.T @ real) ** 2).sum()
-        null_score = ((directions.T @ null) ** 2).sum(0)
-        centre, spread = null_score.mean(), max(float(null_score.std()), 1e-9)
-        statistics.append((group, (real_score - centre) / spread))
-        nulls.append((null_score - centre) / spread)
-        smooth.append(b)
-    if not statistics:
+        score = float(
+            (((vectors[:, good] / np.sqrt(values[good])).T @ (pb.T @ marginal.y)) ** 2).sum()
+        )
+        count = int(good.sum())
+        rest = max(left - score, 1e-9 * left) / max(free - count, 1.0)
+        chance = float(fdtrc(count, max(free - count, 1.0), score / count / rest))
+        found.append((group, chance, (score / rest - count) / math.sqrt(2.0 * count), b))
+    if not found:
         return Structure(False, 1.0, (), 0.0, 1.0, ())
-    highest = np.max(nulls, axis=0)
-    top = max(s for _, s in statistics)
-    p = float((1 + (highest >= top).sum()) / (1 + len(highest)))
-    limit = float(np.quantile(highest, 0.99))
-    order = sorted(range(len(statistics)), key=lambda k: -statistics[k][1])
-    strong = [k for k in order if statistics[k][1] > limit][:MOST_GROUPS]
-    sizes, rss_rich = _smooth(fit, marginal, [smooth[k] for k in strong])
+    found.sort(key=lambda each: (each[1], -each[2]))
+    p = min(1.0, len(found) * found[0][1])
+    strong = [each for each in found if len(found) * each[1] < SIGNIFICANT][:MOST_GROUPS]
+    sizes, rss_rich = _smooth(fit, marginal, [b for *_, b in strong])
     size, noise = float(np.linalg.norm(sizes)), fit.noise_m
     worth = size > WORTH * float(np.linalg.norm(noise))
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
-    said = [statistics[k][0] for k in strong if statistics[k][1] > top / 3]
+    said = [group for group, _, statistic, _ in strong if statistic > found[0][2] / 3]
     inputs = tuple(dict.fromkeys(name for group in said for name in group.inputs))
     flag = p < SIGNIFICANT and worth and size > smallest(fit)
     rss_named = float(residual @ residual)
@@ -121,8 +119,8 @@ def examine(
         inputs if flag else (),
         size if flag else 0.0,
         share if flag else 1.0,
-        tuple((g.label, float(s)) for g, s in statistics),
-        statistics[order[0]][0].at if flag else "",
+        tuple((group.label, statistic) for group, _, statistic, _ in found),
+        found[0][0].at if flag else "",
     )
 
 
@@ -143,8 +141,7 @@ def _smooth(fit: ModelFit, marginal: Marginal, bases: list[np.ndarray]) -> tuple
     if not bases:
         return np.zeros(fit.width), float(residual @ residual)
     b = np.concatenate(bases, axis=1)
-    added = marginal.added(b)
-    part = marginal.project(b) @ added.mean
+    part = marginal.project(b) @ marginal.added(b).u
     left = residual - part
     return np.sqrt((fit.lengths(part) ** 2).mean(0)), float(left @ left)
 
@@ -268,14 +265,60 @@ def _alone(columns: np.ndarray) -> list[np.ndarray]:
     return [part for part in parts if part.any()] if width > 1 else []
 
 
-def _shuffled(rows: np.ndarray, fit: ModelFit, rng: np.random.Generator) -> np.ndarray:
-    """(M d,) residuals of the M inliers, those of rows with the same channels exchanged."""
-    held = fit.session.mask
-    if held is None:
-        return rows[rng.permutation(len(rows))].reshape(-1)
-    _, alike = np.unique(held[fit.weights > 0], axis=0, return_inverse=True)
-    made = rows.copy()
-    for pattern in np.unique(alike):
-        mine = np.flatnonzero(alike.reshape(-1) == pattern)
-        made[mine] = rows[mine[rng.permutation(len(mine))]]
-    return made.reshape(-1)
+OFF = 0.5
+"""Excess over the noise, as a share of it, that counts: the noise itself is known to a tenth."""
+
+
+def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure:
+    """The structure, also where only the held-out poses show it.
+
+    What the parameters may err by moves all poses together, so it is taken off first. Of what is
+    left half should be more than the median that noise gives (chi); a few gross errors among them
+    change nothing.
+
+    Args:
+        structure: as it shows in the fitted rows.
+        fit: final.
+        rows: the hold-out.
+    """
+    found = equations(fit.model, rows, posture(fit.model, rows))
+    known = dict(zip(fit.session.channels, fit.sigma, strict=True))
+    sigma = np.array([known.get(name, np.inf) for name in rows.channels])
+    held = rows.measured & np.isfinite(sigma)
+    noise = np.where(np.isfinite(sigma), sigma, 1.0) * fit.uneven(rows)[:, None]
+    some = held.any(axis=1)
+    if structure.flag or not some.any():
+        return structure
+    size, ways = np.linalg.eigh(fit.covariance)
+    moved = found.columns @ (ways * np.sqrt(np.maximum(size, 0.0)))
+    a = (moved * (held / noise)[..., None])[some]
+    size = _beyond(a, (found.residual * held / noise)[some], held[some])
+    ratio = size / np.sqrt(2.0 * gammaincinv(held.sum(axis=1)[some] / 2, 0.5))
+    count = max(round(len(ratio) * (1.0 - fit.rho) / (1.0 + fit.rho)), 1)  # rows that count
+    above = round(float((ratio > 1.0).mean()) * count)
+    p = float(bdtrc(above - 1, count, 0.5))
+    expected = np.sqrt(((noise * metres(fit.model, rows)) ** 2 * held).sum(1)[some].mean())
+    excess = float(expected * np.sqrt(max(np.median(ratio) ** 2 - 1.0, 0.0)))
+    if p > SIGNIFICANT or excess < max(OFF * expected, smallest(fit)):
+        return structure
+    return dataclasses.replace(
+        structure,
+        flag=True,
+        p_value=min(p, structure.p_value),
+        inputs=("held-out poses",),
+        size_m=excess,
+        sign="shows in the held-out poses",
+    )
+
+
+def _beyond(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """(N,) sizes of what unit normal parameters of columns (N, d, p) leave of data (N, d).
+
+    Gross errors say nothing of the parameters, as in every fit.
+    """
+    kept = inliers(y, measured=measured)[:, None]
+    shared = (kept[..., None] * a).reshape(-1, a.shape[-1])
+    found = solve(shared, (kept * y).ravel())
+    leverage = np.einsum("nip,pq,niq->ni", a, found.covariance, a, optimize=True)
+    variance = np.where(kept > 0, np.maximum(1.0 - leverage, 1e-12), 1.0 + leverage)
+    return np.linalg.norm((y - a @ found.u) / np.sqrt(variance), axis=1)

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.evidence import FitMarginal, columns_at, rms_shift
+from longarm_comp.core.identify.evidence import columns_at, rms_shift
 from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
-
-IMPLAUSIBLE = 5.0
-"""Prior standard deviations beyond which nobody believes a size."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class Smallest:
     @property
     def visible(self) -> bool:
         """Whether a plausible size would have shown."""
-        return self.size <= IMPLAUSIBLE
+        return self.size <= INCREDIBLE
 
 
 def detectable(
@@ -55,7 +53,8 @@ def detectable(
         candidates: the hypotheses.
         threshold: log Bayes factor to reach.
     """
-    columns, marginal = columns_at(fit), FitMarginal(fit)
+    columns = columns_at(fit)
+    marginal = columns.without(())
     worth = evidence_of_each(fit, marginal, columns, candidates).tolist()
     made = []
     for candidate, factor in zip(candidates, worth, strict=True):

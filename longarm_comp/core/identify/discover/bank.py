@@ -1,33 +1,45 @@
-"""Every component times every function, scored at once on top of a fit.
+"""Every component times every function: which of these explain most on top of a fit.
 
 A candidate's column is the motion of the channels by a unit of a component, row by row times a
 function of the inputs.  Its products with the geometry's columns and with the residual are
-therefore matrix products, and the evidence of some hundred thousand candidates takes a second.
+therefore matrix products, and some hundred thousand candidates are looked at in a second, on some
+of the rows.  The best of every kind are then weighed on all rows.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.effects.components import components, stations
+from longarm_comp.core.effects.discovered import CAMERA, DISTANCE, Discovered, DiscoveredView, views
+from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.function import Function
-from longarm_comp.core.effects.shapes import Threshold, Wave
-from longarm_comp.core.identify.discover.functions import (
-    FunctionFamily,
-    FunctionGroup,
-    Functions,
-    nearby,
-)
-from longarm_comp.core.identify.discover.score import many
+from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
+from longarm_comp.core.identify.discover.functions import EACH_JOINT, FunctionGroup, Functions
+from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit, priors
+from longarm_comp.core.identify.posterior.offers import AMPLITUDES
+from longarm_comp.core.model.model import slots_of
 
 RARE = 3.0
 """Log odds against a quantity that a cause is not likely to depend on."""
+MOST_ROWS = 350
+"""Rows of the first look: they tell a function apart; the best are weighed on all."""
+SHORTLIST = 24
+"""Candidates of each kind that are weighed on all rows."""
+_WEAK = 1e-4
+"""Share of a column's square that must be left beside the geometry: half of the digits of the first
+look, which counts in single precision."""
 
 
 @dataclass(frozen=True)
@@ -50,41 +62,19 @@ class Hypothesis:
     Attributes:
         members: place and function of each column.
         decay: prior of each, against the first.
-        family: kind of function.
         log_prior: of the choice among all candidates.
     """
 
     members: tuple[tuple[Spot, Function], ...]
     decay: tuple[float, ...]
-    family: FunctionFamily
     log_prior: float
-
-    @property
-    def functions(self) -> tuple[Function, ...]:
-        """The functions, each once."""
-        return tuple(dict.fromkeys(f for _, f in self.members))
-
-
-@dataclass(frozen=True)
-class Weighed:
-    """A candidate and its evidence.
-
-    Attributes:
-        candidate: the columns.
-        log_evidence: log Bayes factor averaged over amplitudes, with the prior of the choice.
-        mean: (r,) amounts, SI; scale: (r,) their prior standard deviations at the best amplitude.
-    """
-
-    candidate: Hypothesis
-    log_evidence: float
-    mean: np.ndarray
-    scale: np.ndarray
 
 
 class Bank:
     """All candidates of one side: components times functions.
 
     Args:
+        fit: whose rows, noise and columns count.
         places: K components.
         units: (N, d, K) motion of the channels by a unit of each, m or rad.
         functions: G functions at the N rows.
@@ -93,30 +83,21 @@ class Bank:
 
     def __init__(
         self,
+        fit: ModelFit,
         places: Sequence[Spot],
         units: np.ndarray,
         functions: Functions,
         axes: Sequence[Spot] = (),
     ) -> None:
-        self.places, self.units, self.functions = tuple(places), units, functions
+        self.fit, self.places, self.units, self.functions = fit, tuple(places), units, functions
         self._number = {place: k for k, place in enumerate(self.places)}
         kinds: dict[tuple[str, str], list[int]] = {}
         for k, place in enumerate(self.places):
             kinds.setdefault(place.kind, []).append(k)
-        self.vectors = [ks for ks in kinds.values() if len(ks) == 3]
-        self.axes = [self._number[place] for place in axes]
-        self.priors = self._priors()
-
-    def _priors(self) -> dict[FunctionFamily, float]:
-        """Log prior of a candidate of each kind of function; half for single components."""
-        counts: dict[FunctionFamily, int] = {}
-        for group in self.functions.groups:
-            counts[group.family] = counts.get(group.family, 0) + 1
-        return {f: math.log(f.share / (2.0 * n * len(self.places))) for f, n in counts.items()}
-
-    def prior(self, group: FunctionGroup) -> float:
-        """Log prior of a group of functions at one component."""
-        return self.priors[group.family] - RARE * group.rare
+        self._vectors = [ks for ks in kinds.values() if len(ks) == 3]
+        self._axes = [self._number[place] for place in axes]
+        self._single = [g for g in functions.groups if len(g.functions) == 1]
+        self._several = [g for g in functions.groups if len(g.functions) > 1]
 
     def columns(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
         """(N, d, r) columns per unit."""
@@ -125,25 +106,127 @@ class Bank:
         ]
         return np.stack(made, axis=-1)
 
-    def score(self, marginal: Marginal, fit: ModelFit, candidate: Hypothesis) -> Weighed:
-        """Exact evidence of a candidate on top of a marginal, on all rows."""
-        columns = self.columns(candidate.members)
-        flat = (columns * weight(fit)[..., None])[fit.weights > 0].reshape(-1, columns.shape[-1])
-        return scored(marginal, flat, candidate)
+    def evidence(self, marginal: Marginal, hypothesis: Hypothesis) -> float:
+        """Log odds of a candidate on top of a marginal, on all rows, with its prior."""
+        columns = self.columns(hypothesis.members) * weight(self.fit)[..., None]
+        unit = columns[self.fit.weights > 0].reshape(-1, columns.shape[-1])
+        unit = unit * (np.array(hypothesis.decay) / self.sizes(hypothesis))
+        t, s = unit.T @ marginal.py, unit.T @ marginal.project(unit)
+        values, turned = np.linalg.eigh((s + s.T) / 2)
+        each = _by_amplitude(turned.T @ t, np.maximum(values, 0.0)).sum(1)
+        return float(_averaged(each) + hypothesis.log_prior)
+
+    def sizes(self, hypothesis: Hypothesis) -> np.ndarray:
+        """(r,) rms shift of the rows by a unit of each column, in units of the noise."""
+        columns = self.columns(hypothesis.members) * weight(self.fit)[..., None]
+        rows = max(int((self.fit.weights > 0).sum()), 1)
+        return np.asarray(np.sqrt(np.maximum((columns**2).sum((0, 1)) / rows, 1e-300)))
+
+    def shortlisted(self, kept: np.ndarray, left: Sequence[np.ndarray]) -> list[list[Hypothesis]]:
+        """The best of every kind, by the first look.
+
+        Args:
+            kept: (p,) columns of the fit that no candidate may stand for.
+            left: each (N, d), whitened: what a part of the fit, or all of it, leaves.
+        """
+        rows = _some(np.flatnonzero(self.fit.weights > 0))
+        white = (self.units * weight(self.fit)[..., None])[rows].astype(np.float32)
+        values = self.functions.values[rows]
+        size = np.sqrt((values**2).mean(axis=0))
+        values = (values / np.where(size > 0, size, 1.0)).astype(np.float32)
+        raw = np.einsum("nck,nck->kn", white, white) @ values**2
+        s = raw - self._taken(rows, kept, white, values)
+        usable = (raw > 1e-25) & (s > _WEAK * raw)
+        unit = np.maximum(raw / len(rows), 1e-30)
+        made = []
+        for whole in left:
+            t = np.einsum("nc,nck->kn", whole[rows].astype(np.float32), white) @ values
+            each = _by_amplitude(t / np.sqrt(unit), np.maximum(s, _WEAK * raw) / unit)
+            made.append(list(self._best(np.where(usable, _averaged(each), -np.inf))))
+        return made
+
+    def _taken(
+        self, rows: np.ndarray, kept: np.ndarray, white: np.ndarray, values: np.ndarray
+    ) -> np.ndarray:
+        """(K, G) squares that the fit's columns take of the components times the functions."""
+        design = whitened_design(self.fit)[rows][..., kept]
+        flat = flattened(design)
+        factor = cholesky(flat.T @ flat + np.eye(flat.shape[1]), lower=True)
+        turned = np.einsum("ncp,nck->pkn", design, white, optimize=True)
+        if turned.size:
+            flat = turned.reshape(len(turned), -1)
+            turned = solve_triangular(factor, flat, lower=True).reshape(turned.shape)
+        turned = np.ascontiguousarray(np.moveaxis(turned, 1, 0), dtype=np.float32)
+
+        def squares(of: np.ndarray) -> np.ndarray:
+            return np.asarray(((of @ values) ** 2).sum(axis=0))
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            return np.stack(list(pool.map(squares, turned)))
+
+    def _best(self, worth: np.ndarray) -> Iterator[Hypothesis]:
+        """The best of every kind by the (K, G) log evidence of each component and function.
+
+        That of several columns is taken to be the sum of theirs.
+        """
+        alone = [g.functions[0] for g in self._single]
+        for sharp in (False, True):
+            prior = [self._prior(g) if g.family.sharp == sharp else -np.inf for g in self._single]
+            for k, n in _top(worth[:, alone] + np.array(prior)):
+                yield self._hypothesis([(k, alone[n])], self._single[n])
+        grouped = [_together(worth[:, g.functions].T) + self._prior(g) for g in self._several]
+        for n, k in _top(np.stack(grouped) if grouped else np.zeros((0, 0))):
+            group = self._several[n]
+            yield self._hypothesis([(k, f) for f in group.functions], group)
+        if self._vectors:
+            prior = [self._prior(g) for g in self._single]
+            vectors = np.stack([_together(worth[ks]) for ks in self._vectors])
+            for v, n in _top(vectors[:, alone] + np.array(prior)):
+                members = [(k, alone[n]) for k in self._vectors[v]]
+                yield self._hypothesis(members, self._single[n])
+        every = self.functions.each_joint if self._axes else []
+        for joints in every:
+            seen = [(self._axes[j], f) for j, f in joints if np.isfinite(worth[self._axes[j], f])]
+            if len(seen) > 1:
+                yield self._hypothesis(seen, None)
+
+    def _hypothesis(
+        self, members: Sequence[tuple[int, int]], group: FunctionGroup | None
+    ) -> Hypothesis:
+        """Of numbers of components and functions; of one function at each joint without a group."""
+        named = tuple((self.places[k], self.functions.listed[f]) for k, f in members)
+        if group is None:
+            prior = math.log(EACH_JOINT.share / len(self.functions.each_joint))
+            return Hypothesis(named, (1.0,) * len(named), prior)
+        decay = group.decay if len(group.decay) == len(named) else (1.0,) * len(named)
+        return Hypothesis(named, decay, self._prior(group))
+
+    def _prior(self, group: FunctionGroup) -> float:
+        """Log prior of a group of functions at one component; half is for components alone."""
+        alike = 2.0 * self.functions.counts[group.family] * len(self.places)
+        return math.log(group.family.share / alike) - RARE * group.rare
 
 
-def scored(marginal: Marginal, flat: np.ndarray, candidate: Hypothesis) -> Weighed:
-    """Evidence of whitened columns (m, r), and their amounts."""
-    rows = len(flat) / 3.0
-    size = np.sqrt(np.maximum((flat**2).sum(0) / rows, 1e-300))
-    unit = flat * (np.array(candidate.decay) / size)
-    projected = marginal.project(unit)
-    t, s = unit.T @ marginal.py, unit.T @ projected
-    evidence, amplitude = many(t[None], s[None])
-    a = float(amplitude[0])
-    mean = a * np.linalg.solve(np.eye(len(t)) + a * a * (s + s.T) / 2, a * t)
-    per = np.array(candidate.decay) / size
-    return Weighed(candidate, float(evidence[0]) + candidate.log_prior, mean * per, a * per)
+def _by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """(A, ...) log evidence of columns.
+
+    By their projected products: t with the data, s with themselves.  A unit of each shifts the
+    rows by one noise, rms.
+    """
+    square = np.array(AMPLITUDES, dtype=t.dtype).reshape(-1, *(1,) * t.ndim) ** 2
+    grown = 1.0 + square * s
+    return np.asarray(0.5 * (square * t**2 / grown - np.log(grown)))
+
+
+def _averaged(each: np.ndarray) -> np.ndarray:
+    """Log of the mean evidence over the amplitudes (A, ...)."""
+    return np.asarray(np.logaddexp.reduce(each, axis=0) - math.log(len(each)))
+
+
+def _together(each: np.ndarray) -> np.ndarray:
+    """(...) sum of the log evidence of (r, ...) columns, without those that move nothing."""
+    seen = np.isfinite(each)
+    return np.where(seen.any(axis=0), np.where(seen, each, 0.0).sum(axis=0), -np.inf)
 
 
 def weight(fit: ModelFit) -> np.ndarray:
@@ -162,28 +245,6 @@ def flattened(design: np.ndarray) -> np.ndarray:
     return design.reshape(design.shape[0] * design.shape[1], design.shape[2])
 
 
-def around(bank: Bank, candidate: Hypothesis, width: float) -> Iterator[Hypothesis]:
-    """The same candidate with thresholds or frequencies near its own."""
-    factors = dict.fromkeys(f for function in candidate.functions for f in function.factors)
-    bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
-    by_name = bank.functions.inputs.by_name
-    if len(bent) == 1:
-        for other in nearby(bent[0], by_name[bent[0].of], width):
-            yield _renamed(candidate, {bent[0]: other})
-    elif len(bent) == 2 and all(isinstance(f, Wave) for f in bent):
-        first, second = (nearby(f, by_name[f.of], width) for f in bent)
-        for pair in zip(first, second, strict=True):
-            yield _renamed(candidate, dict(zip(bent, pair, strict=True)))
-
-
-def _renamed(candidate: Hypothesis, other: dict) -> Hypothesis:
-    members = tuple(
-        (place, Function(tuple(other.get(f, f) for f in function.factors)))
-        for place, function in candidate.members
-    )
-    return dataclasses.replace(candidate, members=members)
-
-
 def marginal_of(fit: ModelFit, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
     """Evidence on top of some of a model's columns, without regard to correlated noise.
 
@@ -197,3 +258,89 @@ def marginal_of(fit: ModelFit, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
     left = np.zeros(data.shape)
     left[inside] = marginal.py.reshape(-1, data.shape[1])
     return marginal, left
+
+
+def _some(rows: np.ndarray) -> np.ndarray:
+    """At most `MOST_ROWS` of the rows, evenly spread."""
+    if len(rows) <= MOST_ROWS:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, MOST_ROWS).round().astype(int)]
+
+
+def _top(table: np.ndarray) -> list[tuple[int, int]]:
+    """Places of the largest finite entries."""
+    flat = table.ravel()
+    if not flat.size:
+        return []
+    few = np.argpartition(-flat, min(SHORTLIST, flat.size - 1))[:SHORTLIST]
+    return [divmod(int(i), table.shape[1]) for i in np.sort(few) if np.isfinite(flat[i])]
+
+
+_STILL = 1e-12
+"""Motion (m, rad) by a unit below which a component does nothing there."""
+
+
+def banks(fit: ModelFit) -> tuple[Bank, ...]:
+    """Candidates of the arm's side and, where positions are seen, of the camera's."""
+    arm, rows = fit.model.arm, fit.session
+    at = posture(fit.model, rows)
+    (spots, units), *seen_sides = sides(fit)
+    functions = Functions(arm_inputs(arm, at, rows))
+    made = [Bank(fit, spots, units, functions, _axes(arm, spots))]
+    for spots, units in seen_sides:
+        points = fit.model.measured(rows.q, rows.context())
+        free = all(spot.component == DISTANCE for spot in spots)
+        seen = Functions(camera_inputs(points, rows), None if free else SeenCoordinate)
+        made.append(Bank(fit, spots, units, seen))
+    return tuple(made)
+
+
+def sides(fit: ModelFit) -> Iterator[tuple[list[Spot], np.ndarray]]:
+    """Components of the arm and, where positions are seen, of the camera; (N, d, K) by a unit."""
+    arm = fit.model.arm
+    spots = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
+    units, moving = _units(fit, [term_of(p, "1", "", 1e-3) for p in spots])
+    yield [p for p, moves in zip(spots, moving, strict=True) if moves], units
+    if fit.session.plain:
+        ways = views(arm)
+        for some in (AXES, [way for way in ways if way not in AXES]):
+            seen = [Spot(CAMERA, way) for way in some]
+            if seen:
+                yield seen, _units(fit, [term_of(p, "1", "", 1e-3) for p in seen])[0]
+
+
+def term_of(
+    place: Spot, function: str, domain: str, scale: float, amount: float = 0.0
+) -> Effect | Bias:
+    """The term of a model that a place and a function stand for."""
+    if place.at == CAMERA:
+        return DiscoveredView(place.component, function, domain, scale, amount)
+    return Discovered(place.at, place.component, function, domain, scale, amount)
+
+
+def _distinct(arm: Arm) -> list[str]:
+    """Places that are not the same as another: a row's end where it has a length."""
+    same = {f"frame {j.id}" for j in arm.joints if j.d_m == 0 and j.type != "prismatic"}
+    if arm.tip.frame and not any(arm.tip.position_m):
+        same.add(f"frame {arm.tip.frame}")
+    return [name for name in stations(arm) if name not in same]
+
+
+def _units(fit: ModelFit, terms: list[Effect | Bias]) -> tuple[np.ndarray, np.ndarray]:
+    """(N, d, K) motion by a unit of each term that moves anything, and which do, (K,)."""
+    at = posture(fit.model, fit.session)
+    slots = slots_of(fit.model.arm, terms)
+    columns = equations(fit.model, fit.session, at, slots).columns
+    moving = np.abs(columns).max(axis=(0, 1)) > _STILL
+    return columns[..., moving], moving
+
+
+def _axes(arm: Arm, places: list[Spot]) -> list[Spot]:
+    """By commanded joint, the place that moves it along its own axis."""
+    made = []
+    for row in arm.commanded:
+        word = "move" if arm.joints[row - 1].type == "prismatic" else "turn"
+        place = Spot(f"joint {row}", f"{word} z")
+        if place in places:
+            made.append(place)
+    return made if len(made) == arm.n else []

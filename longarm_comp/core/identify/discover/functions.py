@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -108,6 +109,11 @@ class Functions:
         self._shapes: dict[Shape, np.ndarray] = {}
         self._numbers: dict[Function, int] = {}
         self._make()
+
+    @cached_property
+    def counts(self) -> Counter[FunctionFamily]:
+        """Groups of each family."""
+        return Counter(group.family for group in self.groups)
 
     @cached_property
     def values(self) -> np.ndarray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
@@ -22,7 +22,7 @@ from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
-from longarm_comp.core.identify.posterior.forms import refined, retuned
+from longarm_comp.core.identify.posterior.forms import BETTER, refined
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     Explained,
@@ -35,7 +35,7 @@ from longarm_comp.core.identify.posterior.offers import offered, tolerances
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.identify.posterior.tolerance import BARE, TOLERANCES, Tolerance
-from longarm_comp.core.identify.step_scan import UnknownStep, scan
+from longarm_comp.core.identify.step_scan import scan
 from longarm_comp.core.model.model import Model
 
 Functions = Callable[[ModelFit, Sequence[FoundEffect]], tuple[Proposition, ...]]
@@ -43,8 +43,6 @@ ROUNDS = 8
 """Of posterior and fit, at most, of the library and then of functions; three are usual."""
 REFORMED = 3
 """Times that forms are moved between two rounds, each time with the rest as it has become."""
-BETTER = 1.0
-"""Log evidence by which an explanation must be better to take the place of the one in the model."""
 STEPS = 6
 """Gauss-Newton steps of a fit between rounds; the last fit converges."""
 NEAR = 0.3
@@ -61,7 +59,6 @@ class ExplainedSession:
         doubtful: single effects that may be there, not in the model.
         noise: as judged last.
         candidates: the library as it was offered last.
-        unknown_steps: where steps show, but not their size.
         tolerance: what moves the rows besides.
     """
 
@@ -70,7 +67,6 @@ class ExplainedSession:
     doubtful: tuple[FoundEffect, ...]
     noise: NoiseEstimate
     candidates: tuple[Candidate, ...]
-    unknown_steps: tuple[UnknownStep, ...] = ()
     tolerance: Tolerance = BARE[-1]
 
     @property
@@ -114,12 +110,16 @@ def explain_session(
 
 @dataclass(frozen=True)
 class _State:
-    """A model with what was found in it, fitted; the noise, and columns at that fit."""
+    """A model with what was found in it, fitted; the noise."""
 
     found: tuple[FoundEffect, ...]
     fit: ModelFit
     noise: NoiseEstimate
-    columns: FitColumns
+
+    @property
+    def columns(self) -> FitColumns:
+        """Of candidates at that fit."""
+        return columns_at(self.fit)
 
 
 @dataclass
@@ -132,7 +132,6 @@ class _Search:
     known: NoiseEstimate | None
     stepped: Sequence[type[Effect]]
     propositions: tuple[Proposition, ...] = ()
-    unknown: dict[str, UnknownStep] = field(default_factory=dict)
 
     def run(self, functions: bool, say: Callable[[str], None]) -> ExplainedSession:
         say("geometry")
@@ -153,7 +152,6 @@ class _Search:
             doubtful,
             state.noise,
             tuple(self.candidates),
-            tuple(self.unknown.values()),
             self._standing(state.fit, state.found)[1],
         )
 
@@ -268,10 +266,8 @@ class _Search:
     def _scan(self, state: _State) -> None:
         """Offer the steps that the residual shows."""
         need = NONE + math.log(max(len(self.candidates), 1))
-        scans = [scan(state.fit, state.columns, kind, need) for kind in self.stepped]
-        shown = [candidate for each in scans for candidate in each.found]
+        shown = [c for kind in self.stepped for c in scan(state.fit, state.columns, kind, need)]
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
-        self.unknown |= {each.where: each for made in scans for each in made.unknown}
 
     def _taken(self, state: _State, found: tuple[FoundEffect, ...]) -> _State | None:
         """The model fitted with what was found; None where that runs away."""
@@ -293,14 +289,11 @@ class _Search:
         held = {t.key for f in found for t in f.terms}
         judged, weights = noise_step.from_residual(first, at.of(distinct(self.candidates, held)))
         noise = judged if self.known is None else noise_step.agreed(self.known, judged)
-        return self._looked(
-            found,
-            fit(
-                first.model, self.session, sigma=noise.sigma, rho=noise.rho, weights=weights,
-                max_iterations=STEPS, close=NEAR, begun=first,
-            ),
-            noise,
+        fitted = fit(
+            first.model, self.session, sigma=noise.sigma, rho=noise.rho, weights=weights,
+            max_iterations=STEPS, close=NEAR, begun=first,
         )  # fmt: skip
+        return _State(found, fitted, noise)
 
     def _settled(self, state: _State) -> _State:
         """The last fit taken to its end."""
@@ -308,14 +301,7 @@ class _Search:
         done = fit(
             was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights, begun=was
         )
-        return self._looked(state.found, done, state.noise)
-
-    def _looked(
-        self, found: tuple[FoundEffect, ...], fitted: ModelFit, noise: NoiseEstimate
-    ) -> _State:
-        columns = columns_at(fitted)
-        columns.prepare(distinct(self.candidates))
-        return _State(found, fitted, noise, columns)
+        return replace(state, fit=done)
 
     def _reformed(self, state: _State, say: Callable[[str], None]) -> _State:
         """Forms on a scale moved to where the evidence is highest, each with the rest as it is."""
@@ -340,10 +326,7 @@ class _Search:
         if not term.scales():
             return term
         fitted = next(t for t in state.fit.model.terms if t.key == term.key)
-        better = retuned(state.fit, state.columns, fitted)
-        if better is not fitted:
-            return better
-        return refined(state.fit, state.columns, term, self.candidates)
+        return refined(state.fit, state.columns, fitted, self.candidates)
 
 
 def _loose(found: FoundEffect) -> FoundEffect:

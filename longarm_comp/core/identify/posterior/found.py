@@ -13,8 +13,8 @@ from longarm_comp.core.identify.candidates import Candidate, Term
 
 CREDIBLE = 0.95
 """Probability that a credible set holds."""
-UNNAMED = 0.05
-"""Probability, beforehand, of a cause that the library does not hold."""
+UNNAMED = 1.0 - CREDIBLE
+"""Probability, beforehand, of a cause that the library does not hold: what a set may leave out."""
 OVERFLOW = 700.0  # the largest exponent of a float
 
 

@@ -15,9 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
-from longarm_comp.core.identify.evidence import FitColumns, FitMarginal, shift_of
+from longarm_comp.core.identify.evidence import FitColumns, shift_of
 from longarm_comp.core.identify.give import GIVE, giving
-from longarm_comp.core.identify.linear import CHANCES, SIZES, Products
+from longarm_comp.core.identify.linear import CHANCES, SIZES, Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
@@ -98,13 +98,13 @@ _Listed = tuple[Candidate, float, tuple[float, ...], tuple[float, ...]]
 
 
 def _banked(
-    fitted: ModelFit, marginal: FitMarginal, columns: FitColumns, listed: Sequence[_Listed]
+    fitted: ModelFit, marginal: Marginal, columns: FitColumns, listed: Sequence[_Listed]
 ) -> tuple[list[int], OfferBank, np.ndarray]:
     """Which candidates move a row; these as a bank; units of its columns."""
     arm = fitted.model.arm
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
-    products, where, lower, upper, widths, like = _columns(fitted, columns, terms)
-    (gram, along), *_ = marginal.of([products])
+    b, where, lower, upper, widths, like = _columns(fitted, columns, terms)
+    gram, along = marginal.normal(b)
     offers, kept = [], []
     for n, (candidate, prior, sizes, chances) in enumerate(listed):
         own = tuple(where[t.variant] for t in candidate.terms)
@@ -125,7 +125,7 @@ def _banked(
 
 
 def evidence_of_each(
-    fitted: ModelFit, marginal: FitMarginal, columns: FitColumns, each: Sequence[Candidate]
+    fitted: ModelFit, marginal: Marginal, columns: FitColumns, each: Sequence[Candidate]
 ) -> np.ndarray:
     """(C,) log Bayes factor of each candidate alone on top of a marginal, its own price paid.
 
@@ -196,14 +196,14 @@ def _undecided(fitted: ModelFit, columns: FitColumns, term: Term, tolerance: flo
 
 def _columns(
     fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]
-) -> tuple[Products, dict, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, dict, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Columns of all terms side by side, with their bounds, units and likenesses."""
     arm = fitted.model.arm
     free = [t for t in terms if slots_of(arm, [t])]
     whole = [t for t in terms if not slots_of(arm, [t])]
     scaled = columns.scaled(free)
     most = np.array([INCREDIBLE if s.owner.searched else np.inf for s in slots_of(arm, free)])
-    parts, crosses = [scaled.b], [scaled.cross]
+    parts = [scaled.b]
     where: dict[tuple[object, ...], tuple[int, ...]] = {}
     start = 0
     for term in free:
@@ -213,22 +213,19 @@ def _columns(
     lower, upper = [np.maximum(scaled.lower, -most)], [np.minimum(scaled.upper, most)]
     widths = [scaled.widths]
     for term in whole:
-        white = fitted.whitened(columns.shift([term])[..., None])
-        parts.append(white)
-        crosses.append(fitted.design.T @ white)
+        parts.append(fitted.whitened(columns.shift([term])[..., None]))
         where[term.variant] = (start,)
         start += 1
         lower.append(np.full(1, -np.inf))
         upper.append(np.full(1, np.inf))
         widths.append(np.ones(1))
-    b = np.concatenate(parts, axis=1)
     first: dict[object, int] = {}
     like = [
         first.setdefault((*s.owner.variant, s.parameter.like) if s.parameter.like else k, k)
         for k, s in enumerate(slots_of(arm, free))
     ]
     return (
-        Products(b, b.T @ b, np.concatenate(crosses, axis=1)),
+        np.concatenate(parts, axis=1),
         where,
         np.concatenate(lower),
         np.concatenate(upper),

@@ -22,8 +22,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from longarm_comp.core.identify.linear import log_mass, log_prior_mass, root_of, sized
+from longarm_comp.core.identify.posterior.found import CREDIBLE
 
-NONE = math.log(20.0)
+NONE = -math.log(1.0 - CREDIBLE)
 """Log odds for no further effect, before the data: one finding in twenty may be wrong."""
 
 
