@@ -49,15 +49,17 @@ PAYLOADS_KG = (0.0, 0.5)
 """That the sessions carry by turns: of one load, a soft joint moves the tip as bent links do."""
 JOINTS = (2, 4, 5, 6)
 """All that a load turns, of the demonstration arm."""
-RIGHT, SET, WRONG = "right and alone", "in a true set", "wrong"
-"""What a diagnosis says of a case: every true name alone at its joint; every true name in a set and
-nothing beside; or else."""
+RIGHT, MORE = "right and alone", "with a joint too many"
+SET, WRONG = "in a true set", "wrong"
+SAID = (RIGHT, MORE, SET, WRONG)
+"""What a diagnosis says of a case: every true name alone at its joint; there and at another joint;
+every true name in a set and nothing beside; or else."""
 
 
 def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator[dict[str, Any]]:
     """A row a case: planted at one joint, at a share of the size; what the diagnosis says.
 
-    Besides what that is (`RIGHT`, `SET`, `WRONG`): whether the servos' names are right.
+    Besides what that is (`SAID`): whether the servos' names are right.
     """
     for k in range(cases):
         planted, joint = PLANTED[k % 3], JOINTS[k // 3 % len(JOINTS)]
@@ -70,12 +72,14 @@ def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator
         sets = [set(names) for names, _ in said]
         each = all(set(planted) & names for names in sets) and len(sets) == len(planted)
         true = each and set.union(*sets) >= set(planted)
+        more = true and all(len(n) == 1 and f"joint {joint}" in w for n, w in said)
+        right = sorted(said) == sorted(want)
         yield {
             "case": k,
             "planted": " + ".join(planted),
             "joint": joint,
             "said": "; ".join(f"{'/'.join(n)} {', '.join(w)}" for n, w in said) or "nothing",
-            "is": RIGHT if sorted(said) == sorted(want) else SET if true else WRONG,
+            "is": RIGHT if right else MORE if more else SET if true else WRONG,
             "servo": servos == [one for one in want if one[0] == ("servo_droop",)],
         }
 

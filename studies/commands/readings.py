@@ -38,7 +38,7 @@ def command(cases: int, moves: int, show: shape.Show) -> shape.Figures:
             "n": sum(one is told for one in apart),
             **{
                 key: sum(r["is"] == key for r, one in zip(named, apart, strict=True) if one is told)
-                for key in (readings.RIGHT, readings.SET, readings.WRONG)
+                for key in readings.SAID
             },
         }
         for said, told in (("yes", True), ("no", False))
