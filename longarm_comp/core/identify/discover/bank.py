@@ -174,10 +174,11 @@ class Bank:
             prior = [self._prior(g) if g.family.sharp == sharp else -np.inf for g in self._single]
             for k, n in _top(worth[:, alone] + np.array(prior)):
                 yield self._hypothesis([(k, alone[n])], self._single[n])
-        grouped = [_together(worth[:, g.functions].T) + self._prior(g) for g in self._several]
-        for n, k in _top(np.stack(grouped) if grouped else np.zeros((0, 0))):
-            group = self._several[n]
-            yield self._hypothesis([(k, f) for f in group.functions], group)
+        for family in dict.fromkeys(g.family for g in self._several):
+            groups = [g for g in self._several if g.family == family]
+            grouped = [_together(worth[:, g.functions].T) + self._prior(g) for g in groups]
+            for n, k in _top(np.stack(grouped)):
+                yield self._hypothesis([(k, f) for f in groups[n].functions], groups[n])
         if self._vectors:
             prior = [self._prior(g) for g in self._single]
             vectors = np.stack([_together(worth[ks]) for ks in self._vectors])
