@@ -35,8 +35,9 @@ RARE = 3.0
 """Log odds against a quantity that a cause is not likely to depend on."""
 MOST_ROWS = 350
 """Rows of the first look: they tell a function apart; the best are weighed on all."""
-SHORTLIST = 24
-"""Candidates of each kind that are weighed on all rows."""
+SHORTLIST = 60
+"""Candidates of each kind that are weighed on all rows: the first look takes the columns of a group
+to be apart."""
 _WEAK = 1e-4
 """Share of a column's square that must be left beside the geometry: half of the digits of the first
 look, which counts in single precision."""
@@ -122,8 +123,10 @@ class Bank:
         rows = max(int((self.fit.weights > 0).sum()), 1)
         return np.asarray(np.sqrt(np.maximum((columns**2).sum((0, 1)) / rows, 1e-300)))
 
-    def shortlisted(self, kept: np.ndarray, left: Sequence[np.ndarray]) -> list[list[Hypothesis]]:
-        """The best of every kind, by the first look.
+    def shortlisted(
+        self, kept: np.ndarray, left: Sequence[np.ndarray]
+    ) -> list[list[list[Hypothesis]]]:
+        """By what is left, the best of every kind, by the first look.
 
         Args:
             kept: (p,) columns of the fit that no candidate may stand for.
@@ -164,7 +167,7 @@ class Bank:
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return np.stack(list(pool.map(squares, turned)))
 
-    def _best(self, worth: np.ndarray) -> Iterator[Hypothesis]:
+    def _best(self, worth: np.ndarray) -> Iterator[list[Hypothesis]]:
         """The best of every kind by the (K, G) log evidence of each component and function.
 
         That of several columns is taken to be the sum of theirs.
@@ -172,23 +175,27 @@ class Bank:
         alone = [g.functions[0] for g in self._single]
         for sharp in (False, True):
             prior = [self._prior(g) if g.family.sharp == sharp else -np.inf for g in self._single]
-            for k, n in _top(worth[:, alone] + np.array(prior)):
-                yield self._hypothesis([(k, alone[n])], self._single[n])
-        grouped = [_together(worth[:, g.functions].T) + self._prior(g) for g in self._several]
-        for n, k in _top(np.stack(grouped) if grouped else np.zeros((0, 0))):
-            group = self._several[n]
-            yield self._hypothesis([(k, f) for f in group.functions], group)
+            best = _top(worth[:, alone] + np.array(prior))
+            yield [self._hypothesis([(k, alone[n])], self._single[n]) for k, n in best]
+        several = []
+        for family in dict.fromkeys(g.family for g in self._several):
+            groups = [g for g in self._several if g.family == family]
+            grouped = [_together(worth[:, g.functions].T) + self._prior(g) for g in groups]
+            for n, k in _top(np.stack(grouped)):
+                several.append(self._hypothesis([(k, f) for f in groups[n].functions], groups[n]))
+        yield several
         if self._vectors:
             prior = [self._prior(g) for g in self._single]
             vectors = np.stack([_together(worth[ks]) for ks in self._vectors])
-            for v, n in _top(vectors[:, alone] + np.array(prior)):
-                members = [(k, alone[n]) for k in self._vectors[v]]
-                yield self._hypothesis(members, self._single[n])
+            best = _top(vectors[:, alone] + np.array(prior))
+            yield [
+                self._hypothesis([(k, alone[n]) for k in self._vectors[v]], self._single[n])
+                for v, n in best
+            ]
         every = self.functions.each_joint if self._axes else []
-        for joints in every:
-            seen = [(self._axes[j], f) for j, f in joints if np.isfinite(worth[self._axes[j], f])]
-            if len(seen) > 1:
-                yield self._hypothesis(seen, None)
+        at = ([(self._axes[j], f) for j, f in joints] for joints in every)
+        seen = ([(k, f) for k, f in joints if np.isfinite(worth[k, f])] for joints in at)
+        yield [self._hypothesis(joints, None) for joints in seen if len(joints) > 1]
 
     def _hypothesis(
         self, members: Sequence[tuple[int, int]], group: FunctionGroup | None

@@ -24,6 +24,8 @@ from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
 
+SCREENED = 12
+"""Candidates of each kind on offer at most, or those that are nearly alike crowd out all others."""
 REFINED = 4
 """Candidates of a bank that are tried with other thresholds and frequencies."""
 MOST = 60
@@ -47,8 +49,11 @@ def propositions(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Propositi
     best: dict[Hypothesis, tuple[Bank, float]] = {}
     for bank in banks(fit):
         listed = bank.shortlisted(kept, [left for _, left in tops])
-        for (marginal, _), few in zip(tops, listed, strict=True):
-            weighed = [(bank.evidence(marginal, h), h) for h in few if not _geometric(h)]
+        for (marginal, _), kinds in zip(tops, listed, strict=True):
+            weighed = []
+            for few in kinds:
+                kind = [(bank.evidence(marginal, h), h) for h in few if not _geometric(h)]
+                weighed += sorted(kind, key=lambda each: -each[0])[:SCREENED]
             weighed.sort(key=lambda each: -each[0])
             for worth, h in [*weighed, *_refined(bank, marginal, weighed[:REFINED])]:
                 known = best.get(h)
