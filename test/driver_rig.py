@@ -73,7 +73,7 @@ class Rig:
     def begins_without_servos(self, patience_s: float) -> subprocess.Popen[str]:
         """End the driver and start it anew with no cable."""
         self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(timeout=10) == 0
+        assert self.process.wait(timeout=300) == 0
         self.emulator.unplug()
         del self.diagnostics[:]
         return self.start(patience_s)

@@ -82,7 +82,7 @@ class QuickArm:
 
     def pause(self, on: bool) -> None:
         """Ask the collection to pause, or to go on."""
-        assert self._pauses.wait_for_service(10.0)
+        assert self._pauses.wait_for_service(300.0)
         self._pauses.call_async(SetBool.Request(data=on))
 
     def _on_trajectory(self, message: JointTrajectory) -> None:

@@ -38,7 +38,7 @@ from longarm_comp.report.record import read_report
 from longarm_comp.sim.cameras import CameraPair
 from longarm_comp.sim.servo_emulator.joints import read_arm
 
-RUNS = int(os.environ.get("LONGARM_FUZZ_RUNS", "200"))
+RUNS = int(os.environ.get("LONGARM_FUZZ_RUNS", "100"))
 PARTS = 10
 HANG_S = 120
 
