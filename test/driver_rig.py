@@ -75,7 +75,7 @@ class Rig:
     def ends(self) -> None:
         """End the driver."""
         self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(timeout=10) == 0
+        assert self.process.wait(timeout=300) == 0
         self.stage.spin(lambda: self.trajectories.get_subscription_count() == 0)
 
     def begins_without_servos(self, patience_s: float) -> subprocess.Popen[str]:

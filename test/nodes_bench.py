@@ -24,6 +24,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 _ASK_AGAIN_S = 8.0
 
+PATIENCE_S = 300.0
+"""With what will come: far above what it takes, so that no busy machine fails a test."""
+
 
 class Bench:
     """Processes of nodes, and one node of the test's own that talks to them."""
@@ -78,7 +81,7 @@ class Bench:
         self.node.create_subscription(topic.type, name, got.append, qos)
         return got
 
-    def spin(self, until: Callable[[], Any], within: float = 60.0) -> Any:
+    def spin(self, until: Callable[[], Any], within: float = PATIENCE_S) -> Any:
         """Spin until something is truthy; what it is. Fails after so many seconds."""
         end = time.monotonic() + within
         while not (found := until()):
@@ -91,7 +94,7 @@ class Bench:
         """Wait until somebody listens."""
         self.spin(lambda: publisher.get_subscription_count() > 0)
 
-    def call(self, client: Any, request: Any, within: float = 60.0) -> Any:
+    def call(self, client: Any, request: Any, within: float = PATIENCE_S) -> Any:
         """The answer of a service.
 
         Asked again after a while: the middleware drops an answer to a client that it has not

@@ -84,7 +84,7 @@ def test_without_an_arm_the_command_says_so(rig: Rig, shell: Shell, name: str) -
 def test_a_job_names_the_state_of_a_stopped_driver_at_once(rig: Rig, shell: Shell) -> None:
     assert shell("hold") == 0
     with ArmClient(TWO_JOINTS) as client:
-        client.until(lambda: client.joints is not None, 30.0, "joints")
+        client.until(lambda: client.joints is not None, 300.0, "joints")
         with pytest.raises(DriverStopped, match="longarm reset"):
             client.ready(600.0, tip=False)
     assert shell("reset") == 0

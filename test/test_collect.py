@@ -18,6 +18,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
+from cli_shell import Shell
 from nodes_bench import Bench, bench
 from quick_arm import quick_arm
 
@@ -237,7 +238,7 @@ def wait_for_a_visit(bag: Path, process: subprocess.Popen[str], but: int | None 
 
     A folder that is open keeps its inode, so that no later one gets the same.
     """
-    segment, end = bag / ".recording", time.monotonic() + 120.0
+    segment, end = bag / ".recording", time.monotonic() + 300.0
     while not (begun(bag) and (but is None or not os.path.samestat(os.fstat(but), segment.stat()))):
         assert process.poll() is None, process.communicate()[0]
         assert time.monotonic() < end, f"nothing in {segment}"
@@ -246,7 +247,7 @@ def wait_for_a_visit(bag: Path, process: subprocess.Popen[str], but: int | None 
 
 
 def test_a_session_survives_interruptions_and_is_resumed(
-    ros_domain: int, arm: Arm, demo_arm_path: Path, tmp_path: Path
+    ros_domain: int, arm: Arm, demo_arm_path: Path, tmp_path: Path, shell: Shell
 ) -> None:
     plan = sobol(arm, POSES, 2)
     write_poses(plan, tmp_path / "poses.csv")
@@ -264,19 +265,17 @@ def test_a_session_survives_interruptions_and_is_resumed(
         os.close(wait_for_a_visit(bag, second, killed))
         os.close(killed)
         second.send_signal(signal.SIGINT)
-        said = second.communicate(timeout=60)[0]
+        said = second.communicate(timeout=300)[0]
         assert "Traceback" not in said
         half = read_session(bag, arm)
         assert 1 <= len(half) <= POSES
 
         for changed in ((*words[:-2], 4, "--resume"), (*words, "--sides", "random")):
-            other = longarm(*changed)  # another order; the same poses from other sides
-            said = other.communicate(timeout=60)[0]
-            assert other.returncode == 2, said
-            assert "seed" in said
+            # another order; the same poses from other sides
+            assert "seed" in shell.refused(*changed)
 
         third = longarm(*words)
-        said = third.communicate(timeout=200)[0]
+        said = third.communicate(timeout=300)[0]
         assert third.returncode == 0, said
     session = read_session(bag, arm)
     todo: list[Visit] = visits(plan, arm, seed=3)
@@ -317,7 +316,7 @@ def test_record_keeps_every_message_and_resumes(ros_domain: int, tmp_path: Path)
             sent += 400
             assert targets.wait_for_all_acked(Duration(seconds=60))
             process.send_signal(signal.SIGINT)
-            said = process.communicate(timeout=30)[0]
+            said = process.communicate(timeout=300)[0]
             assert process.returncode == 0, said
             stage.spin(lambda: commands.get_subscription_count() == 0)
     assert {t.topic: t.count for t in bag_info(bag).topics} == {"/target_pose": sent}

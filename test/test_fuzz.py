@@ -40,7 +40,7 @@ from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sim.cameras import CameraPair
 from longarm_comp.sim.servo_emulator.joints import read_arm
 
-RUNS = int(os.environ.get("LONGARM_FUZZ_RUNS", "200"))
+RUNS = int(os.environ.get("LONGARM_FUZZ_RUNS", "100"))
 PARTS = 10
 HANG_S = 120
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import yaml
 from cli_shell import Shell
-from small_arm import ARM
+from small_arm import ARM, measured
 
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.model.declared_model import declared_model
@@ -246,8 +246,8 @@ def test_an_imported_session_that_was_edited_is_kept(shell: Shell) -> None:
 
 
 def test_outliers_are_called_by_their_point_numbers(work: Path, shell: Shell) -> None:
-    measured = pd.read_csv(work / "samples.csv")
-    raw = measured[["q1", "q2", "q3", "q4", "x", "y", "z"]].copy()
+    rows = measured(60, np.random.default_rng(2))
+    raw = pd.DataFrame(np.hstack([rows.q, rows.xyz]), columns=["q1", "q2", "q3", "q4", *"xyz"])
     raw.insert(0, "Point", [f"P{100 + k}" for k in range(len(raw))])
     raw.loc[17, "x"] += 0.05
     raw.to_csv("log.csv", index=False)

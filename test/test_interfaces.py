@@ -120,7 +120,7 @@ def test_services_answer_over_the_graph(ros_domain: int) -> None:
     try:
         node.create_service(Compensate, "compensate", answer)
         client = node.create_client(Compensate, "compensate")
-        assert client.wait_for_service(20.0)
+        assert client.wait_for_service(300.0)
         target = PoseStamped()
         target.pose.position.x = 0.4
         reply = client.call_async(

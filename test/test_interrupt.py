@@ -54,7 +54,7 @@ def test_while_it_works(tmp_path: Path) -> None:
     while not begun.exists() and command.poll() is None:
         time.sleep(0.02)
     command.send_signal(signal.SIGINT)
-    _, said = command.communicate(timeout=60)
+    _, said = command.communicate(timeout=300)
     assert command.returncode == 130
     assert said.lstrip() == "longarm: interrupted\n"
 

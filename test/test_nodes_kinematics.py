@@ -72,7 +72,7 @@ def test_target_pose_becomes_a_trajectory(stage: Bench, arm: Arm, demo_arm_path:
         joints.publish(joints_message(arm, arm.mid))
         if not stories or stories[-1].status == Compensate.Response.NOT_READY:
             targets.publish(pose(target))
-            stage.spin(lambda: len(stories), within=20.0)
+            stage.spin(lambda: len(stories))
         return bool(stories[-1].executed.position and trajectories)
 
     stage.spin(story_of_success)
@@ -151,7 +151,7 @@ def test_of_a_burst_every_target_and_request_is_answered_once(
         target.header.stamp.sec = int(stage.node.get_clock().now().nanoseconds // 10**9)
         (targets, others)[i % 2].publish(target)
     told = lambda: [s for s in stories if s.target.header.stamp.sec]  # noqa: E731
-    stage.spin(lambda: len(told()) >= 1000, within=60.0)
+    stage.spin(lambda: len(told()) >= 1000)
     names = [story.target.header.stamp.nanosec for story in told()]
     assert sorted(names) == list(range(1000))
     sent = [s for s in told() if s.status == Compensate.Response.SUCCESS]
@@ -247,7 +247,7 @@ def test_every_refusal_has_a_status_and_a_reason(
         assert words in answer.message
     far = reach.copy()
     far[0, 3] += 3.0
-    answer = stage.call(client, request(far, arm, execute=True, position_only=True), within=40.0)
+    answer = stage.call(client, request(far, arm, execute=True, position_only=True))
     assert answer.status == status.UNREACHABLE
     assert not answer.command.position
     assert not trajectories
@@ -259,7 +259,7 @@ def test_every_refusal_has_a_status_and_a_reason(
     assert quiet.success
     stage.spin(lambda: trajectories)
     node.send_signal(signal.SIGINT)
-    assert node.wait(timeout=10) == 0
+    assert node.wait(timeout=300) == 0
 
 
 def test_a_new_model_is_taken_up_without_a_restart(

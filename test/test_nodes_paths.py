@@ -87,7 +87,7 @@ class Planner:
         self.stage, self.fed, self.health = stage, [], stage.collect(graph.DIAGNOSTICS)
         self.client = ActionClient(stage.node, TYPE, graph.FOLLOW_PLANNED.name)
         stage.spin(self.client.server_is_ready)
-        stage.spin(self.ready, within=60.0)
+        stage.spin(self.ready)
 
     def ready(self) -> bool:
         """Whether the node says so: everything is compiled."""
@@ -115,7 +115,7 @@ class Planner:
     def ends(self, goal: Any, status: int) -> Any:
         """Wait for a goal's end, and check it; its result."""
         result = goal.get_result_async()
-        self.stage.spin(result.done, within=60.0)
+        self.stage.spin(result.done)
         assert result.result().status == status, result.result().result.error_string
         return result.result().result
 
@@ -206,7 +206,7 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
 
 def test_without_limits_nothing_goes_to_a_controller_that_is_not_ours(stage: Bench) -> None:
     node = stage.start("trajectory_compensator", {"arm": ARM, "acknowledged": False})
-    assert node.wait(timeout=60) == 2
+    assert node.wait(timeout=300) == 2
     assert "max_velocity" in stage.output(node) and "Traceback" not in stage.output(node)
 
 
@@ -224,7 +224,7 @@ def test_through_our_driver_the_true_tip_ends_where_the_plan_meant_it(
         stage.start("trajectory_compensator", {"arm": ARM, "method": "deflection"})
         planner, states = Planner(stage), stage.collect(graph.DRIVER_STATE)
         planned = stage.collect(graph.PLANNED_JOINTS)
-        stage.spin(lambda: planned and states and states[-1].state == states[-1].READY, within=60.0)
+        stage.spin(lambda: planned and states and states[-1].state == states[-1].READY)
         start = np.array(planned[-1].position)
         end = arm.mid + 0.2 * (arm.upper - arm.lower)
         goal = planner.send(list(arm.joint_names), ramp(start, end, 21), 2.0)

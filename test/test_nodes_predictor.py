@@ -139,7 +139,7 @@ def test_the_learned_error_is_predicted_taken_off_and_replaced(
     stage.spin(lambda: stage.call(compensate, request).status == Compensate.Response.SUCCESS)
 
     predictor.kill()
-    predictor.wait(timeout=10)
+    predictor.wait(timeout=300)
 
     def alone() -> bool:
         answer = stage.call(compensate, request)

@@ -37,4 +37,4 @@ def test_a_node_that_was_started_deaf_to_interrupts_ends(stage: Bench, node: str
         lambda: any(s.name.startswith(f"/{node}") for array in heard for s in array.status), 90.0
     )
     process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=30) == 0
+    assert process.wait(timeout=300) == 0

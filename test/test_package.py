@@ -352,14 +352,14 @@ def test_an_installed_graph_comes_up_and_ends_as_it_is_told(prefix: Path, tmp_pa
         program = stage.program(words, packages, tmp_path)
         joints = stage.collect(graph.JOINT_STATES, "arm")
         tips = stage.collect(graph.TIP_MEASURED, "arm")
-        stage.spin(lambda: joints and tips, within=60.0)
+        stage.spin(lambda: joints and tips)
         pids = children(program)
         assert len(pids) == 5
         for pid in pids:
             words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
             assert str(prefix) in " ".join(words)  # its parameter file is the installed one
         program.terminate()
-        assert program.wait(timeout=30) == 0
+        assert program.wait(timeout=300) == 0
         assert all(map(gone, pids))
 
 

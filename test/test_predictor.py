@@ -275,9 +275,8 @@ def read_twin(folder):
     return sets["samples"], sets["test"]
 
 
-@pytest.mark.parametrize(
-    ("samples", "share"), [(300, 0.22), pytest.param(900, 0.20, marks=pytest.mark.long)]
-)
+@pytest.mark.long  # test_twin.py trains on 300 rows of it, calibrated before
+@pytest.mark.parametrize(("samples", "share"), [(300, 0.22), (900, 0.20)])
 def test_measured_twin_network_alone_leaves_little_of_the_z_error(data_dir, samples, share):
     """Without calibration first; what is left is mostly the servos' resolution (docs/ssa_bp.md)."""
     learn, test = read_twin(data_dir / "twin" / f"paper_twin_{samples}")

@@ -294,7 +294,7 @@ def test_as_a_process_it_serves_a_link_and_cleans_up(tmp_path: Path, ending: int
         assert scs.sms_sts(port).ReadPos(2)[0] == 100
         port.closePort()
         process.send_signal(ending)
-        assert process.wait(timeout=20) == 0
+        assert process.wait(timeout=300) == 0
         assert not link.is_symlink()
     finally:
         process.kill()

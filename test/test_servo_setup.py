@@ -203,7 +203,7 @@ class Terminal:
 
     def stop(self) -> int:
         """SIGTERM until it ends: one that comes just before a read of the terminal waits for it."""
-        ends = time.monotonic() + 60.0
+        ends = time.monotonic() + 300.0
         while self.process.poll() is None and time.monotonic() < ends:
             self.process.send_signal(signal.SIGTERM)
             again = time.monotonic() + 5.0
@@ -211,7 +211,7 @@ class Terminal:
         return self.end()
 
     def end(self) -> int:
-        ends = time.monotonic() + 60.0
+        ends = time.monotonic() + 300.0
         self.read_while(lambda: self.process.poll() is None and time.monotonic() < ends)
         assert self.process.poll() is not None, self._text
         os.close(self._master)

@@ -125,7 +125,7 @@ class Stage:
             last = [tip for ns, tip in self.truth if ns > rest][-4:]
             return len(last) == 4 and float(np.ptp(last, axis=0).max()) < 1e-6
 
-        self.client.until(settled, 60.0, "no true_tip at rest")
+        self.client.until(settled, 300.0, "no true_tip at rest")
         return self.truth[-1][1] - target[:3, 3]
 
     def path(self, answer: Compensate.Response) -> np.ndarray:

@@ -103,7 +103,7 @@ def test_readings_that_waited_to_be_heard_are_passed_over(
                 full.set()
 
         monkeypatch.setattr(arm._joints, "publish", counted)
-        assert full.wait(60.0)
+        assert full.wait(300.0)
         arm.stand(ARM.mid + 0.3)
         found = resting(client)
     np.testing.assert_allclose(found, ARM.mid + 0.3, atol=1e-9)
