@@ -131,6 +131,23 @@ class EncoderError:
     noise: float
 
 
+@dataclass(frozen=True)
+class Rings:
+    """How the arm rings, its drives held.
+
+    Attributes:
+        damping: share of critical damping. declared: whether arm.yaml says it.
+        move_s: time of a straight move there from the posture before.
+        postures: of each in words, Hz of the slowest mode of the arm as declared (None: nothing
+            bends) and of the model that was written, and s until the tip stays within 0.1 mm.
+    """
+
+    damping: float
+    declared: bool
+    move_s: float
+    postures: tuple[tuple[str, float | None, float, float], ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Marked:
     """The arm in one posture, with the places of a finding.
@@ -159,6 +176,7 @@ class Detail:
         detectable: smallest visible size per effect.
         splits: sets with the poses that split them.
         encoders: of the joints that were read.
+        rings: None where nothing of the model bends.
         marked: where each finding is on the arm, in the order of the cards.
         provenance: further facts, name -> value, shown after those of report.json.
     """
@@ -174,5 +192,6 @@ class Detail:
     detectable: tuple[Detectable, ...] = ()
     splits: tuple[SetSplit, ...] = ()
     encoders: tuple[EncoderError, ...] = ()
+    rings: Rings | None = None
     marked: tuple[Marked, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)

@@ -15,10 +15,14 @@ from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.identify.visible_size import Smallest
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.model.tip_motion import stack
+from longarm_comp.core.vibration.dwell import ring_of_moves
+from longarm_comp.core.vibration.modes import modes
+from longarm_comp.core.vibration.shaper import USUAL_DAMPING
 from longarm_comp.report.candidate_states import best_forms
 from longarm_comp.report.detail import (
     Correlation,
@@ -27,6 +31,7 @@ from longarm_comp.report.detail import (
     EncoderError,
     Input,
     Marked,
+    Rings,
     SeenRows,
     SetSplit,
 )
@@ -96,9 +101,29 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
         detectable=_detectable(diagnosis, tried),
         splits=tuple(split(diagnosis, s) for s in diagnosis.split_by),
         encoders=_encoders(diagnosis, units),
+        rings=rings(diagnosis.model),
         marked=marked(diagnosis),
         provenance=facts,
     )
+
+
+_MOVE_S = 0.5
+"""Time of a move that the page's rings are said of, as in `longarm modes`."""
+
+
+def rings(model: Model) -> Rings | None:
+    """The rings of a model at both ends of its joints and in their middle, in that order."""
+    arm, damping = model.arm, model.arm.damping or USUAL_DAMPING
+    at = {"lower ends": arm.lower, "middle": arm.mid, "upper ends": arm.upper}
+    found = ring_of_moves(model, np.array(list(at.values())), _MOVE_S, damping)
+    if not all(len(each.omega) for each, _ in found):
+        return None
+    bare = [modes(declared_model(arm), q).hz for q in at.values()]
+    postures = tuple(
+        (name, float(hz[0]) if len(hz) else None, float(each.hz[0]), left.settle_s())
+        for name, hz, (each, left) in zip(at, bare, found, strict=True)
+    )
+    return Rings(damping, arm.damping is not None, _MOVE_S, postures)
 
 
 def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
