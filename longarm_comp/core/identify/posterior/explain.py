@@ -179,13 +179,11 @@ class _Search:
         return state
 
     def _explained(self, state: _State) -> Explained | None:
-        """A better explanation than what stands, by the likeliest tolerance that has one."""
-        banks = sorted(self._offered(state), key=lambda bank: -bank.standing)
-        for bank in banks:
-            explained = bank.explained()
-            if explained.evidence >= banks[0].standing + BETTER:
-                return explained
-        return None
+        """The best explanation by any tolerance, where it is better than what stands."""
+        banks = self._offered(state)
+        standing = max(bank.standing for bank in banks)
+        best = max((bank.explained() for bank in banks), key=lambda e: e.evidence)
+        return best if best.evidence >= standing + BETTER else None
 
     def _rose(self, before: _State, now: _State) -> bool:
         """Whether the explanation in the model is better, once fitted, than the one before.

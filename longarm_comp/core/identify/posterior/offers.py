@@ -16,7 +16,7 @@ import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import FitColumns, FitMarginal, shift_of
-from longarm_comp.core.identify.give import GIVE, giving
+from longarm_comp.core.identify.give import a_little
 from longarm_comp.core.identify.linear import CHANCES, SIZES, Products
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import INCREDIBLE
@@ -166,8 +166,8 @@ def tolerances(
     usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
     made = [columns.of(usual) * shares] if usual else []
-    if tolerance.give and (parts := giving(library)):
-        made.append(columns.of(parts) * GIVE)
+    if tolerance.give:
+        made.append(a_little(fitted, columns, library))
     held = {t.key: t for t in fitted.model.terms}
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]

@@ -10,7 +10,7 @@ class Tolerance(NamedTuple):
 
     Attributes:
         form: share of its own shift by which the form of an effect in the model may err.
-        give: whether every part gives way a little (`give.py`).
+        give: whether every part gives way a little, as in real arms (`give.py`).
     """
 
     form: float
