@@ -34,7 +34,7 @@ from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import offered, tolerances
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
-from longarm_comp.core.identify.posterior.tolerance import BARE, TOLERANCES, Tolerance
+from longarm_comp.core.identify.posterior.tolerance import BARE, TOLERANCES, Slack
 from longarm_comp.core.identify.step_scan import UnknownStep, scan
 from longarm_comp.core.model.model import Model
 
@@ -71,7 +71,7 @@ class ExplainedSession:
     noise: NoiseEstimate
     candidates: tuple[Candidate, ...]
     unknown_steps: tuple[UnknownStep, ...] = ()
-    tolerance: Tolerance = BARE[-1]
+    tolerance: Slack = BARE[-1]
 
     @property
     def chosen(self) -> tuple[Term, ...]:
@@ -202,7 +202,7 @@ class _Search:
             max_iterations=STEPS, close=NEAR, **start,  # type: ignore[arg-type]
         )  # fmt: skip
 
-    def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Tolerance]:
+    def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Slack]:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
         columns, library = columns_at(fitted), self.candidates
         if not found:

@@ -23,7 +23,7 @@ from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
-from longarm_comp.core.identify.posterior.tolerance import Tolerance
+from longarm_comp.core.identify.posterior.tolerance import Slack
 from longarm_comp.core.identify.structure import smooth_in
 from longarm_comp.core.model.model import slots_of
 
@@ -37,7 +37,7 @@ def offered(
     library: Sequence[Candidate],
     functions: Sequence[Proposition],
     found: Sequence[FoundEffect],
-    tolerance: Tolerance,
+    tolerance: Slack,
     *,
     others: bool = True,
 ) -> OfferedEffects:
@@ -150,7 +150,7 @@ def tolerances(
     columns: FitColumns,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
-    tolerance: Tolerance,
+    tolerance: Slack,
 ) -> np.ndarray | None:
     """(m, k) whitened: what is there besides what was found, and no finding.
 

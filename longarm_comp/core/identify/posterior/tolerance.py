@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
-class Tolerance(NamedTuple):
+class Slack(NamedTuple):
     """What may move the rows besides an explanation, and is no finding.
 
     Attributes:
@@ -20,7 +20,7 @@ class Tolerance(NamedTuple):
 FORMS = (0.01, 0.03, 0.1)
 """Shares of its own shift by which an effect's form may err, equally likely beforehand: play,
 friction and stiffness of real joints differ by a tenth from place to place along their way."""
-TOLERANCES = tuple(Tolerance(form, give) for form in FORMS for give in (True, False))
+TOLERANCES = tuple(Slack(form, give) for form in FORMS for give in (True, False))
 """Each as likely as the others."""
 BARE = TOLERANCES[:2]
 """Where nothing is in the model."""
