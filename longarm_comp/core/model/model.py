@@ -69,8 +69,9 @@ class Model:
             from below (+1); empty if not recorded.
         tolerances: share of the drawing's tolerances that geometry may be off by; less than 1
             beside what other arms of the kind tell.
-        beyond: (parameter, factor) of geometry whose tolerance does not hold: times wider. Each
-            calibration judges it anew; no file holds it.
+        beyond: (parameter, factor) whose own prior does not hold: geometry beyond its tolerance,
+            times wider; what every arm gives way by, narrower. Each fit judges it anew; no file
+            holds it.
         uncertainty: how far off its tip may be; None where that is not known.
     """
 
