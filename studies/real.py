@@ -81,7 +81,8 @@ class Line:
         model: name of the rung.
         errors: on the test rows.
         ci95: of their mean, m: the rows drawn anew.
-        effects: effects of the model besides geometry.
+        effects: effects of the model besides geometry; of a diagnosis those found, not what every
+            arm gives way by.
         commanded: the same as a command would have it; of what a diagnosis wrote.
     """
 
@@ -145,7 +146,8 @@ def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[
         for p in parts
     ]
     diagnosed = _line("diagnosed", parts, [d.fit for d in found])
-    return [*lines, replace(diagnosed, commanded=Commanded.of(found, parts))]
+    named = tuple(dict.fromkeys(f.name for d in found for f in d.search.found))
+    return [*lines, replace(diagnosed, effects=named, commanded=Commanded.of(found, parts))]
 
 
 def _fitted(

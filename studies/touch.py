@@ -1,7 +1,8 @@
 """Real arms that touched sockets: what calibration and diagnosis leave at places held out in turn.
 
 Every figure is the mean distance of the tips from the socket that they touched, solved from the
-rows of the place that was held out.  Nothing else is known of these arms.
+rows of the place that was held out.  Nothing else is known of these arms.  That place is the
+hold-out of the diagnosis, too, which is opened once and selects nothing.
 """
 
 from __future__ import annotations
@@ -106,7 +107,7 @@ def _judged(name: str, arm: Arm, session: Session, say: Progress) -> Touched:
         fits = dict(stages(declared_model(arm), train))
         models = {"nominal": fits["frames_only"].model, "rigid": fits["geometry"].model}
         try:
-            found = diagnose(arm, train)
+            found = diagnose(arm, train, test=held)
             models["diagnosed"], names = fit(found.model, train).model, _named(found.findings)
         except LongarmError as error:
             say(f"{name}, {place}: {error}")

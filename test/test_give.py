@@ -12,12 +12,13 @@ from touching import ARM
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.candidates import distinct, library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import CALIBRATED, WITH_EFFECTS, Diagnosis
-from longarm_comp.core.identify.give import GIVE, giving
+from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.give import GIVE, LITTLE, a_little, giving
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import Model, slots_of
 
 NOISE_M = 1e-4
 
@@ -56,6 +57,18 @@ def found(size: float) -> Diagnosis:
 def test_the_parts_are_joints_seats_and_links() -> None:
     assert {t.name for t in parts()} == {"joint_compliance", "bearing_tilt", "link_bending"}
     assert len(parts()) == 7 + 7 + 5
+
+
+def test_all_else_is_a_tenth_as_much_off_as_what_gives_way() -> None:
+    fitted = found(0.0).search.fit
+    columns, offered = columns_at(fitted), found(0.0).search.candidates
+    every = distinct(offered)
+    told = a_little(fitted, columns, offered) / np.where(
+        columns.of(every) == 0, 1, columns.of(every)
+    )
+    for k, slot in enumerate(slots_of(ARM, every)):
+        shares = told[..., k][told[..., k] != 0]
+        assert shares == pytest.approx(GIVE if slot.owner.elastic else LITTLE)
 
 
 def test_a_little_of_everything_is_in_the_model_and_no_finding() -> None:

@@ -69,8 +69,9 @@ class Model:
             from below (+1); empty if not recorded.
         tolerances: share of the drawing's tolerances by which the geometry may be wrong; less than
         1 if other arms of the kind are known.
-        beyond: (parameter, factor) of geometry that needs a wider tolerance, by this factor. Each
-        calibration finds them again; no file holds them.
+        beyond: (parameter, factor) of a prior that does not hold, wider or narrower by this factor:
+        geometry beyond its tolerance, and what every arm yields by. Each fit finds them again; no
+        file holds them.
         uncertainty: how far its tip may be from the true tip; None if that is not known.
     """
 

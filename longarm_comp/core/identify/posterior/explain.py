@@ -34,7 +34,7 @@ from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import offered, tolerances
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
-from longarm_comp.core.identify.posterior.tolerance import BARE, TOLERANCES, Tolerance
+from longarm_comp.core.identify.posterior.tolerance import BARE, TOLERANCES, Slack
 from longarm_comp.core.identify.step_scan import scan
 from longarm_comp.core.model.model import Model
 
@@ -67,7 +67,7 @@ class ExplainedSession:
     doubtful: tuple[FoundEffect, ...]
     noise: NoiseEstimate
     candidates: tuple[Candidate, ...]
-    tolerance: Tolerance = BARE[-1]
+    tolerance: Slack = BARE[-1]
 
     @property
     def chosen(self) -> tuple[Term, ...]:
@@ -177,13 +177,11 @@ class _Search:
         return state
 
     def _explained(self, state: _State) -> Explained | None:
-        """A better explanation than what stands, by the likeliest tolerance that has one."""
-        banks = sorted(self._offered(state), key=lambda bank: -bank.standing)
-        for bank in banks:
-            explained = bank.explained()
-            if explained.evidence >= banks[0].standing + BETTER:
-                return explained
-        return None
+        """The best explanation by any tolerance, where it is better than what stands."""
+        banks = self._offered(state)
+        standing = max(bank.standing for bank in banks)
+        best = max((bank.explained() for bank in banks), key=lambda e: e.evidence)
+        return best if best.evidence >= standing + BETTER else None
 
     def _rose(self, before: _State, now: _State) -> bool:
         """Whether the explanation in the model is better, once fitted, than the one before.
@@ -202,7 +200,7 @@ class _Search:
             max_iterations=STEPS, close=NEAR, **start,  # type: ignore[arg-type]
         )  # fmt: skip
 
-    def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Tolerance]:
+    def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Slack]:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
         columns, library = columns_at(fitted), self.candidates
         if not found:

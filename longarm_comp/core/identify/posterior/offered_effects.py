@@ -27,7 +27,7 @@ from longarm_comp.core.identify.posterior.single_effects import (
     Offer,
     OfferBank,
 )
-from longarm_comp.core.identify.posterior.tolerance import Tolerance
+from longarm_comp.core.identify.posterior.tolerance import Slack
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
 
@@ -55,7 +55,7 @@ class OfferedEffects:
     widths: np.ndarray
     known: tuple[int, ...]
     base: float
-    tolerance: Tolerance
+    tolerance: Slack
 
     def explained(self) -> Explained:
         """The posterior over the offers."""

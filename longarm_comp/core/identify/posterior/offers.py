@@ -16,14 +16,14 @@ import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import FitColumns, shift_of
-from longarm_comp.core.identify.give import GIVE, giving
+from longarm_comp.core.identify.give import a_little
 from longarm_comp.core.identify.linear import CHANCES, SIZES, Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
-from longarm_comp.core.identify.posterior.tolerance import Tolerance
+from longarm_comp.core.identify.posterior.tolerance import Slack
 from longarm_comp.core.identify.structure import smooth_in
 from longarm_comp.core.model.model import slots_of
 
@@ -37,7 +37,7 @@ def offered(
     library: Sequence[Candidate],
     functions: Sequence[Proposition],
     found: Sequence[FoundEffect],
-    tolerance: Tolerance,
+    tolerance: Slack,
     *,
     others: bool = True,
 ) -> OfferedEffects:
@@ -150,7 +150,7 @@ def tolerances(
     columns: FitColumns,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
-    tolerance: Tolerance,
+    tolerance: Slack,
 ) -> np.ndarray | None:
     """(m, k) whitened: what is there besides what was found, and no finding.
 
@@ -166,8 +166,8 @@ def tolerances(
     usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
     made = [columns.of(usual) * shares] if usual else []
-    if tolerance.give and (parts := giving(library)):
-        made.append(columns.of(parts) * GIVE)
+    if tolerance.give:
+        made.append(a_little(fitted, columns, library))
     held = {t.key: t for t in fitted.model.terms}
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
