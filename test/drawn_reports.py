@@ -35,7 +35,7 @@ def in_doubt() -> Diagnosis:
     """A joint that gives way, or its servo: a set; the joints have names."""
     data = ARM.model_dump(mode="json", exclude_defaults=True)
     rows = [row | {"name": name} for row, name in zip(data["joints"], CALLED, strict=True)]
-    load = {"frame": 4, "position_m": [0.0, 0.0, 0.05], "mass_kg": 0.5}
+    load = {"frame": 4, "position_m": [0.0, 0.0, 0.05], "mass_kg": 2.0}
     arm = Arm.parse({**data, "joints": rows, "payload": load}, "boom")
     rng = np.random.default_rng(3)
     q = arm.lower + rng.random((150, arm.n)) * (arm.upper - arm.lower)
@@ -57,8 +57,8 @@ def touched(session: str) -> Diagnosis:
     return diagnose(arm, read_csv(TOUCHED / session, arm))
 
 
-def panda_4() -> Diagnosis:
-    return touched("panda_4.csv")
+def panda_3() -> Diagnosis:
+    return touched("panda_3.csv")
 
 
 def panda_7() -> Diagnosis:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drawn_reports import drawn, in_doubt, justin, panda_4, panda_7, real
+from drawn_reports import drawn, in_doubt, justin, panda_3, panda_7, real
 from report_pages import Page
 
 from longarm_comp.core.data.measurement import errors
@@ -59,7 +59,7 @@ Told = tuple[record.DiagnosisReport, Page]
 SETS = {
     "simulated": ((real, in_doubt), range(100)),
     "more simulated": ((real, in_doubt), range(100, 500)),
-    "Pandas": ((panda_4, panda_7), range(20)),
+    "Pandas": ((panda_3, panda_7), range(20)),
     "Justin": ((justin,), range(20)),
 }
 LONG = "more simulated", "Justin"

@@ -29,7 +29,7 @@ def meaning(report: DiagnosisReport) -> str:
     gives = report.written is not None and report.written.model == "with_effects"
     noise = "Nothing beyond the noise was found; nothing was added."
     if gives and not n:
-        noise = "Nothing but noise is left, once every part gives way a little, as in every arm."
+        noise = "Every joint, seat and link yields a little, which was added; only noise is left."
     return {
         "noise": noise,
         "named": f"{_count(n)} {_explain(n)} what the model lacked.",

@@ -58,12 +58,12 @@ def next_poses(
     far, shift = _designs(fit, found, other, (q, pool))
     scale = _noise(fit)[None, :, None]
     own = np.concatenate([theirs, mine[:, None]], axis=1)
-    information = own.T @ own + np.diag([*np.ones(theirs.shape[1]), 0.0])
+    information = own.T @ own + np.eye(own.shape[1])
     amount = np.zeros_like(information)
     amount[-1, -1] = 1.0
     choice = Choice(np.concatenate([far, shift[..., None]], axis=2) / scale, information, amount)
     chosen = choice.grown([], count)
-    odds = 0.5 / choice.covariance(chosen)[-1, -1]
+    odds = 0.5 * (1.0 / choice.covariance(chosen)[-1, -1] - 1.0)  # less the prior's part
     payload = typical["payload_kg"][chosen] if heaviest > 0 else None
     between = (found.name, other.candidate.name)
     return NextPoses(q[chosen], side[chosen], between, float(odds), payload)
