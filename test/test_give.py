@@ -72,7 +72,7 @@ def test_all_else_is_a_tenth_as_much_off_as_what_gives_way() -> None:
 
 
 def test_a_little_of_everything_is_in_the_model_and_no_finding() -> None:
-    """It takes off what calibration leaves, and its priors are a tenth of a finding's."""
+    """It takes off what calibration leaves, and its priors are far below a finding's."""
     diagnosis = found(GIVE)
     assert diagnosis.search.tolerance.give
     assert diagnosis.findings == ()
