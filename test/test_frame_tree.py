@@ -86,8 +86,8 @@ def test_what_is_not_known_is_said() -> None:
     [
         ("floor", [math.nan, 0, 0], [0, 0, 0, 1], "position of cart"),
         ("floor", [0, 0, 0], [0, 0, 0, 2], "rotation of cart"),
-        ("cart", [0, 0, 0], [0, 0, 0, 1], "does not hang on 'cart'"),
-        ("hook", [0, 0, 0], [0, 0, 0, 1], "does not hang on 'cart'"),
+        ("cart", [0, 0, 0], [0, 0, 0, 1], "does not depend on 'cart'"),
+        ("hook", [0, 0, 0], [0, 0, 0, 1], "does not depend on 'cart'"),
     ],
 )
 def test_rubbish_is_refused_and_changes_nothing(

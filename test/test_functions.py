@@ -100,7 +100,7 @@ def test_what_gives_is_one_number() -> None:
     assert cause.terms[0].function == "1"  # type: ignore[union-attr]
     assert cause.amounts[0].value == pytest.approx(6e-3, rel=0.05)
     assert cause.amounts[0].unit == "rad/(N m)"
-    assert "behaves like something that gives" in cause.sentence
+    assert "behaves like a soft part that yields" in cause.sentence
 
 
 def test_a_weight_is_found_where_it_hangs_with_its_size() -> None:

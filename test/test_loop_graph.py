@@ -144,11 +144,11 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     kept = (files / "model.yaml").read_bytes()
     words = ("loop", files / "arm.yaml", "-o", "loop", "--rounds", 1, "--poses", 60, "--targets", 3)
     out = shell.folder / "loop"
-    assert shell(*words, *QUICK) == 3 and "nobody said yes" in shell.err
+    assert shell(*words, *QUICK) == 3 and "there was no answer yes" in shell.err
     assert "joint_gain" in shell.err
     assert (files / "model.yaml").read_bytes() == kept
     shell.refused(*words, *QUICK)  # the folder is in use
-    assert "as it was begun" in shell.refused(*words, *QUICK[:-1], "0.06", "--resume")
+    assert "as in the first call" in shell.refused(*words, *QUICK[:-1], "0.06", "--resume")
     session = sorted((out / "session").iterdir())
     made = [file.stat().st_mtime_ns for file in session]
     report = shell.json(*words, *QUICK, "--resume", "--yes")

@@ -145,7 +145,7 @@ def test_own_names_of_the_base_need_no_tf(scene: Scene) -> None:
     [
         ("kitchen", 0.0, "frame 'kitchen' is unknown; allowed: 'left_arm/base', and what tf"),
         ("left_arm/base_link", -3.0, ""),
-        ("bench", 1.0, "frame 'bench' was told last"),
+        ("bench", 1.0, "frame 'bench' was last published"),
     ],
 )
 def test_a_frame_is_refused_in_words(scene: Scene, frame: str, ahead_s: float, words: str) -> None:

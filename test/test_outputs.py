@@ -79,8 +79,10 @@ def test_what_exists_is_replaced_by_its_own_kind_only(work: Path, shell: Shell) 
         shutil.copy(work / name, folder / name)
     (folder / "notes.txt").write_text("bought in 2019")
     plan = ("plan", "arm.yaml", "--kind", "sobol", "-n", 3)
-    assert "is not what plan writes" in kept(shell, "notes.txt", *plan, "-o", "notes.txt")
-    assert "is not what plan writes" in kept(shell, "samples.csv", *plan, "-o", "samples.csv")
+    assert "is not a file that plan writes" in kept(shell, "notes.txt", *plan, "-o", "notes.txt")
+    assert "is not a file that plan writes" in kept(
+        shell, "samples.csv", *plan, "-o", "samples.csv"
+    )
     marker = ("stereo", "marker", "--board", "7x5", "-o", "photo.pdf")
     (folder / "photo.pdf").write_bytes(b"%PDF a photo")
     kept(shell, "photo.pdf", *marker)

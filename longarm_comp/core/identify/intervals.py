@@ -15,7 +15,7 @@ from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.posterior.forms import neighbours
 
-BLOCKS = 30
+BLOCKS = 20
 """Blocks of rows whose pulls scatter; noise that lasts for a while stays within one."""
 LOOSE = 3.0
 """Times a found value that its prior must reach, so that it hardly pulls at the interval."""
