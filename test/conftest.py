@@ -29,10 +29,12 @@ ROS_DOMAINS = range(1, 102)
 
 
 LONGEST = (
+    "test_package",
+    "test_fuzz",
     "test_loop_graph",
     "test_demo",
-    "test_twin",
-    "test_soak",
+    "test_fleet",
+    "test_nodes_paths",
     "test_nodes_graph",
     "test_diagnose",
 )
