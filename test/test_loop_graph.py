@@ -158,7 +158,7 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     refused = turn["applied"]["network_refused"]
     learned = [] if refused else ["round 1: effects found + network"]
     assert names == ["not compensated", "before", "round 1: effects found", *learned]
-    assert "left out of the training" in refused or learned
+    assert "left out of its training" in refused or learned
     mean = [row["mean_mm"] for row in report["rows"]]
     assert min(mean[:2]) > 10 * mean[2]
     assert "joint_gain" in {change["what"] for change in turn["changes"]}
