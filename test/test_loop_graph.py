@@ -168,7 +168,7 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     load_model(files / "model.yaml", ARM)
     assert (files / "predictor.npz").is_file() == bool(learned)
 
-    assert "at work already" in shell.refused("apply", turn["diagnosis"])
+    assert "in use already" in shell.refused("apply", turn["diagnosis"])
     assert shell("undo", files / "model.yaml") == 0
     assert (files / "model.yaml").read_bytes() == kept
     assert not (files / "predictor.npz").exists()
