@@ -243,16 +243,16 @@ def calibrate(
         arm: as declared.
         session: measurements, or their CSV or bag. Rows without a marker are not fitted.
         effects: effects to add, one model for each: a canonical name (at every joint or beam that
-        may have it), one instance, or several that are fitted together.
+            may have it), one instance, or several that are fitted together.
         deflection: whether the declared beams sag.
         fraction: share of the rows to hold out.
         seed: seed of the split.
         kind_of: calibrated models of other arms of the kind, or their files. This arm is then
-        expected to differ from its drawing as they do. An arm.yaml beside a file declares that arm;
-        without one, it is declared as this arm.
+            expected to differ from its drawing as they do. An arm.yaml beside a file declares that
+            arm; without one, it is declared as this arm.
         note: called with each finding of the admission.
         progress: True: print each step; or a function, called with the model being fitted and the
-        share done.
+            share done.
 
     Raises:
         InputError: the session was refused; an effect has no place on this arm or needs an input

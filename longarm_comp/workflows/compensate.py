@@ -169,7 +169,7 @@ def compensate(
         predictor: of the residual of this model, from `train` or `load_predictor`.
         method: ``none``, ``deflection``, ``network`` or ``both``; by default all that was given.
         frame: frame of targets that do not state it: ``base``, the arm's own, or ``measured``, that
-        of the rows with which the model was calibrated. It may be left out if both are the same.
+            of the rows with which the model was calibrated. Not needed if both are the same.
         context: circumstances at the targets; `Targets` have their own. Sides of arrival that it
             holds are used.
         history: session, or its file, after which the targets are executed in their order. Its

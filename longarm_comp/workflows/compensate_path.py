@@ -78,12 +78,12 @@ def compensate_path(
         path: way-points in their order: positions (N, 3) in m or poses (N, 4, 4), or `Targets`
             that were read from a file; their t_s are the times.
         times: (N,) s, rising. They are kept if the limits allow and no play is taken up. None: as
-        fast as both limits allow; without limits, one second for each way-point.
+            fast as both limits allow; without limits, one second for each way-point.
         max_velocity, max_acceleration: one for every joint, or (n,); rad/s and m/s, or rad/s^2 and
-        m/s^2.
+            m/s^2.
         max_correction_m: largest correction of a way-point, m.
         max_longer: share of time that may be added, so that play is taken up smoothly where joints
-        turn; 0: exact times.
+            turn; 0: exact times.
         seed: (n,) joints to start the first search from.
         position_only: leave the orientation free.
 

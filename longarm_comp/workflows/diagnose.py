@@ -157,7 +157,7 @@ def diagnose(
         test: held-out rows. Without them, blocks of the session are held out.
         model: known model, or its file. Its effects are not added again.
         kind_of: as in `calibrate`. Compliance that these arms have is expected of this arm too, and
-        is no finding.
+            is no finding.
         network: whether to train a network on the remaining error.
         seed: seed of all random choices.
         note: called with each finding of the admission.

@@ -60,20 +60,20 @@ def plan(
         arm: as declared.
         n: number of poses.
         kind: ``sobol`` fills the joints' ranges evenly; ``grid`` draws from the paper's grid;
-        ``i-optimal`` leaves the least expected error of the tip, ``d-optimal`` the least
-        uncertainty of all parameters together (docs/collect.md).
+            ``i-optimal`` leaves the least expected error of the tip, ``d-optimal`` the least
+            uncertainty of all parameters together (docs/collect.md).
         seed: seed of the random choices.
         report: folder of a diagnosis. Its requested poses are used, whatever the kind; for an
             optimal kind its model and session are what is known.
         model: calibrated model, or its file: the arm is assumed to have its effects and no others.
-        Without one it may have every effect of the library.
+            Without one it may have every effect of the library.
         measured: rows that were measured so far, for an optimal kind.
         measure: what each pose measures: ``position``, ``pose``, ``distance`` to every anchor, or
             ``touch`` of one of `points`, for an optimal kind.
         noise: noise of a length (m) and an angle (rad), if nothing was measured yet.
         floor: height (m, base frame) that the arm must stay above.
         seen: function that says which (M,) of the tip poses (M, 4, 4) the cameras see; others are
-        left out.
+            left out.
         points: points to touch by name, and roughly where they are, m, base frame.
         note: called with each finding of the admission.
 

@@ -44,7 +44,7 @@ class Context:
         approach: per joint -1, 0 (unknown) or +1: the side it arrived from, n scalars;
             empty when unknown.
         columns: any further quantity by name: `temperature_c`, `payload_kg`, `t_s`,
-        `incl_<frame>_x`, ... (SI units, temperatures in degrees Celsius).
+            `incl_<frame>_x`, ... (SI units, temperatures in degrees Celsius).
         labels: text columns such as `group` and `marker`, one string or (N,) array of them.
         legs: per joint its last signed ways from turn to turn (rad, m), the latest first, as
             `history.onward` keeps them, n times `LEGS` scalars; 0 or empty where unknown.

@@ -47,14 +47,14 @@ class Session(MeasuredRows):
         legs: (N, n, LEGS) signed ways of each joint from turn to turn, rad and m, the latest
             first (`core/arm/history.py`); 0 where unknown.
         told: (N, n) of +-1 if only the side of arrival was recorded, with a run-up of unknown
-        length, else 0.
+            length, else 0.
         readings: what else was measured, by kind (`core/data/kinds.py`), (N, c) each; a row of
             NaN was not. `orientation`: x, y, z, w; `distance`: m, to the row's `anchor`.
         sigmas: standard deviations of these, by kind, (N,) each in m or rad.
         touch_distances: known distances between touched points (`core/data/touched.py`).
         blocks: the channels of the equations; a part of a session keeps those of the whole.
         lost: why rows of the recording hold no measurement, by index, if known; a part of a session
-        keeps those of the whole.
+            keeps those of the whole.
     """
 
     index: np.ndarray

@@ -118,8 +118,7 @@ class _Term:
     Attributes:
         name: canonical name, used in files and reports.
         title: what a mechanic calls it: ``play``.
-        action: what can be done about it at the arm, in one sentence. What software does about it
-            the report says by itself.
+        action: what can be done about it at the arm, in one sentence.
         whole: where it is, for an effect without a place.
         needs: recorded inputs that every instance needs.
         geometry: always fitted, and never "named" by a diagnosis.
@@ -127,11 +126,9 @@ class _Term:
         seen_only: moves the frame of the measurements, and gravity with it.
         continuous: changes little for a small motion of the joints.
         loaded: depends on the loads, so that it must be iterated as the arm sags.
-        elastic: a part that gives way under its load. No arm is without, so a little of it at every
-            place is no finding.
+        elastic: a part that yields under its load. A little of it at every place is no finding.
         searched: tried by a diagnosis. Geometry is always fitted instead.
-        aliases: effects that no measurement of the tip can distinguish from it. One of the two
-            must declare it.
+        aliases: effects that no measurement of the tip tells from it. One of the two declares it.
         limit_aliases: effects that it equals at an end of its form's scale or of a parameter's
             bounds. Studies accept either name there.
         free_levels: for an effect that depends only on the position of one turning joint: number

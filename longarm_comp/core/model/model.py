@@ -67,11 +67,10 @@ class Model:
         elements_per_beam: number of elements of each beam.
         arrivals: per commanded joint, number of fitted rows that arrived from above (-1) and
             from below (+1); empty if not recorded.
-        tolerances: share of the drawing's tolerances by which the geometry may be wrong; less than
-        1 if other arms of the kind are known.
-        beyond: (parameter, factor) of a prior that does not hold, wider or narrower by this factor:
-        geometry beyond its tolerance, and what every arm yields by. Each fit finds them again; no
-        file holds them.
+        tolerances: share of the drawing's tolerances by which the geometry may be wrong; below 1
+            if other arms of the kind are known.
+        beyond: (parameter, factor) of priors made wider or narrower: geometry beyond its tolerance,
+            and what every arm yields by. Each fit finds them again; no file holds them.
         uncertainty: how far its tip may be from the true tip; None if that is not known.
     """
 
