@@ -158,7 +158,7 @@ def twist_of(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 _ROUNDS = 4
-"""Of base and sensors in turn: each starts from what the other has become; a fit ends the rest."""
+"""Times that rows far from the solution are set aside: the fit that follows judges them anew."""
 
 
 def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
