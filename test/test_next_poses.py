@@ -1,0 +1,35 @@
+"""Poses that split a set: how much they are expected to tell."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from drawn_reports import in_doubt
+
+from longarm_comp.core.identify.next_poses import NextPoses, next_poses
+
+
+def asked(count: int, share: float = 1.0) -> NextPoses:
+    """Poses between the first two names of a set, its effect so many times as large."""
+    search = in_doubt().search
+    (found,) = in_doubt().findings
+    keys = {t.key for t in found.terms}
+    model = search.fit.model
+    own = np.array([s.owner.key in keys for s in model.slots])
+    values = np.where(own, share * model.values, model.values)
+    fitted = dataclasses.replace(search.fit, model=model.with_values(values))
+    rival = next(r for r in found.alternatives if r.candidate.name not in found.names[1:2])
+    return next_poses(dataclasses.replace(search, fit=fitted), found, rival, count)
+
+
+def test_an_effect_of_nothing_tells_nothing() -> None:
+    assert asked(2, share=0.0).log_bayes_factor == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_odds_grow_with_the_square_of_the_effect_and_with_poses() -> None:
+    one = asked(4).log_bayes_factor
+    assert one > 0.0
+    assert asked(4, share=3.0).log_bayes_factor == pytest.approx(9.0 * one, rel=1e-2)
+    assert asked(8).log_bayes_factor > one
