@@ -28,6 +28,14 @@ def gain(joint: int, *names: tuple[str, float], factor: float = 40.0) -> FoundEf
     return FoundEffect((JointGain(joint, gain=0.01),), 0.9, every, factor, shown)
 
 
+@pytest.mark.parametrize(
+    ("there", "open_"), [(0.01, False), (0.06, True), (0.9, True), (0.96, False)]
+)
+def test_what_is_credibly_not_there_is_not_in_doubt(there: float, open_: bool) -> None:
+    gain = JointGain(2, gain=0.01)
+    assert FoundEffect((gain,), there, ((gain.name, 1.0),), 3.0).in_doubt is open_
+
+
 def test_a_credible_set_is_the_smallest_with_95_percent() -> None:
     part = gain(5, ("gear_eccentricity", 0.3), ("bearing_tilt", 0.08), ("x", 0.04))
     assert part.credible == ("joint_gain", "gear_eccentricity", "bearing_tilt")

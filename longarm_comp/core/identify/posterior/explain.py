@@ -56,7 +56,7 @@ class ExplainedSession:
     Attributes:
         fit: the final model, fitted.
         found: the single effects in the model, with their credible sets.
-        doubtful: single effects that may be there, not in the model.
+        doubtful: single effects whose presence is in doubt, not in the model.
         noise: as judged last.
         candidates: the library as it was offered last.
         tolerance: what moves the rows besides.
@@ -149,7 +149,7 @@ class _Search:
         return ExplainedSession(
             state.fit,
             state.found,
-            doubtful,
+            tuple(f for f in doubtful if f.in_doubt),
             state.noise,
             tuple(self.candidates),
             self._standing(state.fit, state.found)[1],

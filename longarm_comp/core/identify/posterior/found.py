@@ -62,6 +62,11 @@ class FoundEffect:
         return self.terms[0].name
 
     @property
+    def in_doubt(self) -> bool:
+        """Whether neither that it is there nor that it is not is credible."""
+        return 1.0 - CREDIBLE <= self.there < CREDIBLE
+
+    @property
     def unnamed(self) -> bool:
         """Whether it is a function without a name."""
         return not self.terms[0].searched
