@@ -32,7 +32,10 @@ CALLED = ("slew", "luff", "extend", "knuckle")
 
 @cache
 def in_doubt() -> Diagnosis:
-    """A joint that gives way, or its servo: a set; the joints have names."""
+    """A joint that gives way, or its servo: a set; the joints have names.
+
+    Of a payload of 0.5 kg calibration leaves 0.04 mm of it, which needs no name.
+    """
     data = ARM.model_dump(mode="json", exclude_defaults=True)
     rows = [row | {"name": name} for row, name in zip(data["joints"], CALLED, strict=True)]
     load = {"frame": 4, "position_m": [0.0, 0.0, 0.05], "mass_kg": 2.0}

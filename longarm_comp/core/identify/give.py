@@ -20,8 +20,8 @@ from longarm_comp.core.model.model import slots_of
 
 GIVE = 0.03
 """Size of what gives way at every place of an arm, in the size of a finding.  On UR5 and three
-Pandas (1, 4, 6) the evidence for it is highest at 0.1 to 0.3 of that size, which may also stand for
-single soft places; a third of the least hides no soft joint that a mechanic would look for."""
+Pandas (1, 4, 6) the evidence for it is highest at 0.1 to 0.3; at 0.1 it also stands for single soft
+parts, whose names are lost (`test_explain.py`), and real test rows err no less than at 0.03."""
 LITTLE = 0.003
 """Size of everything else at every place.  Beside what was found on Justin, UR5 and Pandas the
 evidence is highest at 0.003 to 0.01."""
