@@ -339,8 +339,9 @@ def test_shaped_moves_arrive_and_shaping_needs_an_arm(rig: Rig, tmp_path: Path) 
 
 
 def test_a_driver_that_says_ready_takes_a_trajectory_before_its_first_cycle(rig: Rig) -> None:
+    """Nor later, when the last reading is older than is believed: the servos are read first."""
     rig.ends()
-    rig.start(rate_hz=1.0)
+    rig.start(rate_hz=1.0, **{"follower.silence_s": 0.1})
     rig.is_in(DriverState.READY)
     rig.send("at once", shoulder=0.2)
     rig.stage.spin(lambda: rig.events("at once"))

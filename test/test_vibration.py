@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from longarm_comp.core.vibration.after_move import ring_after
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import along, straight
 from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
-from longarm_comp.core.vibration.shaper import shaper_of, way_modes
+from longarm_comp.core.vibration.shaper import shaper_of, shaping, way_modes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads
 from longarm_comp.sim.ringing import Ringing, vibration
@@ -191,6 +192,18 @@ def test_two_waves_are_found_in_noisy_sightings_with_what_is_known_of_them() -> 
         assert abs(wave.hz - omega / (2 * np.pi)) < 4 * wave.hz_sd < 0.02
         assert abs(wave.damping - damping) < 4 * wave.damping_sd < 0.01
         np.testing.assert_allclose(wave.size, size, atol=2e-4)
+
+
+def test_a_driver_shapes_by_the_damping_that_the_arm_declares() -> None:
+    arm = SOFT_ARM.arm.model_copy(update={"damping": 0.2})
+    way, took = straight(ARM.mid, ARM.mid + 0.1 * (ARM.upper - ARM.lower), 0.5), 0.5
+    model = dataclasses.replace(SOFT_ARM, arm=arm)
+    own = shaping(model, list(arm.joint_names), "a test")(way, took)
+    wanted = shaper_of(way_modes(model, way, took), way, took, 0.2)
+    assert own is not None and wanted is not None
+    np.testing.assert_allclose(own.weights, wanted.weights)
+    stood = straight(ARM.mid, ARM.mid, took)
+    assert shaping(model, list(arm.joint_names), "a test")(stood, took) is None
 
 
 def test_noise_is_no_wave_and_slow_cameras_are_refused() -> None:
