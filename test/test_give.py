@@ -11,7 +11,11 @@ from touching import ARM
 
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.link_bending import LinkBending
 from longarm_comp.core.identify.candidates import distinct, library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import CALIBRATED, WITH_EFFECTS, Diagnosis
@@ -21,6 +25,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, slots_of
 
 NOISE_M = 1e-4
+ELASTIC = (JointCompliance, BearingTilt, LinkBending)
 
 
 def parts() -> tuple[Effect, ...]:
@@ -101,3 +106,15 @@ def test_a_rigid_arm_stays_rigid() -> None:
 
 def test_the_sentence_says_that_parts_give_way() -> None:
     assert "yields a little" in found(GIVE).summary
+
+
+def test_what_is_said_of_a_finding_beside_it_is_what_is_written() -> None:
+    """One fit of both: without what gives way, the gain would be another."""
+    true = giving_way(GIVE).plus(JointGain(2, gain=0.01))
+    diagnosis = diagnose(ARM, rows_of(true, 120), kinds=(JointGain, *ELASTIC))
+    assert diagnosis.search.tolerance.give
+    (gain,) = (f for f in diagnosis.findings if f.name == "joint_gain")
+    written = {t.key: t for t in diagnosis.model.terms}
+    assert [written[t.key] for t in gain.terms] == list(gain.terms)
+    ends = diagnosis.intervals_of(gain)
+    assert [i.value for i in ends.values()] == [t.gain for t in gain.terms]

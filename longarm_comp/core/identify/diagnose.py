@@ -24,7 +24,6 @@ from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.give import with_give
 from longarm_comp.core.identify.intervals import intervals
 from longarm_comp.core.identify.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.identify.model_fit import ModelFit
@@ -109,8 +108,7 @@ def diagnose(
     fits = _fits(start, found)
     columns = columns_at(found.fit)
     beside = tolerances(found.fit, columns, found.candidates, found.found, found.tolerance)
-    fullest = list(fits.values())[-1]
-    structure = examine(fullest, fits[CALIBRATED], beside)
+    structure = examine(found.fit, fits[CALIBRATED], beside)
     expected = expected_commanded(fits, found.found)
     written = least(expected)
     final = fits[written]
@@ -146,7 +144,7 @@ def diagnose(
         expected=expected,
         written=written,
         intervals=ends,
-        structure=with_unseen(structure, fullest, held_out),
+        structure=with_unseen(structure, found.fit, held_out),
         models=models,
         proof=prove(models, None if network is None else (final.model, network), held_out),
         network=network,
@@ -169,8 +167,6 @@ def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
     """Calibration alone, with the effects that have a name, with functions: the same rows."""
     whole, noise = found.fit, found.noise
     bare = fit(start, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
-    if found.tolerance.give:
-        whole = with_give(whole, found.candidates)
     more = found.found or found.tolerance.give
     made = {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
     functions = {t.key for f in found.found if f.unnamed for t in f.terms}

@@ -19,6 +19,7 @@ from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import FitColumns, columns_at
 from longarm_comp.core.identify.fit import fit, unfitted
+from longarm_comp.core.identify.give import with_give
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
@@ -54,7 +55,7 @@ class ExplainedSession:
     """The outcome of a search.
 
     Attributes:
-        fit: the final model, fitted.
+        fit: the final model, fitted, with what gives way besides what was found.
         found: the single effects in the model, with their credible sets.
         doubtful: single effects whose presence is in doubt, not in the model.
         noise: as judged last.
@@ -146,13 +147,16 @@ class _Search:
             held = {t.key for f in (*state.found, *again) for t in f.terms}
             left = (f for f in doubtful if held.isdisjoint(t.key for t in f.terms))
             doubtful = (*again, *left)
+        slack = self._standing(state.fit, state.found)[1]
+        fitted = with_give(state.fit, self.candidates) if slack.give else state.fit
+        known = {t.variant: t for t in fitted.model.terms}
         return ExplainedSession(
-            state.fit,
-            state.found,
+            fitted,
+            tuple(replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found),
             tuple(f for f in doubtful if f.in_doubt),
             state.noise,
             tuple(self.candidates),
-            self._standing(state.fit, state.found)[1],
+            slack,
         )
 
     def _repeated(
