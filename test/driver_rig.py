@@ -95,11 +95,15 @@ class Rig:
         return self.arm.values(self.emulator.positions())
 
     def rests(self) -> dict[str, float]:
-        """The same, once they no longer creep towards where they were sent."""
+        """The same, once they no longer creep towards where they were sent, in ten readings."""
         stood: dict[str, float] = {}
+        read = len(self.states)
 
         def still() -> bool:
-            before = dict(stood)
+            nonlocal read
+            if len(self.states) < read + 10:
+                return False
+            before, read = dict(stood), len(self.states)
             stood.update(self.joints())
             return before == pytest.approx(stood, abs=1e-7)
 
