@@ -99,7 +99,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         fitted = fit(declared_model(arm).plus(soft, *geometry(arm, session)), session)
         kinds = library(arm, session.context()).testable
         there = (FoundEffect((soft,), 1.0, (), 0.0),)
-        every = (offered(fitted, columns_at(fitted), kinds, (), there, t) for t in TOLERANCES)
+        every = offered(fitted, columns_at(fitted), kinds, (), there, TOLERANCES)
         of = max(every, key=lambda each: each.standing)
         bank, own = of.bank, of.bank.offers[of.known[0]]
         (k,) = own.places

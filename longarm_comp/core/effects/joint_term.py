@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -146,6 +147,7 @@ def joint_load(posture: Posture, joint: int) -> Scalar:
     return total
 
 
+@lru_cache(maxsize=1024)
 def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Parameter, ...]:
     """Copies of parameters with other attributes (prior, unit) for an arm."""
     return tuple(dataclasses.replace(p, **changes) for p in parameters)  # type: ignore[arg-type]

@@ -32,11 +32,11 @@ def giving(library: Sequence[Candidate]) -> tuple[Term, ...]:
     return tuple(t for t in distinct(library) if t.elastic)
 
 
-def a_little(fitted: ModelFit, columns: FitColumns, library: Sequence[Candidate]) -> np.ndarray:
-    """(N, d, k) columns of what every real arm has, each times its size."""
+def a_little(columns: FitColumns, library: Sequence[Candidate]) -> np.ndarray:
+    """(m, k) whitened columns of what every real arm has, each times its size."""
     every = distinct(library)
-    slots = slots_of(fitted.model.arm, every)
-    return columns.of(every) * [GIVE if s.owner.elastic else LITTLE for s in slots]
+    slots = slots_of(columns.model.arm, every)
+    return columns.scaled(every).b * [GIVE if s.owner.elastic else LITTLE for s in slots]
 
 
 def with_give(fitted: ModelFit, library: Sequence[Candidate]) -> ModelFit:

@@ -211,9 +211,8 @@ class _Search:
             bare = ((columns.without((), tolerances(fitted, columns, library, (), t)), t)
                     for t in BARE)  # fmt: skip
             return max((marginal.evidence, t) for marginal, t in bare)
-        every = (
-            offered(fitted, columns, library, self.propositions, found, t, others=False)
-            for t in TOLERANCES
+        every = offered(
+            fitted, columns, library, self.propositions, found, TOLERANCES, others=False
         )
         return max((bank.pruned, bank.tolerance) for bank in every)
 
@@ -261,9 +260,7 @@ class _Search:
         """By tolerance; forms count where something is in the model."""
         tried = TOLERANCES if state.found else BARE
         library, functions = self.candidates, self.propositions
-        return [
-            offered(state.fit, state.columns, library, functions, state.found, t) for t in tried
-        ]
+        return offered(state.fit, state.columns, library, functions, state.found, tried)
 
     def _scan(self, state: _State) -> None:
         """Offer the steps that the residual shows."""

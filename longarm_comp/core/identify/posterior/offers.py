@@ -11,9 +11,11 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import FitColumns, shift_of
 from longarm_comp.core.identify.give import a_little
@@ -37,11 +39,11 @@ def offered(
     library: Sequence[Candidate],
     functions: Sequence[Proposition],
     found: Sequence[FoundEffect],
-    tolerance: Slack,
+    slacks: Sequence[Slack],
     *,
     others: bool = True,
-) -> OfferedEffects:
-    """The bank at a fit.
+) -> list[OfferedEffects]:
+    """The banks at a fit, one for each tolerance.
 
     Args:
         fitted: geometry and what was found so far.
@@ -49,13 +51,49 @@ def offered(
         library: the named effects.
         functions: without a name.
         found: what was found so far; it stays on offer in its present form.
-        tolerance: what may move the rows besides.
+        slacks: what may move the rows besides.
         others: whether more than these is on offer.
     """
-    arm = fitted.model.arm
-    names = {c.name for c in library}
+    listed = _listed(fitted.model.arm, library, functions, found)
+    if not others:
+        kept = {_variant(f.terms) for f in found}
+        listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
+    held = {t.key for f in found for t in f.terms}
+    raw = _raw(fitted, columns, listed)
+    banks = []
+    for slack in slacks:
+        marginal = columns.without(held, tolerances(fitted, columns, library, found, slack))
+        moving, bank = _banked(fitted, marginal, raw, listed)
+        things = [listed[n][0] for n in moving]
+        at = {_variant(c.terms): n for n, c in enumerate(things)}
+        known = (at.get(_variant(f.terms)) for f in found)
+        banks.append(
+            OfferedEffects(
+                fitted,
+                things,
+                bank,
+                raw.widths,
+                tuple(n for n in known if n is not None),
+                marginal.evidence,
+                slack,
+            )
+        )
+    return banks
+
+
+_Listed = tuple[Candidate, float, tuple[float, ...], tuple[float, ...]]
+"""A candidate with the log prior, sizes and chances of its offer."""
+
+
+def _listed(
+    arm: Arm,
+    library: Sequence[Candidate],
+    functions: Sequence[Proposition],
+    found: Sequence[FoundEffect],
+) -> list[_Listed]:
+    """What is on offer, with its price."""
     forms = Counter(c.name for c in library)
-    share = math.log((1.0 - UNNAMED) / max(len(names), 1))
+    share = math.log((1.0 - UNNAMED) / max(len(forms), 1))
     listed: list[_Listed] = []
     for candidate in library:
         price = sum(t.price(arm) for t in candidate.terms)
@@ -65,49 +103,27 @@ def offered(
     for function in functions:
         thing = Candidate(function.terms[0].name, function.terms)
         listed.append((thing, math.log(UNNAMED) + function.log_prior, AMPLITUDES, even))
-    offered_now = {tuple(t.variant for t in c.terms) for c, _, _, _ in listed}
+    offered_now = {_variant(c.terms) for c, _, _, _ in listed}
     for f in found:
-        if tuple(t.variant for t in f.terms) in offered_now:
-            continue
-        prior = share - math.log(forms[f.name]) if f.name in names else math.log(UNNAMED)
-        thing = Candidate(f.name, f.terms)
-        listed.append((thing, prior, SIZES, CHANCES))
-    if not others:
-        kept = {tuple(t.variant for t in f.terms) for f in found}
-        listed = [entry for entry in listed if tuple(t.variant for t in entry[0].terms) in kept]
-    held = {t.key for f in found for t in f.terms}
-    beside = tolerances(fitted, columns, library, found, tolerance)
-    marginal = columns.without(held, beside)
-    moving, bank, widths = _banked(fitted, marginal, columns, listed)
-    things = [listed[n][0] for n in moving]
-    at = {tuple(t.variant for t in c.terms): n for n, c in enumerate(things)}
-    known = (at.get(tuple(t.variant for t in f.terms)) for f in found)
-    return OfferedEffects(
-        fitted,
-        things,
-        bank,
-        widths,
-        tuple(n for n in known if n is not None),
-        marginal.evidence,
-        tolerance,
-    )
+        if _variant(f.terms) not in offered_now:
+            prior = share - math.log(forms[f.name]) if f.name in forms else math.log(UNNAMED)
+            listed.append((Candidate(f.name, f.terms), prior, SIZES, CHANCES))
+    return listed
 
 
-_Listed = tuple[Candidate, float, tuple[float, ...], tuple[float, ...]]
-"""A candidate with the log prior, sizes and chances of its offer."""
+def _variant(terms: Sequence[Term]) -> tuple[object, ...]:
+    return tuple(t.variant for t in terms)
 
 
 def _banked(
-    fitted: ModelFit, marginal: Marginal, columns: FitColumns, listed: Sequence[_Listed]
-) -> tuple[list[int], OfferBank, np.ndarray]:
-    """Which candidates move a row; these as a bank; units of its columns."""
+    fitted: ModelFit, marginal: Marginal, raw: _Raw, listed: Sequence[_Listed]
+) -> tuple[list[int], OfferBank]:
+    """Which candidates move a row, and these as a bank."""
     arm = fitted.model.arm
-    terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
-    b, where, lower, upper, widths, like = _columns(fitted, columns, terms)
-    gram, along = marginal.normal(b)
+    gram, along = marginal.normal(raw.b)
     offers, kept = [], []
     for n, (candidate, prior, sizes, chances) in enumerate(listed):
-        own = tuple(where[t.variant] for t in candidate.terms)
+        own = tuple(raw.where[t.variant] for t in candidate.terms)
         flat = [k for part in own for k in part]
         if (
             not flat
@@ -121,7 +137,7 @@ def _banked(
             sizes, chances = (1.0,), (0.0,)
         offers.append(Offer(candidate.name, keys, own, prior, sizes, chances, fixed))
         kept.append(n)
-    return kept, OfferBank(offers, gram, along, lower, upper, like), widths
+    return kept, OfferBank(offers, gram, along, raw.lower, raw.upper, raw.like)
 
 
 def evidence_of_each(
@@ -139,7 +155,7 @@ def evidence_of_each(
     """
     listed = [(c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,))
               for c in each]  # fmt: skip
-    kept, bank, _ = _banked(fitted, marginal, columns, listed)
+    kept, bank = _banked(fitted, marginal, _raw(fitted, columns, listed), listed)
     made = np.zeros(len(listed))
     made[kept] = bank.scores
     return made
@@ -165,17 +181,18 @@ def tolerances(
     arm = fitted.model.arm
     usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
-    made = [columns.of(usual) * shares] if usual else []
+    made = [columns.scaled(usual).b * shares] if usual else []
     if tolerance.give:
-        made.append(a_little(fitted, columns, library))
+        made.append(a_little(columns, library))
     held = {t.key: t for t in fitted.model.terms}
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
             shift = shift_of(fitted, columns, terms)
-            made.append(shift[:, :, None] * ways[:, None, :])
-            made += [_undecided(fitted, columns, t, tolerance.form) for t in terms if t.scales()]
-    return fitted.whitened(np.concatenate(made, axis=-1)) if made else None
+            made.append(fitted.whitened(shift[:, :, None] * ways[:, None, :]))
+            forms = (_undecided(fitted, columns, t, tolerance.form) for t in terms if t.scales())
+            made += [fitted.whitened(form) for form in forms]
+    return np.concatenate(made, axis=-1) if made else None
 
 
 def _undecided(fitted: ModelFit, columns: FitColumns, term: Term, tolerance: float) -> np.ndarray:
@@ -194,41 +211,48 @@ def _undecided(fitted: ModelFit, columns: FitColumns, term: Term, tolerance: flo
     return np.concatenate(made, axis=-1)
 
 
-def _columns(
-    fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]
-) -> tuple[np.ndarray, dict, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Columns of all terms side by side, with their bounds, units and likenesses."""
-    arm = fitted.model.arm
-    free = [t for t in terms if slots_of(arm, [t])]
-    whole = [t for t in terms if not slots_of(arm, [t])]
-    scaled = columns.scaled(free)
-    most = np.array([INCREDIBLE if s.owner.searched else np.inf for s in slots_of(arm, free)])
-    parts = [scaled.b]
-    where: dict[tuple[object, ...], tuple[int, ...]] = {}
-    start = 0
-    for term in free:
-        count = len(slots_of(arm, [term]))
-        where[term.variant] = tuple(range(start, start + count))
-        start += count
-    lower, upper = [np.maximum(scaled.lower, -most)], [np.minimum(scaled.upper, most)]
-    widths = [scaled.widths]
-    for term in whole:
-        parts.append(fitted.whitened(columns.shift([term])[..., None]))
-        where[term.variant] = (start,)
-        start += 1
-        lower.append(np.full(1, -np.inf))
-        upper.append(np.full(1, np.inf))
-        widths.append(np.ones(1))
+class _Raw(NamedTuple):
+    """Columns of all terms on offer side by side.
+
+    Attributes:
+        b: (m, k) columns in units of the noise.
+        where: positions of a term's columns, by its variant.
+        lower, upper: (k,) bounds in units of the columns.
+        widths: (k,) these units.
+        like: (k,) numbers that coefficients share that are like each other.
+    """
+
+    b: np.ndarray
+    where: dict[tuple[object, ...], tuple[int, ...]]
+    lower: np.ndarray
+    upper: np.ndarray
+    widths: np.ndarray
+    like: np.ndarray
+
+
+def _raw(fitted: ModelFit, columns: FitColumns, listed: Sequence[_Listed]) -> _Raw:
+    terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
+    slots = slots_of(fitted.model.arm, terms)
+    of_term: dict[int, list[int]] = {}
+    for k, slot in enumerate(slots):
+        of_term.setdefault(slot.term, []).append(k)
+    where = {terms[t].variant: tuple(own) for t, own in of_term.items()}
+    scaled = columns.scaled([terms[t] for t in of_term])
+    whole = [term for t, term in enumerate(terms) if t not in of_term]
+    where |= {term.variant: (len(slots) + k,) for k, term in enumerate(whole)}
+    shifts = [fitted.whitened(columns.shift([term])[..., None]) for term in whole]
+    most = np.array([INCREDIBLE if s.owner.searched else np.inf for s in slots])
+    free = np.full(len(whole), np.inf)
     first: dict[object, int] = {}
     like = [
         first.setdefault((*s.owner.variant, s.parameter.like) if s.parameter.like else k, k)
-        for k, s in enumerate(slots_of(arm, free))
+        for k, s in enumerate(slots)
     ]
-    return (
-        np.concatenate(parts, axis=1),
+    return _Raw(
+        np.concatenate([scaled.b, *shifts], axis=1),
         where,
-        np.concatenate(lower),
-        np.concatenate(upper),
-        np.concatenate(widths),
-        np.array([*like, *range(len(like), start)]),
+        np.concatenate([np.maximum(scaled.lower, -most), -free]),
+        np.concatenate([np.minimum(scaled.upper, most), free]),
+        np.concatenate([scaled.widths, np.ones(len(whole))]),
+        np.array([*like, *range(len(slots), len(slots) + len(whole))]),
     )
