@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.report import (
+from longarm_comp.report.detail import (
     Correlation,
     Detail,
     Detectable,

@@ -124,7 +124,8 @@ READINGS = (
     Reading(("import-data", "log.xlsx", "--units", "mm,deg", "-o", "s.csv"), ("log.xlsx",)),
     Reading(("undo", "kept.yaml"), ("kept.previous.yaml",)),
     Reading(
-        ("import-urdf", "lift.urdf", "--base", "base", "--tip", "b", "-o", "l.yaml"), ("lift.urdf",)
+        ("init", "l", "--urdf", "lift.urdf", "--base", "base", "--tip", "b", "--only-arm"),
+        ("lift.urdf",),
     ),
     Reading(("import-data", "log.csv", "--like", MAPPING, "-o", "s.csv"), (MAPPING,)),
     Reading(

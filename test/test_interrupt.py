@@ -23,7 +23,7 @@ class CtrlC:
             raise KeyboardInterrupt
 
 sys.meta_path.insert(0, CtrlC())
-cli.main(["import-urdf", "--help"])
+cli.main(["export-urdf", "--help"])
 """
 
 

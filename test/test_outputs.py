@@ -14,7 +14,6 @@ from cli_shell import Shell
 from longarm_comp.cli.outputs import Output
 from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.cli.run import root
-from longarm_comp.urdf_export import BASE_LINK, TIP
 
 WRITES = ("-o", "--output", "--out", "--save")
 REFUSES_ITSELF = {("demo", "--out"), ("soak", "--out"), ("stereo calibrate", "--save")}
@@ -95,18 +94,6 @@ def test_what_exists_is_replaced_by_its_own_kind_only(work: Path, shell: Shell) 
     fit = ("calibrate", "arm.yaml", "samples.csv")
     for command in (fit, fit, urdf, urdf):
         assert shell(*command) == 0
-    declare = (
-        "import-urdf",
-        "calibrated.urdf",
-        "-o",
-        "other.yaml",
-        "--base",
-        BASE_LINK,
-        "--tip",
-        TIP,
-    )
-    assert shell(*declare) == 0
-    kept(shell, "other.yaml", *declare)
 
 
 def test_a_diagnosis_goes_into_its_own_folder(work: Path, shell: Shell) -> None:
@@ -133,7 +120,7 @@ def test_what_has_no_end_is_not_read(
         ("compensate", "arm.yaml", "--targets", "endless"),
         ("compensate", "arm.yaml", "0.7", "0", "0.4", "--predictor", "endless"),
         ("import-data", "endless", "-o", "made.csv"),
-        ("import-urdf", "endless", "-o", "made.yaml", "--base", "base", "--tip", "tip"),
+        ("init", "made", "--urdf", "endless"),
         ("bag", "info", "endless"),
         ("plan", "arm.yaml", "--kind", "sobol", "-n", 2, "-o", "endless"),
     ):

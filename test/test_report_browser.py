@@ -21,7 +21,7 @@ import pytest
 from browser import browser
 from report_samples import VERDICTS
 
-from longarm_comp.report import write_report
+from longarm_comp.report.write import write_report
 
 FLAGS = (
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),

@@ -21,7 +21,8 @@ from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.practical import practical
 from longarm_comp.core.identify.structure import SIGNIFICANT
-from longarm_comp.report import Detail, assemble, cards, record, verdict
+from longarm_comp.report import assemble, cards, record, verdict
+from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.open_questions import open_questions
 from longarm_comp.report.page import page as rendered
@@ -165,7 +166,7 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
     assert card.title == "Cause without a name, joint 5" and card.action == cause.action
     assert card.tip == "1.25 mm at the tip, up to 3.75 mm"
     assert card.sure == "certain; the place is open" and "joint 6, force y" in card.because
-    assert "few positions" in open_questions(found, Detail())[0].items[0]
+    assert "few positions" in open_questions(found, Detail())[0][1][0]
     assert card.doubts == tuple(cause.doubts)
     assert card.improves == "1.39 → 0.11 mm" and "compensates it" in card.software
 

@@ -17,7 +17,6 @@ from longarm_comp.view.state import (
     Part,
     Picture,
     SeenTip,
-    true_to_scale,
 )
 
 DECLARED = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5], [1.0, 0.0, 0.5]])
@@ -91,11 +90,6 @@ def test_the_miss_is_of_the_target_that_the_joints_were_sent_to() -> None:
         assert other.missed(20.0) is None and other.unpredicted(20.0) is not None
     assert words.tip_at_target(elsewhere, 20.0).endswith("the arm is not at the last target")
     assert words.target(unsent) == "Last target: UNREACHABLE, nothing sent: 3 mm missing."
-
-
-def test_exaggeration_of_the_graph_is_undone() -> None:
-    drawn = DECLARED + 50.0 * (HANGING - DECLARED)
-    np.testing.assert_allclose(true_to_scale(drawn, DECLARED, 50.0), HANGING)
 
 
 def test_silence_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

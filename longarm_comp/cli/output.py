@@ -6,19 +6,13 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from longarm_comp.core.arm.arm import Arm
-
 
 _QUIET_S = 10.0
 """A reader of lines wants to know that the job goes on, not each of its steps."""
@@ -38,16 +32,6 @@ def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
         if said := kept():
             note(said)
         raise
-
-
-def note_link_places(arm: Arm) -> None:
-    """Say where links can be declared, of an arm that has none."""
-    from longarm_comp.core.arm.places import link_places
-
-    if places := link_places(arm.joints):
-        named = (f"row {row} ({arm.joints[row - 1].name or f'joint{row}'}) {role} {size:.4g} m"
-                 for row, role, size in places)  # fmt: skip
-        note(f"no beam is declared; links (docs/arm.md) can lie along {', '.join(named)}")
 
 
 def as_text(data: object) -> str:

@@ -27,11 +27,6 @@ KEY = Discovered.name
 """Causes without a name are called the same in model.yaml and in report.json."""
 
 
-def discovered(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """What was found, largest first, with the hold-out without and with it; empty for nothing."""
-    return [_cause(cause, diagnosis) for cause in diagnosis.causes]
-
-
 def _cause(found: Cause, diagnosis: Diagnosis) -> dict[str, Any]:
     before, after = (diagnosis.rows[k].rms for k in (WITH_EFFECTS, WITH_FUNCTIONS))
     at = [a.where.partition(", ") for a in found.amounts]
@@ -67,26 +62,10 @@ def _cause(found: Cause, diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-NO_STRUCTURE: dict[str, Any] = {
-    "flag": False,
-    "text": "",
-    "p_value": None,
-    "share_explained": None,
-    "inputs": [],
-    "size_mm": None,
-}
-
-
 def assemble(
     diagnosis: Diagnosis, data_sha256: str, facts: Mapping[str, str] | None = None
 ) -> tuple[dict[str, Any], Detail]:
-    """report.json and the page's detail.
-
-    Args:
-        diagnosis: what was found.
-        data_sha256: of the rows that were given.
-        facts: further provenance for the page; ``session`` becomes its title.
-    """
+    """report.json and the page's detail; of `facts`, ``session`` becomes the page's title."""
     tried = sizes(diagnosis)
     return record_of(diagnosis, tried, data_sha256), detail(diagnosis, tried, facts or {})
 
@@ -94,13 +73,7 @@ def assemble(
 def record_of(
     diagnosis: Diagnosis, tried: tuple[Smallest, ...], data_sha256: str
 ) -> dict[str, Any]:
-    """report.json.
-
-    Args:
-        diagnosis: what was found.
-        tried: all candidates outside the model (`candidate_states.sizes`).
-        data_sha256: of the rows that were given.
-    """
+    """report.json; ``tried``: all candidates outside the model (`candidate_states.sizes`)."""
     structure, noise = diagnosis.structure, diagnosis.search.noise
     sigma = _position_noise(diagnosis)
     terms = [f.terms for f in diagnosis.findings]
@@ -135,7 +108,7 @@ def record_of(
         ]
         + diagnosis.next_q.tolist(),
         "outliers": _outliers(diagnosis),
-        KEY: discovered(diagnosis),
+        KEY: [_cause(cause, diagnosis) for cause in diagnosis.causes],
         "none_of_these": diagnosis.none_of_these,
         "written": {
             "model": diagnosis.written,
@@ -162,18 +135,10 @@ def refused(
         "schema": SCHEMA,
         "verdict": "bad_data",
         "summary": str(error),
-        "findings": [],
-        "candidates": [],
-        "structure_left": NO_STRUCTURE,
-        "noise": {"sigma_mm": None, "source": None, "rho": None},
-        "held_out": {"n": 0, "rows": [], "before_after_ci95_mm": None},
-        "next_poses": [],
-        "outliers": [],
-        KEY: [],
-        "none_of_these": None,
-        "written": None,
-        "doubtful": [],
-        "called": {},
+        **{key: [] for key in ("findings", "candidates", "next_poses", "outliers")},
+        "structure_left": {"flag": False, "inputs": []},
+        "noise": {},
+        "held_out": {"n": 0, "rows": []},
         "provenance": _provenance(seed, data_sha256, ()),
     }
     return report, Detail(title=title)

@@ -28,9 +28,9 @@ def best_forms(tried: Sequence[Smallest]) -> dict[Label, Smallest]:
     """By effect and place, the form that scores best."""
     best: dict[Label, Smallest] = {}
     for one in tried:
-        known = best.get(label(one.candidate))
-        if known is None or one.log_bayes_factor > known.log_bayes_factor:
-            best[label(one.candidate)] = one
+        at = _label(one.candidate)
+        if at not in best or one.log_bayes_factor > best[at].log_bayes_factor:
+            best[at] = one
     return best
 
 
@@ -45,8 +45,7 @@ def candidate_rows(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> list[dict
     return ordered + missing
 
 
-def label(candidate: Candidate) -> Label:
-    """Effect and places, in words."""
+def _label(candidate: Candidate) -> Label:
     return candidate.name, ", ".join(candidate.where)
 
 
@@ -67,12 +66,11 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
         state, why = "accepted", f"log Bayes factor {gain:.1f} on top of the rest{form}"
         if term.key not in {t.key for t in diagnosis.model.terms}:
             state, why = "rejected", f"{why}; a command is expected to err less without it"
-        accepted[label(single)] = _row(label(single), gain, state, why)
+        accepted[_label(single)] = _row(_label(single), gain, state, why)
     return accepted
 
 
 def _judged(diagnosis: Diagnosis, one: Smallest) -> tuple[str, str]:
-    """State and reason of a candidate that is not in the model."""
     value, need = one.log_bayes_factor, diagnosis.search.need
     alike = [f for f in diagnosis.findings if one.candidate.name in f.names[1:]]
     places = set(one.candidate.where)  # of a look-alike: one of the finding's, or none of its own

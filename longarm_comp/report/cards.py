@@ -40,20 +40,13 @@ class _Card:
     """A finding for people.
 
     Attributes:
-        title: what it is and where, in a line.
         names: canonical name, with those that cannot be told from it; empty without a name.
-        where: its places.
         sizes: its parameters; `more` of them are not among these.
         reading: what the effect says of itself.
-        tip: what it moves the tip by.
-        sure: in a word or two.
-        because: the figures behind `sure`.
-        doubts: what speaks against it.
+        sure: in a word or two; `because`: the figures behind it.
         duty: one of `DUTIES`, and `because_of` what decides it.
-        action: at the arm.
-        software: what a command does about it.
-        improves: held-out error without and with it.
-        figure: which figure of the error that is.
+        action: at the arm; `software`: what a command does about it.
+        improves: held-out error without and with it; `figure`: which figure of the error that is.
     """
 
     title: str
@@ -94,12 +87,7 @@ def said(card: _Card) -> str:
 
 
 def _duty(gain_mm: float, first: str, report: DiagnosisReport) -> tuple[str, str]:
-    """What to do about a cause, and why.
-
-    Args:
-        gain_mm: what the mean error of the held-out rows falls by with it.
-        first: what has to be known before anything is dismantled; empty where nothing is in doubt.
-    """
+    """What to do about a cause, and why; ``first``: what must be known before, or nothing."""
     noise = math.hypot(*(report.noise.sigma_mm or ()))
     if gain_mm < max(WORTH_MM, noise):
         least = "the noise" if noise > WORTH_MM else f"{WORTH_MM:g} mm"
@@ -111,7 +99,7 @@ def _first(finding: ReportFinding, report: DiagnosisReport) -> str:
     """What would decide a doubt; empty where there is none."""
     if len(finding.set) > 1:
         poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
-        return f"{poses} that it is {finding.effect}, not {listed(_others(finding))}."
+        return f"{poses} that it is {finding.effect}, not {listed(finding.others)}."
     if finding.unnamed:
         return f"a look at it shows the cause: {finding.unnamed}."
     if finding.doubts:
@@ -119,12 +107,7 @@ def _first(finding: ReportFinding, report: DiagnosisReport) -> str:
     return "" if finding.probability >= CERTAIN else "a second session finds it again."
 
 
-def _others(finding: ReportFinding) -> list[str]:
-    return [name for name in finding.set if name != finding.effect]
-
-
 def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
-    """A cause without a name: its formula and what it behaves like."""
     word, others = _word(found.log_evidence), found.set[1:]
     said = f"Odds of {odds(found.log_evidence)} for it, counting all functions that were tried."
     if others:
@@ -204,10 +187,9 @@ def _tip(finding: ReportFinding) -> str:
 
 
 def _sure(finding: ReportFinding) -> tuple[str, str]:
-    """How sure, and the figures behind it."""
     there = finding.probability
     said = [f"Odds of {odds(finding.log_bayes_factor)} for it against leaving it out"]
-    others = _others(finding)
+    others = finding.others
     if others:
         said.append(f"These data do not tell it from {listed(others)}")
     elif finding.runner_up is not None:
@@ -239,7 +221,6 @@ def _word(probability: float) -> str:
 
 
 def _software(finding: ReportFinding, report: DiagnosisReport) -> str:
-    """What commands make of it."""
     if finding.compensated:
         return "The new model.yaml compensates it."
     mine = [s for s in report.held_out.not_commanded if s.startswith(f"{finding.effect} (")]

@@ -11,12 +11,7 @@ from longarm_comp.sessions.day import Day, Notice
 
 
 def day_page(arm: str, bag: str, day: Day) -> str:
-    """The page as text, self-contained.
-
-    Args:
-        arm, bag: what they are called.
-        day: as `read_day` gives it.
-    """
+    """The page as text, self-contained; ``arm``, ``bag``: what they are called."""
     changes = [s for s in day.said if s.level == 0]
     with rc():
         picture = data_uri(svg(_errors(day, changes)))

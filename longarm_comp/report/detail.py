@@ -1,7 +1,6 @@
-"""Data of the page beyond report.json, as plain arrays and strings.
+"""Data of the page beyond report.json, in m and rad; error = measured - predicted.
 
 All parts are optional: a verdict of noise has no guilty input, one of bad_data no rows.
-Lengths are in m, angles in rad. Sign: error = measured - predicted.
 """
 
 from __future__ import annotations
@@ -20,13 +19,7 @@ STAGES = (
 
 @dataclass(frozen=True, eq=False)
 class Input:
-    """One input of the rows: a joint, the approach, a context column.
-
-    Attributes:
-        name: as the session and report.json call it (``q2``, ``approach``, ``temperature_c``).
-        unit: of the values (``rad``, ``m``, ``s``), empty where there is none.
-        values: (N,) in the order of the rows.
-    """
+    """One input of the rows, as report.json calls it (``q2``, ``approach``); `values` (N,)."""
 
     name: str
     unit: str
@@ -40,9 +33,9 @@ class SeenRows:
     Attributes:
         index: (N,) row numbers in the session.
         measured_m: (N, 3) tip.
-        errors_m: stage (one of `STAGES`) -> (N, 3) measured - predicted.
-        inputs: every input of the rows, joints first.
-        arms_m: centre-lines of the arm at a few of these rows, (K, 3) each, base to tip.
+        errors_m: (N, 3) measured - predicted by stage (one of `STAGES`).
+        inputs: joints first.
+        arms_m: centre-lines (K, 3), base to tip, at a few of these rows.
     """
 
     index: np.ndarray
@@ -58,13 +51,7 @@ class SeenRows:
 
 @dataclass(frozen=True, eq=False)
 class Correlation:
-    """Posterior correlation of accepted parameters (rows) with geometry (columns).
-
-    Attributes:
-        parameters: (p,) labels, such as ``joint_compliance joint 2``.
-        geometry: (g,) labels, such as ``dh_error joint 2 a``.
-        matrix: (p, g), -1 to 1.
-    """
+    """Posterior correlation (p, g) of the accepted parameters with geometry, both by label."""
 
     parameters: tuple[str, ...]
     geometry: tuple[str, ...]
@@ -73,14 +60,9 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Detectable:
-    """The smallest size of an effect that these data would have shown.
+    """The smallest size of an effect that these data would have shown, and its RMS at the tip.
 
-    Attributes:
-        effect, where: canonical name and place, as among the candidates.
-        parameter: which parameter the size is of.
-        size: in `unit`; None where no size could be seen (the data do not excite it).
-        unit: of `size`.
-        size_mm: what that size moves the tip by, root mean square over the rows; None as `size`.
+    None where no size would show: the data do not excite it.
     """
 
     effect: str
@@ -93,12 +75,11 @@ class Detectable:
 
 @dataclass(frozen=True, eq=False)
 class SetSplit:
-    """Effects that these data cannot distinguish, and poses that would.
+    """Effects that these data cannot distinguish, and poses (M, n) that would.
 
     Attributes:
         members: the names in the set, as the finding lists them.
         reason: why they look alike in these data.
-        q: (M, n) poses to measure, rad and m; none if no pose distinguishes them.
         sides: (M,) from below (+1), above (-1) or anywhere (0).
         expected_log_bayes_factor: between the two closest members after measuring the poses.
     """
@@ -112,14 +93,9 @@ class SetSplit:
 
 @dataclass(frozen=True)
 class EncoderError:
-    """What the readings of a joint said, over the rows that were fitted; mrad or mm.
+    """Reading - command of a joint over the fitted rows, in `unit` (mrad or mm).
 
-    Attributes:
-        joint: its name.
-        unit: ``mrad`` or ``mm``.
-        mean, rms, most: of reading - command: mean, spread about it, largest distance from it.
-        left: rms that the model leaves of it.
-        noise: of the encoder.
+    `rms` is the spread about the mean, `left` the RMS that the model leaves.
     """
 
     joint: str
@@ -136,7 +112,7 @@ class Rings:
     """How the arm rings, its drives held.
 
     Attributes:
-        damping: share of critical damping. declared: whether arm.yaml says it.
+        damping: share of critical damping; `declared`: arm.yaml says it.
         move_s: time of a straight move there from the posture before.
         postures: of each in words, Hz of the slowest mode of the arm as declared (None: nothing
             bends) and of the model that was written, and s until the tip stays within 0.1 mm.
@@ -150,12 +126,7 @@ class Rings:
 
 @dataclass(frozen=True, eq=False)
 class Marked:
-    """The arm in one posture, with the places of a finding.
-
-    Attributes:
-        arm_m: (K, 3) centre-line, base to tip.
-        places_m: place in words -> (3,) point.
-    """
+    """The centre-line (K, 3) of the arm in one posture, and the points (3,) of a finding."""
 
     arm_m: np.ndarray
     places_m: Mapping[str, np.ndarray]
@@ -166,19 +137,11 @@ class Detail:
     """Everything the page draws beyond report.json.
 
     Attributes:
-        title: what was diagnosed, such as the session's name.
-        joints: names of the commanded joints, in order.
-        joint_units: ``rad`` or ``m``, in order.
-        held_out: rows with their errors.
         before, after: the stages that the verdict compares.
         guilty: inputs that the findings, or the structure left, depend on; the worst first.
-        correlation: of the accepted parameters with geometry.
-        detectable: smallest visible size per effect.
-        splits: sets with the poses that split them.
-        encoders: of the joints that were read.
         rings: None where nothing of the model bends.
         marked: where each finding is on the arm, in the order of the cards.
-        provenance: further facts, name -> value, shown after those of report.json.
+        provenance: further facts, shown after those of report.json.
     """
 
     title: str = "Diagnosis"

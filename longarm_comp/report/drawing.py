@@ -37,13 +37,9 @@ from longarm_comp.report.detail import (
 )
 
 
-def marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
-    """The arm at the held-out row that stretches it most, with the places of each finding.
-
-    Causes without a name that are in the model come last.
-    """
-    found = [f.terms for f in diagnosis.findings]
-    found += [cause.terms for cause in diagnosis.causes]
+def _marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
+    """The arm at the held-out row that stretches it most, with the places of all that was found."""
+    found = [f.terms for f in diagnosis.findings] + [c.terms for c in diagnosis.causes]
     if not found:
         return ()
     rows, model = diagnosis.held_out, diagnosis.model
@@ -99,10 +95,10 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
         guilty=_guilty(diagnosis, rows),
         correlation=_correlation(diagnosis),
         detectable=_detectable(diagnosis, tried),
-        splits=tuple(split(diagnosis, s) for s in diagnosis.split_by),
+        splits=tuple(_split(diagnosis, s) for s in diagnosis.split_by),
         encoders=_encoders(diagnosis, units),
         rings=rings(diagnosis.model),
-        marked=marked(diagnosis),
+        marked=_marked(diagnosis),
         provenance=facts,
     )
 
@@ -132,18 +128,12 @@ def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     near = predicted + diagnosis.errors[diagnosis.written]
     seen = np.where(held.located[:, None], held.xyz, near)
     shown = np.unique(np.linspace(0, len(held) - 1, min(ARMS, len(held))).astype(int))
-    context = held.context()
-    model = diagnosis.model
-    return SeenRows(
-        held.index,
-        seen,
-        diagnosis.errors,
-        inputs(held, units),
-        tuple(outline(model, held.q[k], context.take(int(k))) for k in shown),
-    )
+    context, model = held.context(), diagnosis.model
+    arms = tuple(outline(model, held.q[k], context.take(int(k))) for k in shown)
+    return SeenRows(held.index, seen, diagnosis.errors, _inputs(held, units), arms)
 
 
-def inputs(session: Session, units: Sequence[str]) -> tuple[Input, ...]:
+def _inputs(session: Session, units: Sequence[str]) -> tuple[Input, ...]:
     """Joints, mean approach side and way, and every recorded column that varies."""
     axes = [Input(f"q{j + 1}", unit, session.q[:, j]) for j, unit in enumerate(units)]
     if session.approach.any():
@@ -185,11 +175,8 @@ def _correlation(diagnosis: Diagnosis) -> Correlation | None:
     called = diagnosis.arm.called
     labels = [in_names(f"{s.owner.name} {s.owner.where} {s.parameter.name}", called)
               for s in fit.slots]  # fmt: skip
-    return Correlation(
-        tuple(labels[k] for k in own),
-        tuple(labels[k] for k in rest),
-        np.clip(matrix, -1.0, 1.0),
-    )
+    parameters, geometry = (tuple(labels[k] for k in some) for some in (own, rest))
+    return Correlation(parameters, geometry, np.clip(matrix, -1.0, 1.0))
 
 
 def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> tuple[Detectable, ...]:
@@ -201,20 +188,13 @@ def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> tuple[Detect
             continue
         p = slots[0].parameter
         seen = np.isfinite(one.size)
-        smallest.append(
-            Detectable(
-                name,
-                in_names(place, diagnosis.arm.called),
-                p.name,
-                one.size * p.prior if seen else None,
-                p.unit,
-                1e3 * one.shift_m if seen else None,
-            )
-        )
+        size, moved = (one.size * p.prior, 1e3 * one.shift_m) if seen else (None, None)
+        where = in_names(place, diagnosis.arm.called)
+        smallest.append(Detectable(name, where, p.name, size, p.unit, moved))
     return tuple(smallest)
 
 
-def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
+def _split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
     """A set with the poses that split it; no poses if none would."""
     found = next(f for f in diagnosis.findings if f.name == by.between[0])
     pair = f"{by.between[0]} and {by.between[1]}"
@@ -237,7 +217,6 @@ def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
 
 
 def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> tuple[EncoderError, ...]:
-    """Reading less command of every joint that was read."""
     fit, made = diagnosis.fit, []
     rows, names = fit.session, diagnosis.arm.joint_names
     for k in rows.read_joints:

@@ -20,12 +20,7 @@ _ROW_IN = 0.22
 
 
 def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
-    """The page as text, self-contained but for its links to the diagnosis of each arm.
-
-    Args:
-        name: of the folder of the arms.
-        arms: rows of fleet.json.
-    """
+    """The page of a folder as text, with links to the diagnosis of each arm (row of fleet.json)."""
     with rc():
         picture = data_uri(svg(_errors(arms)))
     return template("fleet.html.j2").render(

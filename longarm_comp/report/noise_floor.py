@@ -1,8 +1,7 @@
 """The noise that the held-out errors leave room for.
 
-Noise that is estimated from the residual holds whatever no model explained.  Where a model errs
-by less than that, or structure is left, the estimate is an upper bound, and what is shown and
-subtracted is limited to what the errors leave room for.
+Noise that is estimated from the residual is an upper bound where a model errs by less, or structure
+is left: what is shown and subtracted is limited to what the errors leave room for.
 """
 
 from __future__ import annotations
@@ -27,8 +26,7 @@ class NoiseFloor:
     """What noise alone would show.
 
     Attributes:
-        sigma_mm: (3,) standard deviation per axis; the estimate, or less.
-        limited: whether it is less, as the errors leave room for so much at most.
+        sigma_mm: (3,) standard deviation per axis; the estimate, or less (`limited`).
         figures: of n rows of it, with the mean sigma for all axes; max is the median of the
             largest, or the smallest largest error of a model.
     """

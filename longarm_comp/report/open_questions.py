@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from longarm_comp.core.identify.candidates import NO_PLACE
 from longarm_comp.report.detail import Detail, SetSplit
 from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.report.words import listed, odds
 
 
-@dataclass(frozen=True)
-class Open:
-    """Something that these data cannot tell, and the effects that it is about."""
-
-    what: str
-    items: tuple[str, ...] = ()
-
-
-def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
-    """Sets and the poses that split them, effects not testable, effects too small to be seen."""
-    made = [Open(_split(split)) for split in detail.splits]
+def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, tuple[str, ...]]]:
+    """What these data cannot tell, and the effects that it is about."""
+    made: list[tuple[str, tuple[str, ...]]] = [(_split(split), ()) for split in detail.splits]
     split = {tuple(split.members) for split in detail.splits}
     made += [
-        Open(f"Whether it is {listed(f.set)}. No poses to decide it were looked for.")
+        (f"Whether it is {listed(f.set)}. No poses to decide it were looked for.", ())
         for f in report.findings
         if len(f.set) > 1 and tuple(f.set) not in split
     ]
@@ -31,21 +21,20 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
     more = len(report.next_poses) - sum(len(split.q) for split in detail.splits)
     if doubts:
         poses = f": {more} poses in next_poses.csv would tell" if more > 0 else ""
-        made.append(Open(f"The function without a name is in doubt{poses}:", tuple(doubts)))
+        made.append((f"The function without a name is in doubt{poses}:", tuple(doubts)))
     rows = report.candidates
     untested = tuple(
         f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable" and c.why != NO_PLACE
     )
     if untested:
-        made.append(Open("Not testable with this session:", untested))
+        made.append(("Not testable with this session:", untested))
     unseen = tuple(f"{c.effect}, {c.where}: {c.why}" for c in rows if c.state == "invisible")
     if unseen:
-        made.append(Open("May exist, but would not show at its usual size:", unseen))
+        made.append(("May exist, but would not show at its usual size:", unseen))
     return made
 
 
 def _split(split: SetSplit) -> str:
-    """A set, and what would split it."""
     said = f"Whether it is {listed(list(split.members))}"
     if not len(split.q):
         return f"{said}. {split.reason or 'No pose of this arm tells them apart.'}"

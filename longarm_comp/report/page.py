@@ -22,13 +22,7 @@ _FEW = 20
 
 
 def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) -> str:
-    """The page as text, joints by their names.
-
-    Args:
-        report: the diagnosis.
-        detail: further data of the page.
-        plots: name -> SVG of the still figures.
-    """
+    """The page as text, joints by their names; ``plots``: SVG of the still figures by name."""
     report = report.for_people()
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
     candidates = tables.best_first(report)

@@ -38,15 +38,9 @@ def against_input(
             panel.axhline(0, color=INK, linewidth=0.8)
             # Above this many points, a scatter plot is rasterised
             panel.plot(
-                _spread(values),
-                error,
-                linestyle="",
-                marker=look.marker,
-                markersize=3,
-                color=look.color,
-                alpha=0.6,
-                rasterized=len(error) > 800,
-            )
+                _spread(values), error, linestyle="", marker=look.marker, markersize=3,
+                color=look.color, alpha=0.6, rasterized=len(error) > 800,
+            )  # fmt: skip
             centre, middle = _medians(values, error)
             panel.plot(centre, middle, color=INK, marker="_", markersize=12, linewidth=1.6)
             if column == 0:
@@ -84,7 +78,7 @@ def _medians(values: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndar
 def still_scene(rows: SeenRows, stages: tuple[str, ...]) -> Figure:
     """The residual arrows on the arm, one panel a stage, all with one exaggeration."""
     drawn = Figure(figsize=(9, 4.6))
-    times = exaggeration(rows, stages)
+    times, taken = exaggeration(rows, stages), arrows(rows)
     points = points_of(rows)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     half = max(float(np.ptp(points, axis=0).max()) / 2, 1e-3)
@@ -93,15 +87,11 @@ def still_scene(rows: SeenRows, stages: tuple[str, ...]) -> Figure:
         panel = drawn.add_subplot(1, len(stages), k + 1, projection="3d")
         for line in rows.arms_m:
             panel.plot(*line.T, color="#8a8a8a", linewidth=2, solid_capstyle="round")
-        found = arrows(rows, stage, times)
         look = LOOKS[stage]
         panel.quiver(
-            *found.start_m.T,
-            *(found.stop_m - found.start_m).T,
-            color=look.color,
-            linewidth=0.9,
-            arrow_length_ratio=0.25,
-        )
+            *rows.measured_m[taken].T, *(times * rows.errors_m[stage][taken]).T, color=look.color,
+            linewidth=0.9, arrow_length_ratio=0.25,
+        )  # fmt: skip
         panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
         panel.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
         panel.set_box_aspect((1, 1, 1))
@@ -132,14 +122,9 @@ def correlations(entry: Correlation) -> Figure:
     for i, k in zip(*np.nonzero(np.abs(matrix) >= 0.3), strict=True):
         strong = abs(matrix[i, k]) > 0.7
         axes.text(
-            k,
-            i,
-            f"{matrix[i, k]:.1f}".replace("0.", "."),
-            ha="center",
-            va="center",
-            fontsize=6.5,
+            k, i, f"{matrix[i, k]:.1f}".replace("0.", "."), ha="center", va="center", fontsize=6.5,
             color="white" if strong else INK,
-        )
+        )  # fmt: skip
     drawn.colorbar(image, ax=axes, label="correlation", shrink=0.9, pad=0.01)
     return drawn
 

@@ -26,11 +26,17 @@ Interval = tuple[float, float]
 
 
 class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # What is written has every key, so the schema requires each
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        json_schema_serialization_defaults_required=True,
+    )
 
 
 class FindingParameter(_Record):
-    """A value of an accepted effect, SI units unless `unit` says otherwise."""
+    """A value of an accepted effect, in `unit`."""
 
     name: str
     where: str
@@ -82,6 +88,11 @@ class ReportFinding(_Record):
     action: str = ""
 
     @property
+    def others(self) -> list[str]:
+        """What these data do not tell it from."""
+        return [name for name in self.set if name != self.effect]
+
+    @property
     def open(self) -> bool:
         """Whether it may as well be something else."""
         return len(self.set) > 1 or bool(self.unnamed)
@@ -102,18 +113,18 @@ class StructureLeft(_Record):
 
     flag: bool
     text: str = ""
-    p_value: float | None = Field(ge=0, le=1)
-    share_explained: float | None
+    p_value: float | None = Field(default=None, ge=0, le=1)
+    share_explained: float | None = None
     inputs: list[str]
-    size_mm: float | None = Field(ge=0)
+    size_mm: float | None = Field(default=None, ge=0)
 
 
 class ReportNoise(_Record):
     """Standard deviation per axis, and correlation from one row to the next."""
 
-    sigma_mm: tuple[float, float, float] | None
-    source: Literal["repeats", "residual"] | None
-    rho: float | None = Field(ge=-1, le=1)
+    sigma_mm: tuple[float, float, float] | None = None
+    source: Literal["repeats", "residual"] | None = None
+    rho: float | None = Field(default=None, ge=-1, le=1)
 
 
 class ErrorRow(_Record):
@@ -143,7 +154,7 @@ class HeldOut(_Record):
     rows: list[ErrorRow]
     before: Stage | None = None
     after: Stage | None = None
-    before_after_ci95_mm: Interval | None
+    before_after_ci95_mm: Interval | None = None
     commanded_ci95_mm: Interval | None = None
     not_commanded: list[str] = []
 
@@ -295,7 +306,7 @@ def schema_text() -> str:
     """The JSON schema that report/schema.json holds."""
     schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **DiagnosisReport.model_json_schema(by_alias=True),
+        **DiagnosisReport.model_json_schema(by_alias=True, mode="serialization"),
     }
     return json.dumps(schema, indent=2) + "\n"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,26 +16,6 @@ MOST = 150
 _ROUND = np.array([1.0, 2.0, 5.0])
 
 
-@dataclass(frozen=True, eq=False)
-class Arrows:
-    """The errors of one stage, drawn from the measured tip.
-
-    Attributes:
-        stage: the model whose errors are drawn.
-        start_m, stop_m: (M, 3) ends; an arrow is `exaggeration` times the error.
-        error_m: (M, 3) as they are.
-        index: (M,) row numbers in the session.
-        exaggeration: 1, 2 or 5 times a power of ten.
-    """
-
-    stage: str
-    start_m: np.ndarray
-    stop_m: np.ndarray
-    error_m: np.ndarray
-    index: np.ndarray
-    exaggeration: float
-
-
 def stages_of(rows: SeenRows) -> tuple[str, ...]:
     """The stages that these rows have, in order."""
     return tuple(stage for stage in STAGES if stage in rows.errors_m)
@@ -47,47 +26,37 @@ def points_of(rows: SeenRows) -> np.ndarray:
     return np.concatenate([rows.measured_m, *rows.arms_m])
 
 
-def _extent_m(rows: SeenRows) -> float:
-    """Largest side of the box around `points_of`."""
-    points = points_of(rows)
-    return float(np.ptp(points, axis=0).max()) if len(points) else 1.0
-
-
 def exaggeration(rows: SeenRows, stages: tuple[str, ...]) -> float:
-    """Factor on all arrows: the largest p95 of the stages becomes about 15 % of the scene."""
+    """Factor on all arrows: the largest p95 of the stages becomes about 15 % of the scene.
+
+    It is 1, 2 or 5 times a power of ten.
+    """
     lengths = [np.linalg.norm(rows.errors_m[stage], axis=1) for stage in stages]
     long = max((float(np.percentile(length, 95)) for length in lengths if len(length)), default=0.0)
     if long <= 0:
         return 1.0
-    wanted = max(1.0, 0.15 * _extent_m(rows) / long)
+    wanted = max(1.0, 0.15 * float(np.ptp(points_of(rows), axis=0).max()) / long)
     decade = 10.0 ** np.floor(np.log10(wanted))
     return float(decade * _ROUND[wanted / decade * (1 + 1e-9) >= _ROUND].max())
 
 
-def arrows(rows: SeenRows, stage: str, times: float) -> Arrows:
-    """The arrows of a stage, drawn `times` their true length."""
+def arrows(rows: SeenRows) -> np.ndarray:
+    """(M,) the rows that get an arrow, evenly along the session."""
     n = len(rows.index)
-    taken = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))
-    start, error = rows.measured_m[taken], rows.errors_m[stage][taken]
-    return Arrows(stage, start, start + times * error, error, rows.index[taken], times)
+    return np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))
 
 
 _ARM = "#8a8a8a"
 
 
 def scene_json(rows: SeenRows, shown: str) -> str:
-    """A plotly figure as JSON, safe to stand in a script element.
+    """A plotly figure as JSON, safe to stand in a script element; ``shown``: the stage seen first.
 
     Every stage has its arrows at a scale of its own: `meta` of a trace says ``{"stage", "times"}``.
-
-    Args:
-        rows: what to draw.
-        shown: the stage that is visible first.
     """
     traces = [_arm_line(line) for line in rows.arms_m]
     for stage in stages_of(rows):
-        found = arrows(rows, stage, exaggeration(rows, (stage,)))
-        traces.append(_arrow_lines(found, stage == shown))
+        traces.append(_arrow_lines(rows, stage, stage == shown))
     # To a hundredth of a millimetre, to keep the file small
     plain = rounded({"data": traces, "layout": _layout()}, lambda v: round(v, 5))
     return json.dumps(plain, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -105,15 +74,17 @@ def _arm_line(line: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _arrow_lines(found: Arrows, visible: bool) -> dict[str, Any]:
+def _arrow_lines(rows: SeenRows, stage: str, visible: bool) -> dict[str, Any]:
     """A line for each arrow, with a dot where it starts and a gap after it."""
-    ends = np.stack([found.start_m, found.stop_m], axis=1).tolist()
+    times, taken = exaggeration(rows, (stage,)), arrows(rows)
+    tips, errors = rows.measured_m[taken], rows.errors_m[stage][taken]
+    ends = np.stack([tips, tips + times * errors], axis=1).tolist()
     points = [point for start, stop in ends for point in (start, stop, [None] * 3)]
     notes = [
         f"row {k}: ({x:+.2f}, {y:+.2f}, {z:+.2f}) mm"
-        for k, (x, y, z) in zip(found.index, 1e3 * found.error_m, strict=True)
+        for k, (x, y, z) in zip(rows.index[taken], 1e3 * errors, strict=True)
     ]
-    color = LOOKS[found.stage].color
+    color = LOOKS[stage].color
     return {
         "type": "scatter3d",
         **dict(zip("xyz", map(list, zip(*points, strict=True)), strict=True)),
@@ -122,7 +93,7 @@ def _arrow_lines(found: Arrows, visible: bool) -> dict[str, Any]:
         "marker": {"color": color, "size": [4, 0, 0] * len(notes), "line": {"width": 0}},
         "text": [entry for note in notes for entry in (note, note, "")],
         "hoverinfo": "text",
-        "meta": {"stage": found.stage, "times": found.exaggeration},
+        "meta": {"stage": stage, "times": times},
         "visible": visible,
         "showlegend": False,
     }

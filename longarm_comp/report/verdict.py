@@ -55,7 +55,6 @@ def _count(n: int) -> str:
 
 
 def _partly(n: int, unnamed: int) -> str:
-    """What explains a part: effects with names, causes without."""
     causes = f"{_count(unnamed)} cause{'' if unnamed == 1 else 's'} without a name"
     if not n:
         return f"{causes} explain{'s' if unnamed == 1 else ''}"
@@ -78,16 +77,14 @@ def _of(part: int, n: int) -> str:
 
 @dataclass(frozen=True)
 class _Improvement:
-    """What changed on the held-out rows, from one stage to another.
+    """What changed on the held-out rows, from the first of `stages` to the last; mean errors.
 
     Attributes:
-        stages: their names, first and last.
-        commanded: mean error as a command would have it.
-        seen: mean error as seen; empty where it reads the same.
-        between_mm: the error of the stage between, from which what was found is counted, and the
-            stage's name; empty where there is none.
+        commanded: as a command would have it; `between`: what a command leaves out, where it
+            differs from `seen`, which is else empty.
+        between_mm: the error of the stage from which what was found is counted, and its name;
+            empty where there is none.
         proof: what the interval says; empty where nothing was added.
-        between: what a command leaves out, where the two differ.
         camera: whether a finding is on the measuring side.
     """
 

@@ -20,12 +20,8 @@ from longarm_comp.report.scene import stages_of
 def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLike[str]) -> Path:
     """Write ``report.json``, ``report.html`` and ``plots/*.svg``; return the page's path.
 
-    The same diagnosis gives the same bytes. Nothing is written if the report violates the schema.
-
-    Args:
-        report: contents of report.json.
-        detail: further data of the page.
-        folder: created if missing. Files of an earlier report are replaced.
+    The same diagnosis gives the same bytes. Files of an earlier report are replaced. Nothing is
+    written if the report violates the schema.
 
     Raises:
         InputError: the report violates the schema, or the folder cannot be written to.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from rclpy.node import Node
@@ -29,34 +30,19 @@ class Button:
     hint: str
 
 
-@dataclass(frozen=True)
-class Said:
-    """What came of a press, in words; empty before the first."""
-
-    text: str = ""
-    well: bool = True
-
-
-def _on() -> SetBool.Request:
-    return SetBool.Request(data=True)
-
-
-def _off() -> SetBool.Request:
-    return SetBool.Request(data=False)
-
-
+_ON, _OFF = partial(SetBool.Request, data=True), partial(SetBool.Request, data=False)
 _GREY = (105, 112, 120)
 
 STOPS = (
-    Button("Software stop (torque off)", graph.ESTOP, _on, (176, 0, 32),
+    Button("Software stop (torque off)", graph.ESTOP, _ON, (176, 0, 32),
            "Cuts the torque: an arm without brakes drops. It is no safety function."),
-    Button("Hold", graph.HOLD, _on, (178, 84, 0),
+    Button("Hold", graph.HOLD, _ON, (178, 84, 0),
            "Stops smoothly and stays with torque on."),
 )  # fmt: skip
 RELEASES = (
-    Button("Release hold", graph.HOLD, _off, _GREY,
+    Button("Release hold", graph.HOLD, _OFF, _GREY,
            "Trajectories are taken again."),
-    Button("Release stop", graph.ESTOP, _off, _GREY,
+    Button("Release stop", graph.ESTOP, _OFF, _GREY,
            "Torque on where the arm stands; trajectories are taken again."),
     Button("Reset fault", graph.RESET, Trigger.Request, _GREY,
            "Ends a fault whose cause is gone."),
@@ -72,14 +58,11 @@ class _Call:
 
 
 class Buttons:
-    """Calls the services without waiting. `press` may be called from any thread.
-
-    Attributes:
-        said: what came of the last press.
-    """
+    """Calls the services without waiting. `press` may be called from any thread."""
 
     def __init__(self, node: Node) -> None:
-        self.said = Said()
+        self.said = ("", True)
+        """What came of the last press, in words, and whether it went well."""
         self._node = node
         self._pressed: deque[Button] = deque()
         self._calls: list[_Call] = []
@@ -125,4 +108,4 @@ class Buttons:
         return True
 
     def _say(self, button: Button, what: str, *, well: bool = False) -> None:
-        self.said = Said(f"{button.label}: {what}", well)
+        self.said = (f"{button.label}: {what}", well)

@@ -17,6 +17,7 @@ from visualization_msgs.msg import MarkerArray
 
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.compensation.result import Status
+from longarm_comp.core.model.link_frames import exaggerated
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
 from longarm_comp.nodes.health import RING_SAID
@@ -29,7 +30,6 @@ from longarm_comp.view.state import (
     Part,
     Picture,
     SeenTip,
-    true_to_scale,
 )
 from longarm_interfaces.msg import Compensation, DriverState
 
@@ -62,7 +62,7 @@ class Listener:
         factor = _number(lines["hanging"].text) if "hanging" in lines else math.nan
         if declared.shape != drawn.shape or not len(drawn) or not factor > 0.0:
             return
-        hanging = true_to_scale(drawn, declared, factor)
+        hanging = exaggerated(drawn, declared, 1.0 / factor)
         target, pseudo = (
             points[name][0] if len(points.get(name, _NONE)) else None
             for name in ("target", "pseudo_target")

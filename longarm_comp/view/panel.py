@@ -10,8 +10,7 @@ from typing import Any
 import viser
 
 from longarm_comp.view import words
-from longarm_comp.view.commands import RELEASES, STOPS, Button, Said
-from longarm_comp.view.scene import Exaggeration
+from longarm_comp.view.commands import RELEASES, STOPS, Button
 from longarm_comp.view.state import PageState
 
 _BAD, _DOUBTFUL, _GOOD = "#b00020", "#8a4b00", "inherit"
@@ -25,8 +24,7 @@ class Panel:
     def __init__(
         self, server: viser.ViserServer, press: Callable[[Button], None], namespace: str
     ) -> None:
-        self._server, self._namespace = server, namespace
-        gui = server.gui
+        self._namespace, gui = namespace, server.gui
         gui.set_panel_label(f"longarm view {namespace}")
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
@@ -34,7 +32,10 @@ class Panel:
         for button in STOPS:
             made = gui.add_button(button.label, color=button.colour, hint=button.hint)
             made.on_click(partial(_pressed, press, button))
-        self._group(RELEASES, press)
+        named = {button.label: button for button in RELEASES}
+        hints = "\n".join(f"{button.label}: {button.hint}" for button in RELEASES)
+        group = gui.add_button_group("", tuple(named), hint=hints)
+        group.on_click(lambda event: press(named[event.target.value]))
         self._said = gui.add_html("")
         self._job = gui.add_html("", visible=False)
         self._bar = gui.add_progress_bar(0.0, visible=False)
@@ -45,34 +46,22 @@ class Panel:
         self._error = gui.add_slider("Error arrows ×", min=1, max=500, step=1, initial_value=100)
         self._scale = gui.add_html("")
 
-    def _group(
-        self, buttons: Sequence[Button], press: Callable[[Button], None], visible: bool = True
-    ) -> Any:
-        """Smaller buttons in a row."""
-        named = {button.label: button for button in buttons}
-        hints = "\n".join(f"{button.label}: {button.hint}" for button in buttons)
-        group = self._server.gui.add_button_group("", tuple(named), hint=hints, visible=visible)
-        group.on_click(lambda event: press(named[event.target.value]))
-        return group
-
     @property
-    def exaggeration(self) -> Exaggeration:
-        """What the sliders say."""
-        return Exaggeration(self._deflection.value, self._error.value)
+    def exaggeration(self) -> tuple[float, float]:
+        """How many times larger the deflection, and how many times longer error arrows are."""
+        return self._deflection.value, self._error.value
 
-    def show(self, state: PageState, now: float, said: Said) -> None:
+    def show(self, state: PageState, now: float, said: tuple[str, bool]) -> None:
         """Show a state, and what came of the last press of a button."""
         colour = _BAD if state.unread_s(now) else _GOOD
         headline = words.headline(state, now, self._namespace)
         self._write(self._state, [_line(headline, colour, bold=True), _line(words.target(state))])
-        self._write(
-            self._said, [_line(said.text, _GOOD if said.well else _BAD)] if said.text else []
-        )
+        text, well = said
+        self._write(self._said, [_line(text, _GOOD if well else _BAD)] if text else [])
         told = [words.tip_at_target(state, now), words.tip_as_predicted(state, now)]
         known = (*told, words.ring(state), words.drift(state), words.learned(state))
         self._write(self._tip, [_line(text) for text in known if text])
-        factor = self.exaggeration
-        scale = words.exaggeration(factor.deflection, factor.error)
+        scale = words.exaggeration(*self.exaggeration)
         self._write(self._scale, [_line(scale), _line(words.LEGEND)])
         self._show_health(state, now)
         if state.progress is not None:

@@ -47,5 +47,5 @@ def view(
             if now - drawn >= _DRAWN_S:
                 drawn = now
                 panel.show(listener.state, now, commands.said)
-                plain.lines = words.in_lines(listener.state, now, namespace, commands.said.text)
+                plain.lines = words.in_lines(listener.state, now, namespace, commands.said[0])
                 scene.show(listener.state, now, panel.exaggeration)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,14 +18,6 @@ _FAR = np.array([0.2, -0.9, 0.3])
 """Where the camera stands at the start, seen from the middle of the arm."""
 
 
-@dataclass(frozen=True)
-class Exaggeration:
-    """How many times larger the deflection, and how many times longer error arrows are drawn."""
-
-    deflection: float
-    error: float
-
-
 class Scene:
     """Handles of what is drawn. They are made with the first picture, whose size they have."""
 
@@ -37,8 +28,9 @@ class Scene:
         self._beside: dict[str, np.ndarray] = {}
         server.on_client_connect(self._aim)
 
-    def show(self, state: PageState, now: float, factor: Exaggeration) -> None:
-        """Draw a state; pale where it is not of now."""
+    def show(self, state: PageState, now: float, factor: tuple[float, float]) -> None:
+        """Draw a state, deflection and error arrows so many times larger; pale if not of now."""
+        times, longer = factor
         picture = state.picture
         if picture is None:
             return
@@ -46,11 +38,11 @@ class Scene:
             if not self._handles:
                 self._begin(picture)
             pale = state.old(now)
-            hanging = exaggerated(picture.hanging, picture.declared, factor.deflection)
+            hanging = exaggerated(picture.hanging, picture.declared, times)
             self._line("declared", picture.declared, PALE if pale else GREY)
             self._line("hanging", hanging, PALE if pale else BLUE)
             end = hanging[-1]
-            self._label("hanging", None if pale else end, f"deflection × {factor.deflection:g}")
+            self._label("hanging", None if pale else end, f"deflection × {times:g}")
             tip = None if pale else state.seen_tip(now)
             for name, at in (("target", picture.target), ("tip", tip),
                              ("pseudo_target", picture.pseudo_target)):  # fmt: skip
@@ -59,9 +51,9 @@ class Scene:
                     self._handles[name].position = at
             missed = None if pale else state.missed(now)
             beside = None if pale else state.unpredicted(now)
-            tip_at = self._arrow("missed", picture.target, missed, factor.error)
-            self._arrow("beside", end, beside, factor.error)
-            self._label("missed", tip_at, f"tip − target × {factor.error:g}")
+            tip_at = self._arrow("missed", picture.target, missed, longer)
+            self._arrow("beside", end, beside, longer)
+            self._label("missed", tip_at, f"tip − target × {longer:g}")
 
     def _begin(self, picture: Picture) -> None:
         scene, size = self._server.scene, float(np.ptp(picture.declared, axis=0).max())

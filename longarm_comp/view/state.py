@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from longarm_comp.core.data.rest import JOINT_REST
-from longarm_comp.core.model.link_frames import exaggerated
 
 _SILENT_S = 3.0
 """Joints come many times a second: after so long without any message the graph is silent."""
@@ -19,11 +18,7 @@ _SILENT_S = 3.0
 class Picture:
     """The arm as `markers` shows it: polylines (k, 3) m from foot to tip, base frame.
 
-    Attributes:
-        declared: as declared, rigid.
-        hanging: as the model in use says that it hangs, true to scale.
-        target, pseudo_target: (3,) of the last target; None without one.
-        at: when it came.
+    `hanging`: by the model in use, true to scale. `target`, `pseudo_target`: (3,), of the last one.
     """
 
     declared: np.ndarray
@@ -39,11 +34,6 @@ class SeenTip:
 
     xyz: np.ndarray
     at: float
-
-    @property
-    def seen(self) -> bool:
-        """Whether the marker was found."""
-        return bool(np.isfinite(self.xyz).all())
 
 
 @dataclass(frozen=True)
@@ -148,8 +138,9 @@ class PageState:
 
     def seen_tip(self, now: float) -> np.ndarray | None:
         """(3,) m where the tip is seen now; None where it is not."""
-        tip = self.tip
-        return tip.xyz if tip is not None and tip.seen and now - tip.at < 3.0 else None
+        if self.tip is None or now - self.tip.at >= 3.0 or np.isnan(self.tip.xyz).any():
+            return None
+        return self.tip.xyz
 
     @property
     def resting(self) -> bool:
@@ -178,11 +169,6 @@ class PageState:
         if tip is None or picture is None or not self.resting:
             return None
         return tip - picture.hanging[-1]
-
-
-def true_to_scale(drawn: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
-    """The hanging arm (k, 3) of one whose deflection was drawn ``factor`` (> 0) times larger."""
-    return exaggerated(drawn, declared, 1.0 / factor)
 
 
 def _silence(last: float | None, now: float, allowed: float) -> float:

@@ -1,7 +1,4 @@
-"""A diagnosis put to work: model.yaml replaced by its version, the predictor trained again.
-
-`at_work.undo` restores both.
-"""
+"""A diagnosis put to work: model and predictor are replaced; `at_work.undo` restores both."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ from longarm_comp.workflows.at_work import finish, put_to_work
 from longarm_comp.workflows.changes import Change, changes
 from longarm_comp.workflows.diagnosis_files import MODEL, MODEL_BEFORE, PREDICTOR, SESSION
 from longarm_comp.workflows.inputs import Note, Progress, admitted, file_hash, log_note, silent
-from longarm_comp.workflows.train import train
+from longarm_comp.workflows.train import TrainedPredictor, train
 
 WORTH = 0.9
 """Without an effect or a network, a calibration is worth applying where the held-out mean error
@@ -32,15 +29,13 @@ class Applied:
     """What `apply` did.
 
     Attributes:
-        model: file of the model at work.
-        version: of it.
+        model, version: file of the model at work, and its version.
         changes: largest at the tip first.
         predictor: file of the predictor that was trained; None: none, so physics only.
         refused: why a network that was trained is not put to work; empty if it is.
-        set_aside: file of the predictor that no longer fits; None: there was none.
-        commanded_mm: mean held-out error of the diagnosis before and after, as a command would
-            have it; None where it was not recorded.
-        seen_mm: the same as seen.
+        set_aside: file of the predictor that no longer fits.
+        commanded_mm, seen_mm: mean held-out error before and after, as a command would have it and
+            as seen; None where it was not recorded.
     """
 
     model: Path
@@ -97,38 +92,28 @@ def apply(
     finish(model, target)
     before = _before(stored.provenance, made, model, arm)
     rows = _session(stored.provenance, diagnosis, session, before, arm, note)
-    trained = train(arm, rows, model=made, seed=seed, note=note, progress=progress) if (
-        network
-    ) else None  # fmt: skip
-    refused = "" if trained is None or trained.gain.helps else str(trained.gain)
-    if refused:
+    trained: TrainedPredictor | None = None
+    refused = ""
+    if network:
+        trained = train(arm, rows, model=made, seed=seed, note=note, progress=progress)
+    if trained is not None and not trained.gain.helps:
+        refused, trained = str(trained.gain), None
         note(f"physics only: {refused}")
-        trained = None
     seen = rows.take(rows.seen)
     changed = changes(before, after, seen.q, seen.context())
     if not model.is_file():
         save_model(model, store(declared_model(arm), version=AS_DECLARED))
     aside = put_to_work(model, made.read_bytes(), target, trained)
-    return Applied(
-        model,
-        stored.version,
-        tuple(changed),
-        target if trained is not None else None,
-        refused,
-        aside,
-        *_mean_errors(report),
-    )
+    at_work, errors = None if trained is None else target, _mean_errors(report)
+    return Applied(model, stored.version, tuple(changed), at_work, refused, aside, *errors)
 
 
 def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
     """Why a diagnosis adds nothing to the model at work; empty if it does."""
     if report.verdict == "bad_data":
         return report.summary
-    if (
-        report.findings
-        or any(d.kept for d in report.discovered)
-        or (diagnosis / PREDICTOR).is_file()
-    ):
+    found = report.findings or any(d.kept for d in report.discovered)
+    if found or (diagnosis / PREDICTOR).is_file():
         return ""
     commanded, seen = _mean_errors(report)
     pair = commanded or seen
@@ -144,10 +129,7 @@ Pair = tuple[float, float]
 
 
 def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
-    """Mean held-out error (mm) of the model at work and of the new one: as commanded, as seen.
-
-    None where the report does not say it.
-    """
+    """Mean held-out error, mm, before and after, as commanded and as seen; None: not recorded."""
     rows = {row.model: row for row in report.held_out.rows}
     before = rows.get("nominal")
     after = None if report.written is None else rows.get(report.written.model)
@@ -182,20 +164,15 @@ def _before(provenance: dict[str, str | int | float], made: Path, model: Path, a
 
 
 def _session(
-    provenance: dict[str, str | int | float],
-    diagnosis: Path,
-    given: Path | None,
-    before: Model,
-    arm: Arm,
-    note: Note,
-) -> Session:
+    provenance: dict[str, str | int | float], diagnosis: Path, given: Path | None, before: Model,
+    arm: Arm, note: Note,
+) -> Session:  # fmt: skip
     """The session that was diagnosed."""
     named = str(provenance.get(SESSION, ""))
     path = given or Path(os.path.normpath(diagnosis / named))
     if (given is None and not named) or not path.exists():
-        raise InputError(
-            diagnosis, "session", named or "none named", "--session, the session diagnosed"
-        )
+        allowed = "--session, the session diagnosed"
+        raise InputError(diagnosis, "session", named or "none named", allowed)
     known = before if provenance[MODEL_BEFORE] else None
     rows = admitted(path, arm, known, note=note)
     if rows.hash != provenance.get("session_hash"):

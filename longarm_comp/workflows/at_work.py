@@ -1,10 +1,9 @@
 """Model and predictor at work, changed together, and taken back.
 
 A predictor belongs to one version of the model. Beside `predictor.npz`, which is at work, others
-are kept under the model that they were trained with, `predictor.of_<hash>.npz`: no step overwrites
-what another version needs. What is new is written first, what no longer fits is set aside last.
-A change that was broken off anywhere leaves a model and a predictor that fit, or the model alone;
-the next change finishes it.
+are kept under the model that they were trained with, `predictor.of_<hash>.npz`. What is new is
+written first, what no longer fits is set aside last: a change that was broken off leaves a model
+and a predictor that fit, or the model alone, and the next change finishes it.
 """
 
 from __future__ import annotations
@@ -35,16 +34,9 @@ class Saved(Protocol):
 def put_to_work(
     model: Path, content: bytes, predictor: Path, trained: Saved | None = None
 ) -> Path | None:
-    """Replace the model at work, and with it the predictor.
+    """Replace the model at work by a new version's content, and the predictor by its `trained` one.
 
-    Args:
-        model: file at work; where it exists it becomes the previous version.
-        content: of the new version.
-        predictor: file at work; it need not exist.
-        trained: with the new version; None: no predictor is at work then.
-
-    Returns:
-        Where the predictor before is kept; None where there was none.
+    Without one no predictor is at work then. Returns where the predictor before is kept, if any.
     """
     finish(model, predictor)
     aside = _keep(predictor)
@@ -65,10 +57,7 @@ def undo(model: Path) -> Path | None:
     """Restore the version of a model before, byte for byte, and the predictor that belonged to it.
 
     Predictors are looked for beside the model. One that belonged to the version taken back is
-    set aside. Broken off, it is finished by calling it again.
-
-    Returns:
-        The predictor that came back; None where there is none.
+    set aside. Broken off, it is finished by calling it again. Returns the predictor that came back.
     """
     at_work = [p for p in sorted(model.parent.glob("[!.]*.npz")) if _trained_with(p) is not None]
     names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in at_work})

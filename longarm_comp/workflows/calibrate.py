@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -89,13 +90,7 @@ IDLE = 1e-5
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """One fitted parameter.
-
-    Attributes:
-        effect, where, name: effect, place and parameter.
-        ci95: 95 % interval of the value.
-        geometry: whether it is part of the arm's geometry rather than of another effect.
-    """
+    """One fitted parameter with its 95 % interval; `geometry`: not of another effect."""
 
     effect: str
     where: str
@@ -111,8 +106,8 @@ class Calibration:
     """A calibrated model, and the errors of each model of the ladder.
 
     Attributes:
-        rungs: models of growing complexity, fitted without the held-out rows.
-        effect_rungs: number of rungs at the end that add an effect to the geometry.
+        rungs: models of growing complexity, fitted without the held-out rows; the last
+            `effect_rungs` add an effect each.
         held_out_rows: number of held-out rows, including those without a marker.
         fit: fit of the last rung to all rows.
         kind_of: models of other arms of the kind that it was expected to be like, with hashes.
@@ -152,29 +147,20 @@ class Calibration:
     @property
     def not_helping(self) -> tuple[str, ...]:
         """Effects that did not lower the held-out RMS error and are better left out."""
-        first = len(self.rungs) - self.effect_rungs
-        pairs = zip(self.rungs[first - 1 :], self.rungs[first:], strict=False)
-        return tuple(
-            rung.name for before, rung in pairs if rung.held_out.rms >= before.held_out.rms
-        )
+        last = self.rungs[-1 - self.effect_rungs :]
+        return tuple(b.name for a, b in pairwise(last) if b.held_out.rms >= a.held_out.rms)
 
     @property
     def parameters(self) -> tuple[FittedParameter, ...]:
         """Every fitted parameter with its interval."""
-        fitted = self.fit
+        fitted, made = self.fit, []
         rows = zip(fitted.slots, fitted.model.values, fitted.standard_errors, strict=True)
-        return tuple(
-            FittedParameter(
-                slot.owner.name,
-                slot.owner.where,
-                slot.parameter.name,
-                value,
-                slot.parameter.unit,
-                (value - 1.96 * se, value + 1.96 * se),
-                slot.owner.geometry,
+        for slot, value, se in rows:
+            of, p, ci95 = slot.owner, slot.parameter, (value - 1.96 * se, value + 1.96 * se)
+            made.append(
+                FittedParameter(of.name, of.where, p.name, value, p.unit, ci95, of.geometry)
             )
-            for slot, value, se in rows
-        )
+        return tuple(made)
 
     @property
     def _noise(self) -> dict[str, float]:
@@ -240,19 +226,16 @@ def calibrate(
     last model is then fitted to all rows.
 
     Args:
-        arm: as declared.
         session: measurements, or their CSV or bag. Rows without a marker are not fitted.
         effects: effects to add, one model for each: a canonical name (at every joint or beam that
             may have it), one instance, or several that are fitted together.
         deflection: whether the declared beams sag.
         fraction: share of the rows to hold out.
-        seed: seed of the split.
         kind_of: calibrated models of other arms of the kind, or their files. This arm is then
             expected to differ from its drawing as they do. An arm.yaml beside a file declares that
             arm; without one, it is declared as this arm.
         note: called with each finding of the admission.
-        progress: True: print each step; or a function, called with the model being fitted and the
-            share done.
+        progress: True: print each step; or a function, called with the step and the share done.
 
     Raises:
         InputError: the session was refused; an effect has no place on this arm or needs an input
@@ -271,14 +254,9 @@ def calibrate(
     steps, tell = 5 + len(chosen), teller(progress)
     done = iter(range(steps))
     rungs = ladder(
-        arm,
-        train,
-        held_out,
-        chosen,
-        deflection=deflection,
+        arm, train, held_out, chosen, deflection=deflection, kind=kind,
         progress=lambda name: tell(name, next(done) / steps),
-        kind=kind,
-    )
+    )  # fmt: skip
     last = rungs[-1].model
     size, unit = (errors, "mm") if held_out.placed.any() else (turns, "mrad")
     held = size(last, held_out)
@@ -319,9 +297,8 @@ def recorded(terms: tuple[Term, ...], session: Session, note: Note) -> tuple[Ter
             continue
         read = [session.columns[name] for name in term.inputs if name in session.columns]
         if read and all(np.ptp(values) < IDLE for values in read):
-            note(
-                f"{session.source}: {term.name} at {term.where} left out: {term.inputs[0]} is idle"
-            )
+            left = f"{term.name} at {term.where} left out: {term.inputs[0]} is idle"
+            note(f"{session.source}: {left}")
             continue
         usable.append(term)
     if not usable:

@@ -11,6 +11,8 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.model import Model
 
 Term = Effect | Bias
+Key = tuple[str, str]
+Value = tuple[str, str, float, float]
 GEOMETRY, CAMERA = "geometry", "camera"
 
 
@@ -29,7 +31,7 @@ class Change:
     what: str
     where: str
     kind: str
-    values: tuple[tuple[str, str, float, float], ...]
+    values: tuple[Value, ...]
     tip_mm: float
 
     def __str__(self) -> str:
@@ -46,13 +48,8 @@ class Change:
 def changes(before: Model, after: Model, q: np.ndarray, context: Context | None) -> list[Change]:
     """What changed from one model to another of the same arm, largest at the tip first.
 
-    Each change is judged by itself: the new model against the new model without this change. One
-    that does not move the tip is left out.
-
-    Args:
-        before, after: the models.
-        q: (N, n) joints to judge them at, rad and m.
-        context: circumstances of these poses.
+    Each change is judged by itself at joints q (N, n), rad and m: the new model against the new
+    model without this change. One that does not move the tip is left out.
     """
     old, new = ({(t.name, t.place): t for t in model.terms} for model in (before, after))
     seen = after.measured(q, context)
@@ -63,26 +60,21 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
         moved = after.with_terms(list(terms.values())).measured(q, context) - seen
         first = new.get(group[0]) or old[group[0]]
         single = len(group) == 1 and _name(first) == first.name
-        kind = "added" if group[0] not in old else "changed" if group[0] in new else "removed"
-        found.append(
-            Change(
-                what=_name(first),
-                where=first.where if single else "",
-                kind=kind if single else "changed",
-                values=_values(old.get(group[0]), new.get(group[0]), after) if single else (),
-                tip_mm=1e3 * float(np.sqrt((moved**2).sum(axis=1).mean())),
-            )
-        )
+        values: tuple[Value, ...] = ()
+        where, kind = "", "changed"
+        if single:
+            where, values = first.where, _values(old.get(group[0]), new.get(group[0]), after)
+            kind = "added" if group[0] not in old else "changed" if group[0] in new else "removed"
+        tip_mm = 1e3 * float(np.sqrt((moved**2).sum(axis=1).mean()))
+        found.append(Change(_name(first), where, kind, values, tip_mm))
     # A change that moves the tip by less than this is not reported
     felt = (change for change in found if change.tip_mm >= 5e-4)
     return sorted(felt, key=lambda change: -change.tip_mm)
 
 
-def _groups(
-    old: dict[tuple[str, str], Term], new: dict[tuple[str, str], Term]
-) -> list[list[tuple[str, str]]]:
+def _groups(old: dict[Key, Term], new: dict[Key, Term]) -> list[list[Key]]:
     """Keys of the terms that differ; geometry and camera together, every effect by itself."""
-    together: dict[str, list[tuple[str, str]]] = {}
+    together: dict[str, list[Key]] = {}
     for key in dict.fromkeys((*new, *old)):
         if old.get(key) != new.get(key):
             name = _name(new.get(key) or old[key])
@@ -97,14 +89,9 @@ def _name(term: Term) -> str:
     return GEOMETRY if term.geometry else term.name
 
 
-def _values(
-    old: Term | None, new: Term | None, model: Model
-) -> tuple[tuple[str, str, float, float], ...]:
-    held = new or old
-    if held is None:
-        return ()
+def _values(old: Term | None, new: Term | None, model: Model) -> tuple[Value, ...]:
     rows = []
-    for p in held.parameters(model.arm):
+    for p in (new or old).parameters(model.arm):  # type: ignore[union-attr]
         was, now = (np.nan if t is None else float(getattr(t, p.name)) for t in (old, new))
         # Relative difference of two values that counts as none
         if not np.isclose(was, now, rtol=1e-9, atol=0.0):

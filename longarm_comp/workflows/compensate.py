@@ -43,8 +43,8 @@ class Commands(Sequence[Compensation]):
 
     Attributes:
         numbers: (N,) number of each target.
-        arrivals: result of each target, and the move for which it holds. Places in it are in the
-            frame of the model: that of the measurements, for a calibrated one.
+        arrivals: result of each target, and the move for which it holds, in the frame of the model:
+            that of the measurements, for a calibrated one.
         placements: frame of each target, and where it lies for the model; none where the targets
             were given in the frame of the model.
     """

@@ -25,11 +25,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.report.assemble import assemble, refused
 from longarm_comp.report.write import write_report
 from longarm_comp.workflows.calibrate import kind_from
-from longarm_comp.workflows.diagnosis_files import (
-    write_model,
-    write_next,
-    write_predictor,
-)
+from longarm_comp.workflows.diagnosis_files import write_model, write_next, write_predictor
 from longarm_comp.workflows.error_table import ErrorTable
 from longarm_comp.workflows.inputs import (
     FilePath,
@@ -57,8 +53,7 @@ class DiagnosisResult:
         diagnosis: results of all steps: search, intervals, structure, proof.
         session_hash: hash of the diagnosed rows.
         facts: further provenance for the report's page.
-        model_before: file of the given model, if it came from one.
-        session_file: file of the session, if it came from one.
+        model_before, session_file: of the given model and of the session, if they came from files.
     """
 
     diagnosis: Diagnosis
@@ -152,14 +147,12 @@ def diagnose(
     """Find in a session the effects that a model lacks, add them, and prove them on held-out rows.
 
     Args:
-        arm: as declared.
         session: measurements, or their CSV or bag.
         test: held-out rows. Without them, blocks of the session are held out.
         model: known model, or its file. Its effects are not added again.
         kind_of: as in `calibrate`. Compliance that these arms have is expected of this arm too, and
             is no finding.
         network: whether to train a network on the remaining error.
-        seed: seed of all random choices.
         note: called with each finding of the admission.
         progress: True: print each step; or a function that is called with it.
 
@@ -176,18 +169,12 @@ def diagnose(
             raise InputError(rows.source, "x, y, z", "blank in all rows", allowed)
     kind, origin_of_kind = kind_from(arm, kind_of) if kind_of else (None, "")
     found = core.diagnose(
-        arm,
-        whole,
-        test=held_out,
-        model=known,
-        kind=kind,
+        arm, whole, test=held_out, model=known, kind=kind, seed=seed, progress=teller(progress),
         train_network=_train(seed) if network else None,
-        seed=seed,
-        progress=teller(progress),
-    )
-    facts = {"session": _name(session), "arm": arm.hash, "rows": str(len(whole))}
+    )  # fmt: skip
+    facts = {"session": _path(session).name, "arm": arm.hash, "rows": str(len(whole))}
     if test is not None and held_out is not None:
-        facts |= {"hold-out": _name(test), "hold-out sha256": held_out.hash}
+        facts |= {"hold-out": _path(test).name, "hold-out sha256": held_out.hash}
     facts |= {"kind of": origin_of_kind} if kind_of else {}
     before = None if model is None or isinstance(model, Model) else Path(model)
     if before is not None:
@@ -206,9 +193,8 @@ def diagnose_files(
     test: Path | None = None,
     model: Path | None = None,
     kind_of: Sequence[Path] = (),
-    network: bool = True,
-    seed: int = 0,
     progress: Telling = False,
+    **how: Any,
 ) -> DiagnosisResult:
     """Diagnose files and write everything to a folder; arguments as in `diagnose`."""
     for path in (session, test, model, *kind_of):
@@ -218,16 +204,10 @@ def diagnose_files(
         physics(arm, model)
     try:
         found = diagnose(
-            arm,
-            session,
-            test=test,
-            model=model,
-            kind_of=kind_of,
-            network=network,
-            seed=seed,
-            progress=progress,
+            arm, session, test=test, model=model, kind_of=kind_of, progress=progress, **how
         )
     except InputError as error:
+        seed = how.get("seed", 0)
         write_report(*refused(error, seed, session.name, file_hash(session)), folder)
         raise
     teller(progress)("report")
@@ -243,10 +223,6 @@ def _train(seed: int) -> core.Train:
         return networks.train(*rows, seed=seed, provenance=origin)
 
     return train_on
-
-
-def _name(given: SessionLike) -> str:
-    return _path(given).name
 
 
 def _path(given: SessionLike) -> Path:

@@ -27,33 +27,23 @@ arm; path of the session, seen from the diagnosis, empty for a session in memory
 
 
 def write_model(
-    found: Diagnosis,
-    model: Model,
-    session_hash: str,
-    before: Path | None,
-    folder: Path,
+    found: Diagnosis, model: Model, session_hash: str, before: Path | None, folder: Path,
     session: Path | None,
-) -> None:
-    """Write the model. `undo` restores the version before, if one was given.
+) -> None:  # fmt: skip
+    """Write the model that a diagnosis found. `undo` restores the version before, if one was given.
 
     Args:
-        found: the diagnosis.
-        model: what it found, with the record of how good it is.
+        model: with the record of how good it is.
         session_hash: hash of the diagnosed session.
         before: file of the version that it replaces.
-        folder: folder to write to.
         session: file of the session, if it came from one.
     """
-    stored = _stored(
-        found,
-        model,
-        session_hash,
-        None if before is None else read_stored(before),
-        {
-            MODEL_BEFORE: "" if before is None else file_hash(before),
-            SESSION: "" if session is None else os.path.relpath(session, folder),
-        },
-    )
+    origin = {
+        MODEL_BEFORE: "" if before is None else file_hash(before),
+        SESSION: "" if session is None else os.path.relpath(session, folder),
+    }
+    known = None if before is None else read_stored(before)
+    stored = _stored(found, model, session_hash, known, origin)
     path = folder / MODEL
     if before is not None and before.resolve() != path.resolve():
         with atomic_path(path) as partial:
@@ -76,10 +66,7 @@ def write_predictor(predictor: Predictor | None, session_hash: str, folder: Path
 
 
 def write_next(found: Diagnosis, folder: Path) -> None:
-    """Write the poses to measure next, with their sides; no file if there are none.
-
-    They separate effects, or settle what is in doubt of a cause without a name.
-    """
+    """Write the poses that separate effects, or settle a doubt; no file if there are none."""
     splits = [s for s in found.split_by if s.log_bayes_factor >= SPLITS]
     path = folder / FILE
     more = found.next_q
@@ -97,17 +84,14 @@ def write_next(found: Diagnosis, folder: Path) -> None:
 
 
 def _stored(
-    found: Diagnosis,
-    model: Model,
-    session_hash: str,
-    before: StoredModel | None,
+    found: Diagnosis, model: Model, session_hash: str, before: StoredModel | None,
     sources: dict[str, str],
-) -> StoredModel:
+) -> StoredModel:  # fmt: skip
     """The resulting model in its stored form."""
-    intervals: dict[tuple[int, str], tuple[float, float]] = {}
-    for k, slot in enumerate(model.slots):
-        interval = found.intervals[k]
-        intervals[slot.term, slot.parameter.name] = (interval.low, interval.high)
+    intervals = {
+        (slot.term, slot.parameter.name): (found.intervals[k].low, found.intervals[k].high)
+        for k, slot in enumerate(model.slots)
+    }
     added = {t.key for t in found.search.chosen}
     stored = () if before is None else (*before.geometry, *before.effects, *before.camera)
     held = {(t.effect, t.where): t.origin for t in stored}

@@ -62,13 +62,11 @@ class Evaluation(ErrorTable):
             worst = (f"{row} ({1e3 * size:.3g} mm)" for row, size in self[last].worst)
             said.append(f"worst rows of {last}, by index: {', '.join(worst)}")
         if self.placed:
-            said.append(
-                "the declared arm was placed by these rows first, because they see it elsewhere"
-            )
+            why = "because they see it elsewhere"
+            said.append(f"the declared arm was placed by these rows first, {why}")
         if self.outside:
-            said.append(
-                f"{self.outside} poses lie outside the network's training data: physics only"
-            )
+            where = "outside the network's training data"
+            said.append(f"{self.outside} poses lie {where}: physics only")
         if self.refused:
             said.append(f"at {self.refused} poses the network promises no gain: physics only")
         return said
@@ -85,7 +83,6 @@ def evaluate(
     """Errors of every stage on measured poses.
 
     Args:
-        arm: as declared.
         test: measured poses, or their CSV or bag; rows without a marker do not count.
         model: calibrated model, or its file.
         predictor: trained with this model, or its file. At poses outside its training data the

@@ -73,7 +73,6 @@ class Diagnosed:
         in_use_mm: mean error of the model in use on the session; None where there is none.
         calibrated_mm, diagnosed_mm: mean held-out error of the geometry calibrated anew, and with
             what was found.
-        findings: effects that were found.
         made_of: hash of the files and options that it was made of.
     """
 
@@ -152,13 +151,12 @@ def fleet(
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> list[Diagnosed]:
-    """Diagnose every arm of a folder, each into a folder of its own in `output`.
+    """Diagnose every arm of a folder (`members`), each into a folder of its own in `output`.
 
     fleet.json is written after each arm. Arms that it has from the same files and options are not
     diagnosed again.
 
     Args:
-        folder: as for `members`.
         jobs: processes.
         dask: address of a scheduler whose workers see the same files, instead of processes.
         network: whether to train networks on what remains.
@@ -203,11 +201,9 @@ def _write(arms: Iterable[Diagnosed], output: Path) -> None:
 
 
 def _worked(
-    look: Callable[..., Diagnosed],
-    left: Sequence[tuple[Member, int, str]],
-    jobs: int,
+    look: Callable[..., Diagnosed], left: Sequence[tuple[Member, int, str]], jobs: int,
     dask: str | None,
-) -> Iterator[Diagnosed]:
+) -> Iterator[Diagnosed]:  # fmt: skip
     """Each arm as it is done; nothing else of it is kept."""
     if dask is None and jobs == 1:
         yield from (look(*one) for one in left)
@@ -253,23 +249,17 @@ def _diagnosed(
         return Diagnosed(member.name, kind, where, 0, "failed", str(error), made_of=made_of)
     left, reported = found.held_out, read_report(output / member.name).findings
     sizes = [f.tip_mm.median if f.tip_mm else 0.0 for f in reported]
-    made = Diagnosed(
-        member.name,
-        kind,
-        where,
-        len(found.diagnosis.train) + len(found.diagnosis.held_out),
-        found.verdict,
-        found.summary,
-        in_use,
-        1e3 * left["calibrated"].mean,
-        1e3 * left[list(left)[-1]].mean,
-        tuple(
-            Finding(_names(f), place, size)
-            for f, size in zip(found.findings, sizes, strict=True)
-            for place in f.where
-        ),
-        made_of,
+    findings = tuple(
+        Finding(_names(f), place, size)
+        for f, size in zip(found.findings, sizes, strict=True)
+        for place in f.where
     )
+    rows = len(found.diagnosis.train) + len(found.diagnosis.held_out)
+    calibrated, diagnosed = (1e3 * left[name].mean for name in ("calibrated", list(left)[-1]))
+    made = Diagnosed(
+        member.name, kind, where, rows, found.verdict, found.summary, in_use, calibrated,
+        diagnosed, findings, made_of,
+    )  # fmt: skip
     del found
     gc.collect()  # fits and postures refer to each other: a fleet would hold those of many arms
     return made

@@ -37,10 +37,7 @@ def import_table(
     options = convert.Options(
         tuple(units), dict(names or {}), rotation, sheet, decimal, arm, join, sort
     )
-    found = convert.import_table(
-        files,
-        options if like is None else options.like(Path(like)),  # type: ignore[arg-type]
-    )
+    found = convert.import_table(files, options if like is None else options.like(Path(like)))
     with tempfile.TemporaryDirectory() as folder:
         csv = Path(folder) / "samples.csv"
         found.save(csv)

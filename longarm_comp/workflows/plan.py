@@ -57,12 +57,9 @@ def plan(
     """n poses at which to measure an arm, each with the sides of arrival.
 
     Args:
-        arm: as declared.
-        n: number of poses.
         kind: ``sobol`` fills the joints' ranges evenly; ``grid`` draws from the paper's grid;
             ``i-optimal`` leaves the least expected error of the tip, ``d-optimal`` the least
             uncertainty of all parameters together (docs/collect.md).
-        seed: seed of the random choices.
         report: folder of a diagnosis. Its requested poses are used, whatever the kind; for an
             optimal kind its model and session are what is known.
         model: calibrated model, or its file: the arm is assumed to have its effects and no others.

@@ -55,9 +55,8 @@ class TrainedPredictor(Predictor):
 
     Attributes:
         samples: number of training rows.
-        before: errors of the physics alone on these rows, m.
-        after: errors with the predictor on these rows, m. On other rows they are larger; see
-            `evaluate`.
+        before, after: errors (m) of the physics alone on these rows, and with the predictor. On
+            other rows they are larger; see `evaluate`.
     """
 
     samples: int = field(kw_only=True)
@@ -97,7 +96,6 @@ def train(
     """Train SSA-BP on the residual that the physics of an arm leaves in a session.
 
     Args:
-        arm: as declared.
         session: measurements, or their CSV or bag. Rows without a marker are left out.
         model: calibrated model or its file; the declared arm when not given. A predictor that is
             trained with a file stores the hash of that file.
@@ -107,7 +105,6 @@ def train(
         ensemble: number of networks, each from its own start.
         hidden: number of hidden units; chosen by evidence if not given.
         weights: (N,) factors of the precision of the session's rows; 0 leaves a row out.
-        seed: seed of all random choices.
         note: called with each finding of the admission.
         progress: called with the number of the network being trained.
 
@@ -129,16 +126,10 @@ def train(
         raise InputError("train", "weights", f"shape {factors.shape}", allowed)
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, physics_mark(model, deflection))
     predictor = networks.train(
-        *rows,
-        inputs=inputs,
-        init=init,
-        seed=seed,
-        ensemble=ensemble,
-        hidden=hidden,
-        weights=None if factors is None else factors[whole.located],
+        *rows, inputs=inputs, init=init, seed=seed, ensemble=ensemble, hidden=hidden,
+        weights=None if factors is None else factors[whole.located], provenance=origin,
         progress=lambda k, of: progress(f"{k} of {of} networks", k / of),
-        provenance=origin,
-    )
+    )  # fmt: skip
     residual = rows[1]
     left = residual - expected(predictor, located).error
     return TrainedPredictor(

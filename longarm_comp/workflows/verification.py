@@ -24,14 +24,9 @@ _MM = 1e3
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """Two runs over the same targets, paired.
+    """Two runs over the same targets, paired: (N, 3) tip - target, m, seen in both runs.
 
-    Attributes:
-        names: of the run without and of the run with compensation.
-        without: (N, 3) tip - target, m, where the marker was seen in both runs.
-        compensated: (N, 3) the same with compensation.
-        gain_m: mean |tip - target| without minus with compensation.
-        gain_ci95_m: its 95 % bootstrap interval over the targets.
+    `gain_m`: mean |tip - target| without minus with compensation, and its 95 % bootstrap interval.
     """
 
     names: tuple[str, str]

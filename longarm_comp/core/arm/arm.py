@@ -388,7 +388,7 @@ class Arm(Declared):
             InputError: the file cannot be read, a key is unknown, a value is not allowed.
         """
         if Path(path).suffix.lower() in (".urdf", ".xacro", ".xml"):
-            raise InputError(path, "file", "a URDF", "an arm.yaml: longarm import-urdf makes one")
+            raise InputError(path, "file", "a URDF", "an arm.yaml: longarm init makes one")
         return cls.parse(read_yaml(path), str(path))
 
     @classmethod
