@@ -113,7 +113,6 @@ def test_nan_fitness_counts_as_infinitely_bad():
     [
         ({"population": 3}, "population"),
         ({"iterations": 0}, "iterations"),
-        ({"vigilantes": 0.7}, "vigilantes"),
     ],
 )
 def test_bad_settings_name_the_field(settings, field):

@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 Fitness = Callable[[Array], NDArray[np.floating]]
 
 _TINY = 1e-50
+_PD, _SD, _ST = 0.2, 0.1, 0.8  # those of the reference code
 
 
 @dataclass(frozen=True)
@@ -115,13 +116,10 @@ class SparrowResult:
 
 @dataclass(frozen=True)
 class SparrowSearch:
-    """Settings of the search; defaults are those of the reference code."""
+    """Settings of the search."""
 
     population: int = 50
     iterations: int = 100
-    discoverers: float = 0.2  # PD, share of the flock
-    vigilantes: float = 0.1  # SD, share of the flock
-    safety: float = 0.8  # ST
     rules: Rules = CANONICAL
 
     def __post_init__(self) -> None:
@@ -130,10 +128,6 @@ class SparrowSearch:
             raise InputError(where, "population", self.population, "an integer >= 4")
         if self.iterations < 1:
             raise InputError(where, "iterations", self.iterations, "an integer >= 1")
-        for name in ("discoverers", "vigilantes"):
-            share = getattr(self, name)
-            if not 0.0 < share <= 0.5:
-                raise InputError(where, name, share, "a share in (0, 0.5]")
 
     def minimise(
         self, fitness: Fitness, lower: Array, upper: Array, rng: np.random.Generator
@@ -153,7 +147,7 @@ class SparrowSearch:
             raise InputError("sparrow search", "bounds", (lower, upper), "finite numbers")
         rules = self.rules
         n, horizon = self.population, self.iterations
-        lead = max(1, round(self.discoverers * n))
+        lead = max(1, round(_PD * n))
         half = max(lead, n // 2)
         rank = np.arange(1, n + 1, dtype=float)
         evaluations = 0
@@ -178,7 +172,7 @@ class SparrowSearch:
             home, value = home[order], value[order]
             worst = now[np.argmax(now_value)]
             flock = Flock(home[0], worst, value[0], float(now_value.max()), horizon)
-            alarmed = bool(rng.random() >= self.safety)
+            alarmed = bool(rng.random() >= _ST)
             with np.errstate(over="ignore", invalid="ignore"):
                 leaders = clip(rules.discover(rng, home[:lead], rank[:lead], horizon, alarmed))
                 leader_value = evaluate(leaders)
@@ -191,7 +185,7 @@ class SparrowSearch:
                 better = now_value < value
                 home[better], value[better] = now[better], now_value[better]
 
-                watching = rng.permutation(n)[: max(1, round(self.vigilantes * n))]
+                watching = rng.permutation(n)[: max(1, round(_SD * n))]
                 best, worst_index = int(np.argmin(value)), int(np.argmax(now_value))
                 f_best, f_worst = float(value[best]), float(now_value[worst_index])
                 flock = Flock(home[best], now[worst_index], f_best, f_worst, horizon)
