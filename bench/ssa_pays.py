@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import Bounds, differential_evolution
 
 from bench.smooth import SmoothSet, rms_mm, smooth_set
+from bench.sparrow_as_printed import RULES
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.network import (
     SPARROW_BOUND,
@@ -55,7 +56,9 @@ class _Problem:
         """The raw search, without the guard against collapsed units."""
         bound = np.full(SHAPE.size, SPARROW_BOUND)
         fitness = squared_error(SHAPE, self.x, self.y)
-        return SparrowSearch(50, iterations, form=form).minimise(fitness, -bound, bound, rng)
+        return SparrowSearch(50, iterations, rules=RULES[form]).minimise(
+            fitness, -bound, bound, rng
+        )
 
 
 def starts(seeds: int) -> str:
@@ -151,7 +154,10 @@ def origin_bias(runs: int = 9, dims: int = 20, iterations: int = 200) -> str:
 
     def sparrow(form: str) -> Callable[[Array, int], float]:
         def solve(centre: Array, seed: int) -> float:
-            search, rng = SparrowSearch(50, iterations, form=form), np.random.default_rng(seed)
+            search, rng = (
+                SparrowSearch(50, iterations, rules=RULES[form]),
+                np.random.default_rng(seed),
+            )
             return search.minimise(
                 lambda x: np.sum((x - centre) ** 2, axis=1), lower, upper, rng
             ).fitness

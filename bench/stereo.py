@@ -30,8 +30,7 @@ from longarm_comp.devices.stereo import (
     TagBoard,
     Target,
 )
-from longarm_comp.sim.cameras import CameraPair, Conditions, render
-from longarm_comp.sim.marker_images import Plate, charuco_plate, tag_plate
+from longarm_comp.sim.cameras import CameraPair, Conditions, Plate, charuco_plate, render, tag_plate
 
 APRIL = "DICT_APRILTAG_36h11"
 MARKERS: dict[str, tuple[Target, Plate]] = {

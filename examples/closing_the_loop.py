@@ -13,7 +13,6 @@ import numpy as np
 
 import longarm_comp as la
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.measure import Noise, TrueCamera
 from longarm_comp.sim.plant import hidden_effects
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
@@ -24,9 +23,9 @@ def main() -> None:
     arm = la.Arm.load(ARM)
     rng = np.random.default_rng(2)
     real = TrueArm(arm, hidden_effects(arm, {"joint_gain": 8.0, "cable_drag": 2.0}, rng))
-    poses, camera = la.plan(arm, 200).q, TrueCamera.of(arm)
-    seen = camera.seen(real.tip(poses))
-    session = la.Session.record(poses, seen + Noise().draw(camera.sight(seen), rng))
+    poses = la.plan(arm, 200).q
+    seen = real.tip(poses) + rng.normal(0.0, 3e-4, (len(poses), 3))  # m
+    session = la.Session.record(poses, seen)
 
     calibrated = la.calibrate(arm, session)
     found = la.diagnose(arm, session, network=False)

@@ -12,7 +12,6 @@ import numpy as np
 
 import longarm_comp as la
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.measure import Noise, TrueCamera
 from longarm_comp.sim.plant import hidden_effects
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
@@ -24,9 +23,8 @@ def main() -> None:
     rng = np.random.default_rng(2)
     sizes = {"joint_zero": 6.0, "dh_error": 3.0, "base_pose": 4.0}  # mm rms at the tip
     real = TrueArm(arm, hidden_effects(arm, sizes, rng))
-    poses, camera = la.plan(arm, 120).q, TrueCamera.of(arm)
-    seen = camera.seen(real.tip(poses))
-    measured = seen + Noise().draw(camera.sight(seen), rng)
+    poses = la.plan(arm, 120).q
+    measured = real.tip(poses) + rng.normal(0.0, 3e-4, (len(poses), 3))  # m
     measured[rng.random(len(poses)) < 0.03] = np.nan  # the marker is lost
     session = la.Session.record(poses, measured)
     calibrated = la.calibrate(arm, session)

@@ -12,7 +12,6 @@ import numpy as np
 
 import longarm_comp as la
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.measure import Noise, TrueCamera
 from longarm_comp.sim.plant import hidden_effects
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
@@ -23,14 +22,13 @@ def main() -> None:
     """Run the loop and show the errors of its three phases."""
     arm = la.Arm.load(ARM)
     rng = np.random.default_rng(3)
-    camera, noise = TrueCamera.of(arm), Noise()
     hidden = hidden_effects(arm, {"joint_zero": 5.0}, rng)
     real = TrueArm(arm, hidden)
 
     def look(q: np.ndarray) -> np.ndarray:
         """Measured tips (N, 3) at commanded joints (N, n)."""
-        seen = camera.seen(real.tip(q))
-        return seen + noise.draw(camera.sight(seen), rng)
+        tips = real.tip(q)
+        return tips + rng.normal(0.0, 3e-4, tips.shape)
 
     def calibrate() -> tuple[la.Model, np.ndarray]:
         """A model of the arm as it is now, and the noise of a sighting (3,), m."""

@@ -35,9 +35,9 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
 from studies.simulated import arrival
+from studies.true_camera import hidden
 
 HIDDEN = ("joint_gain", "gear_eccentricity", "thermal_growth", "friction_hysteresis")
 """What the arm hides from the morning on; softer beams too where it has beams."""

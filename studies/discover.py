@@ -19,15 +19,13 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.hidden.camera import CameraEffect
-from longarm_comp.sim.hidden.catalogue import hidden
-from longarm_comp.sim.measure import TrueCamera
 from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose
 from longarm_comp.workflows.train import training_rows
 from studies.loop_setting import session_of
 from studies.outside import outside
 from studies.peers import train_gaussian_process
 from studies.simulated import SimulatedSession, measure_session
+from studies.true_camera import CameraEffect, TrueCamera, hidden
 
 NOTHING = "nothing"
 ROWS, REPEATS, HELD_OUT, FRESH = 240, 8, 100, 200

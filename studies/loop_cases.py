@@ -12,7 +12,8 @@ import numpy as np
 
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.errors import InputError
-from longarm_comp.sim.hidden.catalogue import HIDDEN, OUTSIDE_EVERY_LIBRARY
+from longarm_comp.sim.hidden.catalogue import OUTSIDE_EVERY_LIBRARY
+from studies.true_camera import HIDDEN
 
 NAMES = tuple(kind.name for kind in LIBRARY if kind.name in HIDDEN)
 """Effects that the study's arm can have. Slides without a declared guide are on other arms."""

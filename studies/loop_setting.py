@@ -18,13 +18,11 @@ from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.hidden.camera import CameraEffect
-from longarm_comp.sim.hidden.catalogue import Hidden, hidden
-from longarm_comp.sim.measure import Noise, TrueCamera
 from studies.loop_cases import SPOILED, Case
 from studies.loop_truth import at_one_place, size
 from studies.random_arms import random_arm
 from studies.simulated import SimulatedSession, arrival, measure_session
+from studies.true_camera import CameraEffect, Hidden, Noise, TrueCamera, hidden
 
 HELD_OUT = 100
 """Number of further poses, uniform over the joint box."""

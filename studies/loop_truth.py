@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.sim.hidden.catalogue import Hidden
 from longarm_comp.sim.hidden.loads import LinkMass
+from studies.true_camera import Hidden
 
 Values = Mapping[tuple[str, str], float]
 """(where, parameter) -> true value (SI)."""

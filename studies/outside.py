@@ -15,8 +15,8 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.sim.context import State
 from longarm_comp.sim.hidden.base import HiddenEffect, Place
-from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.rods import Walker, rpy_matrix
+from studies.true_camera import CameraEffect
 
 Array = np.ndarray
 

@@ -37,10 +37,10 @@ from longarm_comp.math.cubic_path import smooth_slopes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
 from studies.loop import read
 from studies.random_arms import random_arm
+from studies.true_camera import hidden
 
 SPEEDS = (0.05, 0.15, 0.5)
 """Mean speeds of the tip, m/s."""

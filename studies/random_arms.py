@@ -8,11 +8,11 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.hidden import camera, drives, geometry, loads
+from longarm_comp.sim.hidden import drives, geometry, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.hidden.catalogue import typical_context
-from longarm_comp.sim.measure import TrueCamera
+from studies import true_camera as camera
+from studies.true_camera import CameraEffect, TrueCamera
 
 Array = np.ndarray
 _STEPS = 2  # sizes need no nanometres

@@ -37,10 +37,10 @@ from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw, hidden
 from longarm_comp.sim.hidden.loads import JointCompliance
-from longarm_comp.sim.measure import TrueCamera
 from longarm_comp.sim.plant import Plant, PlantConfig, mounting
 from longarm_comp.sim.servo_emulator import MotorSpec, read_arm
 from studies.simulated import TrueEncoders, measure_session
+from studies.true_camera import TrueCamera
 
 SIZE_MM = 8.0
 """Shift of the tip, as in the demonstration."""

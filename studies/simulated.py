@@ -14,7 +14,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
-from longarm_comp.sim.measure import Noise, TrueCamera
+from studies.true_camera import Noise, TrueCamera
 
 Array = np.ndarray
 _Approach = Literal["both", "random", "mixed", "previous", "below"]

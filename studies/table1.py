@@ -39,15 +39,14 @@ from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim import context as sim_context
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.drives import ServoQuantisation
-from longarm_comp.sim.measure import TrueCamera
 from longarm_comp.workflows.train import training_rows
 from studies.extra import extra
 from studies.many import compensate_many
 from studies.peers import train_gaussian_process
 from studies.random_arms import Mix, paper_mix, random_arm
 from studies.simulated import measure_session
+from studies.true_camera import TrueCamera, hidden
 
 TARGETS = 40
 SAMPLES = (900, 300)

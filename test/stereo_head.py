@@ -9,8 +9,7 @@ import numpy as np
 
 from longarm_comp.devices.stereo import StereoEye, StereoRig, TagBoard
 from longarm_comp.math.points import kabsch
-from longarm_comp.sim.cameras import CameraPair, Conditions, render
-from longarm_comp.sim.marker_images import tag_plate
+from longarm_comp.sim.cameras import CameraPair, Conditions, render, tag_plate
 
 HEAD = CameraPair()
 TAG = TagBoard(0.06)

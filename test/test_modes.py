@@ -13,8 +13,8 @@ from cli_shell import Shell
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.vibration.dwell import REST_S, rest_s, ring_of_moves
 from longarm_comp.core.vibration.modes import modes
+from longarm_comp.core.vibration.ring import REST_S, rest_s, ring_of_moves
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 

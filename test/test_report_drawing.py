@@ -15,8 +15,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.vibration.dwell import ring_of_moves
 from longarm_comp.core.vibration.modes import modes
+from longarm_comp.core.vibration.ring import ring_of_moves
 from longarm_comp.report.detail import SeenRows
 from longarm_comp.report.drawing import rings
 from longarm_comp.report.scene import MOST, arrows, exaggeration, scene_json

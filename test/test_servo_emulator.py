@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -274,40 +271,3 @@ def test_joints_of_the_configuration_agree_with_the_drivers(tmp_path: Path) -> N
     path.write_text("joints: {}")
     with pytest.raises(InputError, match=r"bus\.protocol"):
         read_arm(path)
-
-
-@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
-def test_as_a_process_it_serves_a_link_and_cleans_up(tmp_path: Path, ending: int) -> None:
-    config, link = tmp_path / "servo_driver.yaml", tmp_path / "servo"
-    config.write_text(CONFIG)
-    command = [sys.executable, "-m", "longarm_comp.sim.servo_emulator"]
-    process = subprocess.Popen(
-        [*command, "--config", str(config), "--link", str(link)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        assert "feetech servos [2, 4]" in process.stdout.readline()
-        port = scs.PortHandler(str(link))
-        assert port.openPort()
-        assert scs.sms_sts(port).ReadPos(2)[0] == 100
-        port.closePort()
-        process.send_signal(ending)
-        assert process.wait(timeout=300) == 0
-        assert not link.is_symlink()
-    finally:
-        process.kill()
-        process.wait()
-
-
-def test_as_a_process_it_names_what_is_wrong(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "longarm_comp.sim.servo_emulator"]
-    done = subprocess.run(
-        [*command, "--config", str(tmp_path / "none.yaml"), "--link", str(tmp_path / "x")],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert "none.yaml" in done.stderr and "Traceback" not in done.stderr

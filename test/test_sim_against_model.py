@@ -45,9 +45,9 @@ from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State
-from longarm_comp.sim.hidden.catalogue import draw, typical_context
-from longarm_comp.sim.measure import TrueCamera
+from longarm_comp.sim.hidden.catalogue import typical_context
 from studies.random_arms import Mix
+from studies.true_camera import TrueCamera, draw
 
 SIZE_MM = 3.0
 TURNING, SLIDING = (1, 2, 4, 5, 6), (3, 7)

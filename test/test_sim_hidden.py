@@ -12,17 +12,11 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
-from longarm_comp.sim.hidden import camera, drives, geometry, loads
-from longarm_comp.sim.hidden.camera import CameraEffect
-from longarm_comp.sim.hidden.catalogue import (
-    HIDDEN,
-    OUTSIDE_EVERY_LIBRARY,
-    draw,
-    hidden,
-    seen_tip,
-    typical_context,
-)
+from longarm_comp.sim.hidden import drives, geometry, loads
+from longarm_comp.sim.hidden.catalogue import OUTSIDE_EVERY_LIBRARY, typical_context
+from studies import true_camera as camera
 from studies.random_arms import Mix, paper_mix, random_arm
+from studies.true_camera import HIDDEN, CameraEffect, draw, hidden, seen_tip
 
 G = 9.81
 LIBRARY = (

@@ -14,9 +14,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import drives, loads
-from longarm_comp.sim.hidden.camera import CameraScale
-from longarm_comp.sim.measure import Noise, TrueCamera
 from studies.simulated import SimulatedSession, arrival, measure_session, write_session
+from studies.true_camera import CameraScale, Noise, TrueCamera
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench.sparrow_as_printed import PRINTED, RULES
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.learn.sparrow import FORMS, Flock, SparrowSearch
-
-CANONICAL, PRINTED = FORMS["canonical"], FORMS["printed"]
+from longarm_comp.core.learn.sparrow import CANONICAL, Flock, SparrowSearch
 
 
 def sphere(x):
@@ -64,7 +63,7 @@ def test_vigilantes_fly_to_the_best_per_dimension_and_equal_worst_stays():
     np.testing.assert_array_equal(stays, position)
 
 
-@pytest.mark.parametrize("form", sorted(FORMS))
+@pytest.mark.parametrize("form", sorted(RULES))
 def test_search_is_deterministic_bounded_monotone_and_counts_its_evaluations(form):
     seen = []
 
@@ -72,7 +71,7 @@ def test_search_is_deterministic_bounded_monotone_and_counts_its_evaluations(for
         seen.append(x.copy())
         return sphere(x - 0.3)
 
-    search = SparrowSearch(population=20, iterations=30, form=form)
+    search = SparrowSearch(population=20, iterations=30, rules=RULES[form])
     lower, upper = np.full(5, -1.0), np.full(5, 0.8)
     result = search.minimise(fitness, lower, upper, np.random.default_rng(8))
     again = search.minimise(fitness, lower, upper, np.random.default_rng(8))
@@ -112,10 +111,8 @@ def test_nan_fitness_counts_as_infinitely_bad():
 @pytest.mark.parametrize(
     ("settings", "field"),
     [
-        ({"form": "canonicle"}, "form"),
         ({"population": 3}, "population"),
         ({"iterations": 0}, "iterations"),
-        ({"vigilantes": 0.7}, "vigilantes"),
     ],
 )
 def test_bad_settings_name_the_field(settings, field):

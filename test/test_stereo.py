@@ -13,9 +13,7 @@ from stereo_head import HEAD, PLATE, eye_for, marker_pose, pair
 
 from longarm_comp.devices.stereo import CharucoTarget, Limits, TagBoard
 from longarm_comp.sim import cameras
-from longarm_comp.sim import marker_images as plates
-from longarm_comp.sim.cameras import render
-from longarm_comp.sim.marker_images import charuco_plate, tag_plate
+from longarm_comp.sim.cameras import charuco_plate, render, tag_plate
 
 
 @pytest.mark.parametrize(
@@ -123,8 +121,5 @@ def test_a_print_of_the_wrong_size_moves_the_scale_not_the_point() -> None:
 
 def test_the_cameras_share_nothing_with_the_measurement() -> None:
     """Or an error of convention would cancel in every test above."""
-    for module in (cameras, plates):
-        assert module.__file__ is not None
-        assert "longarm_comp.devices.stereo" not in Path(module.__file__).read_text(
-            encoding="utf-8"
-        )
+    assert cameras.__file__ is not None
+    assert "longarm_comp.devices.stereo" not in Path(cameras.__file__).read_text("utf-8")

@@ -22,8 +22,7 @@ from longarm_comp.arm_folder.measured import read_measured
 from longarm_comp.devices.stereo import CharucoTarget, StereoEye, StereoRig, TagBoard
 from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.views import BoardView, gaps, view_of
-from longarm_comp.sim.cameras import Conditions, render
-from longarm_comp.sim.marker_images import charuco_plate, tag_plate
+from longarm_comp.sim.cameras import Conditions, charuco_plate, render, tag_plate
 
 if TYPE_CHECKING:
     from longarm_comp.jobs.graph_client import GraphClient

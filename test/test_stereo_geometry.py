@@ -20,8 +20,7 @@ from longarm_comp.devices.stereo import (
     hand_eye,
     triangulate,
 )
-from longarm_comp.sim.cameras import render
-from longarm_comp.sim.marker_images import charuco_plate
+from longarm_comp.sim.cameras import charuco_plate, render
 
 # ---- mathematics --------------------------------------------------------------------------------
 

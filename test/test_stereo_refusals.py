@@ -20,8 +20,7 @@ from longarm_comp.devices.stereo import (
     StereoRig,
     TagBoard,
 )
-from longarm_comp.sim.cameras import Conditions, render
-from longarm_comp.sim.marker_images import tag_plate
+from longarm_comp.sim.cameras import Conditions, render, tag_plate
 
 # ---- refusals -----------------------------------------------------------------------------------
 

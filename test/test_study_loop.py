@@ -12,13 +12,13 @@ from longarm_comp.cli.run import run as command_line
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.errors import InputError
-from longarm_comp.sim.hidden.catalogue import hidden
 from studies import loop
 from studies.loop_cases import GROUPS, NAMES, SPOILED, Case, Design
 from studies.loop_score import true_fit
 from studies.loop_setting import set_up
 from studies.loop_table import by_effect, failures, reliability, share, summary, wilson
 from studies.loop_truth import at_one_place, places, values
+from studies.true_camera import hidden
 
 
 @pytest.fixture(scope="module")
@@ -89,8 +89,8 @@ def test_visible_means_left_after_a_geometry_refit(arm, name):
 def test_geometry_errors_are_not_visible_effects(arm):
     """A joint zero is taken up by the refit whole."""
     from longarm_comp.core.data.plan import grid
-    from longarm_comp.sim.measure import TrueCamera
     from studies.loop_setting import _Gauge
+    from studies.true_camera import TrueCamera
 
     rng = np.random.default_rng(5)
     gauge = _Gauge(arm, TrueCamera.of(arm), grid(arm, 60, rng).q, np.full(3, 3e-4), rng)

@@ -20,7 +20,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.touch import READINGS, TouchLog, resting
 from longarm_comp.nodes.interfaces import CONTACT, JOINT_STATES
-from longarm_comp.nodes.simulated_arm import places
+from longarm_comp.nodes.simulated_arm import numbers
 from longarm_comp.share import folder
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.plant import Plant, PlantConfig
@@ -175,5 +175,6 @@ def test_the_simulated_ball_slides_into_a_socket_where_servos_let_go(tmp_path: P
     assert plant.contact(0.0) == "near"
     np.testing.assert_allclose(plant.tip_pose(0.0)[:3, 3], near, atol=5e-5)
     with pytest.raises(InputError, match=r"sockets: 'a=1,2'; allowed: name=x,y,z"):
-        places("a=1,2")
-    assert places("a=1,2,3 b=0,0,-0.5") == {"a": (1, 2, 3), "b": (0, 0, -0.5)}
+        numbers("sockets", "a=1,2", 3, "name=x,y,z")
+    found = numbers("sockets", "a=1,2,3 b=0,0,-0.5", 3, "name=x,y,z")
+    assert found == {"a": [1, 2, 3], "b": [0, 0, -0.5]}

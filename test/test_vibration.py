@@ -18,16 +18,15 @@ from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.vibration.after_move import ring_after
 from longarm_comp.core.vibration.modes import modes
-from longarm_comp.core.vibration.ring import along, straight
+from longarm_comp.core.vibration.ring import along, ring_after, straight
 from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
 from longarm_comp.core.vibration.shaper import shaper_of, shaping, way_modes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads
-from longarm_comp.sim.ringing import Ringing, vibration
 from studies.random_arms import random_arm
 from studies.ringing import after
+from studies.true_ringing import Ringing, vibration
 
 ARM = Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
 SOFT = np.array([4e-3, 3e-3, 0.0, 2e-3, 5e-3, 2e-3, 0.0])

@@ -11,7 +11,7 @@ import numpy as np
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.devices.stereo import CharucoTarget, TagBoard
-from longarm_comp.sim.marker_images import charuco_plate
+from longarm_comp.sim.cameras import charuco_plate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

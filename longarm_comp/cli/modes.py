@@ -52,7 +52,7 @@ def command(
     import numpy as np
 
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.vibration.dwell import ring_of_moves
+    from longarm_comp.core.vibration.ring import ring_of_moves
     from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
     from longarm_comp.core.vibration.shaper import USUAL_DAMPING
     from longarm_comp.sessions.poses import read_poses

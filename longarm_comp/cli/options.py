@@ -80,7 +80,7 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def command(sightings: int, dwell: float | None, move: float, **rest: Any) -> Any:
         def pace(model: Any, q: Any) -> Any:
-            from longarm_comp.core.vibration.dwell import rest_s
+            from longarm_comp.core.vibration.ring import rest_s
             from longarm_comp.jobs.client import Pace
 
             dwell_s = rest_s(model, q, move, dwell)

@@ -35,12 +35,8 @@ def checked(trajectory: JointTrajectory, config: ServoConfig, start: Array) -> _
     columns = _columns(trajectory.joint_names, tuple(config.joints))
     with_velocities = [p for p in trajectory.points if p.velocities]
     if with_velocities and len(with_velocities) != len(trajectory.points):
-        raise InputError(
-            _WHERE,
-            "velocities",
-            f"{len(with_velocities)} of {len(trajectory.points)} points",
-            "at every point or at none",
-        )
+        found = f"{len(with_velocities)} of {len(trajectory.points)} points"
+        raise InputError(_WHERE, "velocities", found, "at every point or at none")
     times = _times(trajectory)
     positions = np.tile(start, (len(times), 1))
     velocities = np.zeros_like(positions)

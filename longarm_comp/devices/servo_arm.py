@@ -75,7 +75,7 @@ class ServoArm:
         self.config = config
         self.follower = TrajectoryFollower(config, keeps_out, shapes, trim)
         self._ids = list(config.ids.values())
-        self._powered = False
+        self.powered = False  # whether the torque was switched on
         self._owing_off = False  # torque off is still to be sent to an unplugged bus
         self._cycles = 0
         self._next_open = 0.0
@@ -97,11 +97,6 @@ class ServoArm:
             raise
         return bus
 
-    @property
-    def powered(self) -> bool:
-        """Whether the torque was switched on."""
-        return self._powered
-
     def power(self, on: bool) -> None:
         """Switch the torque. With an unplugged bus, off is sent when the bus comes back.
 
@@ -111,8 +106,8 @@ class ServoArm:
             BusUnplugged, IncompleteReply, ServoFault: it could not be switched (on), or was not
                 confirmed (off).
         """
-        before = self._powered
-        self._powered = self._powered and on
+        before = self.powered
+        self.powered = self.powered and on
         self._owing_off = not on
         if self.bus is None:
             raise BusUnplugged(port=self.config.bus.port, why="the port is gone")
@@ -123,11 +118,11 @@ class ServoArm:
                 with contextlib.suppress(ServoBusError):
                     self.power(False)
             raise
-        self._powered, self._owing_off = on, False
+        self.powered, self._owing_off = on, False
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Start a trajectory."""
-        if not self._powered:
+        if not self.powered:
             raise JobError("the torque is off")
         return self.follower.accept(trajectory, now)
 
@@ -145,7 +140,7 @@ class ServoArm:
         if not on:
             self.follower.reset(now)
             return
-        before = self._powered
+        before = self.powered
         self.power(True)
         try:
             self.follower.reset(now)
@@ -168,7 +163,7 @@ class ServoArm:
             try:
                 states = bus.read(self._ids)
                 # cycles between two checks that the torque is still on
-                if self._powered and self._cycles % 25 == 0:
+                if self.powered and self._cycles % 25 == 0:
                     driven = bus.driven(self._ids)
             except IncompleteReply as error:
                 trouble, states = str(error), error.states
@@ -177,7 +172,7 @@ class ServoArm:
             except ServoBusError as error:
                 trouble = str(error)
         step = self.follower.step(now, states, driven)
-        if step.goals and self.bus is not None and self._powered:
+        if step.goals and self.bus is not None and self.powered:
             try:
                 self.bus.write_goal(step.goals, self.config.speed_limits_ticks_s)
             except ServoBusError as error:

@@ -29,9 +29,6 @@ from longarm_comp.devices.trim import Trim
 from longarm_comp.math.cubic_path import CubicPath
 from longarm_comp.math.shaper import Shaper, Way
 
-__all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
-
-
 KeepsOut = Callable[[Array], str]
 """Says why an arm must not go through joints (N, n); empty where it may."""
 Shapes = Callable[[Way, float], Shaper | None]
@@ -48,6 +45,9 @@ class TrajectoryFollower:
         keeps_out: asked of every trajectory; None: nothing is kept out of.
         shapes: asked of every trajectory that begins at rest; None: none is shaped.
         trim: whether moves end with the readings where they were sent (`Trim`).
+
+    Attributes:
+        held: whether trajectories are refused because of `hold`.
     """
 
     def __init__(
@@ -64,14 +64,14 @@ class TrajectoryFollower:
         self._upper = np.array([j.upper for j in self._joints])
         self._max_velocity = np.array([j.max_velocity for j in self._joints])
         self._watch = ServoWatch(config)
-        self._state = FollowerState.IDLE
+        self.state = FollowerState.IDLE
         self._events: list[Event] = []
         self._now: float | None = None
         self._fresh = False
         self._doubting = False
         self._settled = True
         self._still_s = 0.0
-        self._held = False
+        self.held = False
         self._set: Array | None = None
         self._velocity = np.zeros(len(self._joints))
         self._goals: dict[int, int] | None = None
@@ -79,11 +79,6 @@ class TrajectoryFollower:
         self._way_time = 0.0
         self._trim = Trim(config) if trim else None
         self._trims, self._untrimmed = False, ""
-
-    @property
-    def state(self) -> FollowerState:
-        """State of the follower."""
-        return self._state
 
     @property
     def set_points(self) -> dict[str, float]:
@@ -113,19 +108,16 @@ class TrajectoryFollower:
         self._check_ready(now)
         start = self._start()
         wanted = checked(trajectory, self._config, start)
+        replaces = self.state is FollowerState.TRACKING
         if wanted is None:
             path = self._braking(start)
-            accepted = Accepted(
-                start, path.end[None], np.zeros(1), self._state is FollowerState.TRACKING
-            )
+            accepted = Accepted(start, path.end[None], np.zeros(1), replaces)
         else:
             path = plan_path(
                 start, wanted.times, wanted.positions, wanted.velocities, self._max_velocity
             )
             passed = path.times[-len(wanted.times) :]
-            accepted = Accepted(
-                start, wanted.positions, passed, self._state is FollowerState.TRACKING
-            )
+            accepted = Accepted(start, wanted.positions, passed, replaces)
             self._check_inside(path)
         # Points of a move: its run-up and its end. More are a path, which is not trimmed
         several = len(trajectory.points) > 2
@@ -143,7 +135,7 @@ class TrajectoryFollower:
         self._untrimmed = ""
         if self._trim is not None:
             self._trim.begin(path=several)
-        self._state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
+        self.state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
         kind = EventKind.REPLACED if accepted.replaces else EventKind.STARTED
         self._say(kind, f"{len(trajectory.points)} points, {way.duration:.2f} s")
         if path.stretch > 1.001:
@@ -165,20 +157,15 @@ class TrajectoryFollower:
         rest = np.clip(brake, self._lower, self._upper)[None]
         return CubicPath(np.zeros(1), rest, np.zeros_like(rest))
 
-    @property
-    def held(self) -> bool:
-        """Whether trajectories are refused because of `hold`."""
-        return self._held
-
     def hold(self, on: bool) -> None:
         """Stop smoothly, stay with the torque on and take no trajectory, until it is released."""
-        if on and not self._held:
+        if on and not self.held:
             self.break_off(EventKind.HELD, "held: it stays where it is")
-        self._held = on
+        self.held = on
 
     def break_off(self, kind: EventKind, why: str) -> None:
         """Stop smoothly. The trajectory is not followed to its end."""
-        if self._state is FollowerState.TRACKING and self._set is not None:
+        if self.state is FollowerState.TRACKING and self._set is not None:
             self._way = self._taken_over(self._braking(self._set), self._set)
             self._way_time = 0.0
         self._settled = True
@@ -186,7 +173,7 @@ class TrajectoryFollower:
 
     def estop(self) -> None:
         """Send no goals until ``reset``. The caller switches the torque off."""
-        self._state = FollowerState.ESTOP
+        self.state = FollowerState.ESTOP
         self._drop_motion()
         self._say(EventKind.ESTOP, "emergency stop")
 
@@ -195,7 +182,7 @@ class TrajectoryFollower:
         self._check_health(now)
         self._watch.forget_errors()
         self._drop_motion()
-        self._state = FollowerState.IDLE
+        self.state = FollowerState.IDLE
         self._say(EventKind.RESET, "ready")
 
     def step(
@@ -217,10 +204,10 @@ class TrajectoryFollower:
         self._fresh, findings = self._watch.update(self._now, states, self._goals)
         findings += self._let_go(driven or {})
         goals = None
-        if self._state in (FollowerState.TRACKING, FollowerState.HOLDING):
+        if self.state in (FollowerState.TRACKING, FollowerState.HOLDING):
             goals = self._fault(findings) if findings else self._move(dt)
         events, self._events = tuple(self._events), []
-        return Step(self._state, goals, self.set_points, events)
+        return Step(self.state, goals, self.set_points, events)
 
     def _move(self, dt: float) -> dict[int, int] | None:
         """One bounded step along the path; None while any read-back is doubtful."""
@@ -240,7 +227,7 @@ class TrajectoryFollower:
         self._velocity = step / dt if dt > 0.0 else self._velocity
         arrived = self._way_time >= self._way.duration + self._config.follower.blend_s
         if arrived and np.allclose(self._set, path.end, rtol=0.0, atol=1e-9):
-            self._state = FollowerState.HOLDING
+            self.state = FollowerState.HOLDING
             self._settle(dt)
         wanted = self._wanted()
         if self._trim is not None:
@@ -300,7 +287,7 @@ class TrajectoryFollower:
 
     def _fault(self, findings: list[JointFault]) -> dict[int, int]:
         """Stop at the present positions, once. A silent servo keeps its last goal."""
-        self._state = FollowerState.FAULT
+        self.state = FollowerState.FAULT
         for finding in findings:
             what = f"{finding.joint} {finding.trouble.value}: {finding.message}"
             self._say(EventKind.FAULT, what, finding)
@@ -323,9 +310,9 @@ class TrajectoryFollower:
         self._velocity = np.zeros_like(self._velocity)
 
     def _check_ready(self, now: float) -> None:
-        if self._state in (FollowerState.FAULT, FollowerState.ESTOP):
-            raise JobError("no trajectory is taken until the arm is reset", state=self._state.value)
-        if self._held:
+        if self.state in (FollowerState.FAULT, FollowerState.ESTOP):
+            raise JobError("no trajectory is taken until the arm is reset", state=self.state.value)
+        if self.held:
             raise JobError("no trajectory is taken until ~/hold is called with false")
         if not self.fresh(now):
             raise JobError("no fresh reading of every servo", servos=len(self._joints))

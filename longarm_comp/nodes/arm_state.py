@@ -9,8 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from sensor_msgs.msg import Imu, JointState, Temperature
-from std_msgs.msg import Float64
+from sensor_msgs.msg import Imu, JointState
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
@@ -85,8 +84,12 @@ class ArmState:
         self._joints: tuple[np.ndarray, float] | None = None
         self.effort = np.full(self.arm.n, np.nan)
         graph.JOINT_STATES.subscription(node, self._on_joints)
-        graph.TEMPERATURE.subscription(node, self._on_temperature)
-        graph.PAYLOAD.subscription(node, self._on_payload)
+        graph.TEMPERATURE.subscription(
+            node, lambda said: self._read("temperature", {"temperature_c": said.temperature})
+        )
+        graph.PAYLOAD.subscription(
+            node, lambda said: self._read("payload", {"payload_kg": said.data})
+        )
         graph.INCLINATION.subscription(node, self._on_inclination)
 
     @property
@@ -129,12 +132,6 @@ class ArmState:
         """Model in use, readings (n,) and circumstances of now; None while they are not known."""
         q, context = self.joints, self.known()
         return None if q is None or context is None else (self.files.loaded.model, q, context)
-
-    def _on_temperature(self, message: Temperature) -> None:
-        self._read("temperature", {"temperature_c": message.temperature})
-
-    def _on_payload(self, message: Float64) -> None:
-        self._read("payload", {"payload_kg": message.data})
 
     def _on_inclination(self, message: Imu) -> None:
         try:

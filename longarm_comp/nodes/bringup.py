@@ -168,10 +168,8 @@ class BringUp:
         if node == "servo_driver":
             follower = given.get("follower", {})
             behind = float(follower.get("lost_error_ticks", 400.0))
-            longest, cycle = (
-                float(follower.get("max_step_s", 0.1)),
-                1.0 / given.get("rate_hz", 50.0),
-            )
+            longest = float(follower.get("max_step_s", 0.1))
+            cycle = 1.0 / given.get("rate_hz", 50.0)
             return {
                 "follower.lost_error_ticks": self.speed * behind,
                 "follower.max_step_s": min(longest, max(longest / self.speed, 2 * cycle)),

@@ -27,7 +27,6 @@ from longarm_comp.nodes.frames import FrameListener
 from longarm_comp.nodes.health import OK, WARN, Report, Twins
 from longarm_comp.nodes.messages import (
     Answer,
-    FileHashes,
     Refusal,
     joints_message,
     joints_of,
@@ -66,11 +65,6 @@ class Compensator:
             tol_m=p["tolerance_m"], max_passes=p["max_passes"],
             max_correction_m=p["max_correction_m"],
         )  # fmt: skip
-
-    @property
-    def learned(self) -> bool:
-        """Whether a predictor answers."""
-        return self._predictor.answers
 
     def kind(self) -> Hashable:
         """What the programs that a target needs depend on: model, options, what is known.
@@ -112,14 +106,9 @@ class Compensator:
     ) -> Answer:
         """The answer to a request that is refused before any computation."""
         return Answer(
-            name,
-            request.target,
-            request.position_only,
-            status,
-            reason,
-            str(self._node.get_parameter("method").value),
-            FileHashes(self._files.arm.hash, self._files.loaded.file_hash),
-        )
+            name, request.target, request.position_only, status, reason,
+            str(self._node.get_parameter("method").value), self._files.loaded.file_hash,
+        )  # fmt: skip
 
     def _compensate(self, name: str, request: Compensate.Request) -> Answer:
         given, target = self._target(request)
@@ -156,17 +145,9 @@ class Compensator:
             entry = entered(self._declared, path)
             status, reason = (Status.KEPT_OUT, entry) if entry else (status, reason)
         return Answer(
-            name,
-            given,
-            request.position_only,
-            status,
-            reason,
-            options.method.value,
-            FileHashes(
-                self._files.arm.hash, loaded.file_hash, "" if client is None else client.file_hash
-            ),
-            arrival,
-        )
+            name, given, request.position_only, status, reason, options.method.value,
+            loaded.file_hash, "" if client is None else client.file_hash, arrival,
+        )  # fmt: skip
 
     def _target(self, request: Compensate.Request) -> tuple[PoseStamped, np.ndarray]:
         """The target in the base frame: as a message, and as (4, 4) or (3,), m."""

@@ -27,10 +27,7 @@ PARAMS = (
     Param("frames.wait_s", 0.5, "longest wait for a tf as new as the target", 0.0, 60.0),
     Param("markers.period_s", 0.5, "time between two pictures; 0: none", 0.0, 60.0),
     Param("markers.sag_factor", 1.0, "factor of the drawn deflection", 0.0, 1000.0, live=True),
-    Param(
-        "markers.error_factor", 50.0, "factor of the drawn error arrow", 1.0, 1e4,
-        live=True,
-    ),
+    Param("markers.error_factor", 50.0, "factor of the drawn error arrow", 1.0, 1e4, live=True),
 )  # fmt: skip
 
 _TIP_PREDICTED = "tip_predicted"
@@ -112,17 +109,13 @@ class Markers:
         spots = (("target", TARGET, self._target), ("pseudo_target", _PSEUDO, self._pseudo),
                  ("tip_measured", TIP, self._tip))  # fmt: skip
         for number, (name, colour, at) in enumerate(spots, 2):
-            drawn.append(self._spot(number, name, colour, at))
+            place = [] if at is None else [at]
+            drawn.append(self._marker(number, name, Marker.SPHERE_LIST, colour, 0.015, place))
         target, tip, arrow = self._target, self._tip, []
         if target is not None and tip is not None:
             arrow = [target, target + error * (tip - target)]
         drawn.append(self._marker(5, "error", Marker.ARROW, TIP, 0.004, arrow))
         self._publisher.publish(MarkerArray(markers=drawn))
-
-    def _spot(self, number: int, name: str, colour: Colour, at: np.ndarray | None) -> Marker:
-        return self._marker(
-            number, name, Marker.SPHERE_LIST, colour, 0.015, [] if at is None else [at]
-        )
 
     def _marker(
         self, number: int, name: str, kind: int, colour: Colour, size: float,

@@ -12,6 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.driver_messages import STATES
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.messages import joints_of, path_of
 from longarm_comp.nodes.rclpy_inside import Inlets
@@ -19,15 +20,6 @@ from longarm_interfaces.msg import DriverState, Motion
 
 _SILENT_S = 3.0
 """A driver that has not told its state for so long is gone. It tells it twice a second."""
-
-_WORDS = {
-    DriverState.UNCONFIGURED: "not configured",
-    DriverState.INACTIVE: "inactive",
-    DriverState.HOLDING: "held",
-    DriverState.FAULT: "in fault",
-    DriverState.ESTOP: "stopped",
-}
-"""States in which a driver takes no trajectory."""
 
 
 class DriverLink:
@@ -86,9 +78,9 @@ class DriverLink:
             return "two drivers publish servo_driver/state: end one of them"
         if now - self._heard_s > _SILENT_S:
             return f"servo_driver has been silent for {now - self._heard_s:.0f} s"
-        if state.state in _WORDS:
+        if state.state not in (DriverState.READY, DriverState.MOVING):
             why = f": {state.message}" if state.message else ""
-            return f"servo_driver is {_WORDS[state.state]}{why}"
+            return f"servo_driver is {STATES[state.state].partition(':')[0]}{why}"
         return ""
 
     # ------------------------------------------------------------------ one trajectory

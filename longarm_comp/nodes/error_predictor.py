@@ -44,7 +44,7 @@ class _Loaded:
     model_hash: str
 
 
-class ErrorPredictor(ArmNode):
+class _ErrorPredictor(ArmNode):
     """Answers requests on one thread and loads files on another."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
@@ -156,7 +156,7 @@ class ErrorPredictor(ArmNode):
         return Report(OK, "predicting", facts)
 
 
-main = program(ErrorPredictor)
+main = program(_ErrorPredictor)
 
 if __name__ == "__main__":
     main()

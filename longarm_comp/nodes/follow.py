@@ -52,7 +52,8 @@ class FollowServer:
         if problem:
             return self._aborted(goal, result.INVALID_GOAL, problem)
         began, deadline = self._node.get_clock().now(), _deadline(goal.request)
-        self._take(name, asked)
+        self._told[name] = None
+        self._site.take(asked, name)
         while (end := self._told[name]) is None:
             self._feedback(goal, asked.joint_names, began)
             broken = self._beyond(goal.request.path_tolerance, "on the way")
@@ -80,14 +81,11 @@ class FollowServer:
         goal.succeed()
         return result(error_code=result.SUCCESSFUL)
 
-    def _take(self, name: str, asked: JointTrajectory) -> None:
-        self._told[name] = None
-        self._site.take(asked, name)
-
     async def _halt(self, name: str) -> None:
         """Stop smoothly, and wait until the arm is at rest or does not obey."""
         if self._told[name] is None:
-            self._take(f"{name} halt", JointTrajectory())
+            self._told[f"{name} halt"] = None
+            self._site.take(JointTrajectory(), f"{name} halt")
             while self._told[f"{name} halt"] is None:
                 await self._ticks.next()
 

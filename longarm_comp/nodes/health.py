@@ -52,7 +52,7 @@ class Twins:
         for status in message.status:
             if status.name == self._part:
                 told = {pair.key: pair.value for pair in status.values}
-                own = told.get(INSTANCE) == THIS_INSTANCE
+                own = told.get(INSTANCE) == _THIS_INSTANCE
                 self._alone = self._alone + 1 if own else 0
 
 
@@ -74,7 +74,7 @@ OK, WARN, ERROR, STALE = (
 INSTANCE = "instance"
 """Value of the part `process`: which process reports, as a restarted one has the same name."""
 
-THIS_INSTANCE = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
+_THIS_INSTANCE = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Health:
 
     def _process(self) -> Report:
         facts: dict[str, object] = {
-            INSTANCE: THIS_INSTANCE,
+            INSTANCE: _THIS_INSTANCE,
             "faults": self.faults,
             "last fault": self.last_fault,
         }

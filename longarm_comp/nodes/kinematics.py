@@ -20,7 +20,6 @@ from longarm_comp.nodes import (
     monitoring,
     payload,
     reach,
-    ringing,
     targets,
 )
 from longarm_comp.nodes import interfaces as graph
@@ -66,7 +65,7 @@ class Kinematics(ArmNode):
         drawing.ArmFrames(state)
         inlet = targets.TargetInlet(state, compute, self._monitor, self._markers)
         tips = monitoring.ReadingsTeller(state)
-        self._ringing = ringing.RingTeller(state, p["shaped"])
+        self._ringing = monitoring.RingTeller(state, p["shaped"])
         self._reach = reach.ReachServer(state, inlet, self._monitor, tips)
         graph.TIP_MEASURED.subscription(self, self._on_tip)
         state.moved, state.driver.commanded = self._on_joints, self._on_command

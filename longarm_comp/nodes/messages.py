@@ -42,15 +42,6 @@ class Refusal(LongarmError):  # noqa: N818
         self.reason = reason
 
 
-@dataclass(frozen=True)
-class FileHashes:
-    """SHA-256 of each file that an answer was computed with; empty without one."""
-
-    arm: str
-    model: str = ""
-    predictor: str = ""
-
-
 def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
     """The target as (4, 4), or (3,) where the orientation is free (m, its own frame).
 
@@ -241,6 +232,7 @@ class Answer:
     Attributes:
         name: id of the target.
         target, position_only: the request.
+        model_hash, predictor_hash: SHA-256 of the files in use; empty without one.
         arrival: the computation; None for a target that was refused before it.
     """
 
@@ -250,7 +242,8 @@ class Answer:
     status: Status
     message: str
     method: str
-    provenance: FileHashes
+    model_hash: str
+    predictor_hash: str = ""
     arrival: Arrival | None = None
 
     @property
@@ -279,9 +272,9 @@ def compensation_message(
         approach=int(sides.pop()) if len(sides) == 1 else 0,
         approach_joints=[int(side) for side in context.approach],
         travel=[float(leg) for leg in context.legs[::LEGS]],
-        arm_hash=answer.provenance.arm,
-        model_hash=answer.provenance.model,
-        predictor_hash=answer.provenance.predictor,
+        arm_hash=arm.hash,
+        model_hash=answer.model_hash,
+        predictor_hash=answer.predictor_hash,
     )
     _fill(published, answer, arm, base_frame)
     if executed and answer.outcome is not None:

@@ -16,7 +16,7 @@ from longarm_comp.nodes.health import OK, WARN, Report
 
 
 @dataclass(frozen=True)
-class LoadedModel:
+class _LoadedModel:
     """A model and the SHA-256 of its file. The hash of the declared arm is empty.
 
     ``learned`` counts the models that were put in its place since.
@@ -38,7 +38,7 @@ class ModelFiles:
         self.learned_path = Path(model_path or "model.yaml").with_suffix(".at_work.json")
         self.rigid = Model(self.arm)
         self._of_commands = by_readings if trimmed else (lambda model: model)
-        self.loaded = self.given = LoadedModel(self._of_commands(declared_model(self.arm)))
+        self.loaded = self.given = _LoadedModel(self._of_commands(declared_model(self.arm)))
         self._fault = ""
         self.loads = 0
         self.reload()
@@ -49,7 +49,7 @@ class ModelFiles:
             return True, "the arm as declared: no model.yaml is configured"
         try:
             model = self._of_commands(load_model(self._path, self.arm))
-            self.loaded = self.given = LoadedModel(model, file_hash(self._path))
+            self.loaded = self.given = _LoadedModel(model, file_hash(self._path))
         except LongarmError as error:
             self._fault = str(error)
             return False, self._fault

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import threading
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor
 from longarm_comp.core.compensation.stands import TipByReadings, tip_by_readings
 from longarm_comp.core.data.rest import JOINT_REST, RestPose, RestWatch
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.vibration.ring import MoveRing, ring_after
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import OK, WARN, Report
-from longarm_comp.nodes.messages import sighting_of, tip_message
+from longarm_comp.nodes.messages import joints_of, path_of, seconds, sighting_of, tip_message
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_comp.nodes.stamps import stamp_ns
+from longarm_interfaces.msg import Motion
 
 PARAMS = (
     Param("readings.period_s", 1.0, "time between two tip_by_readings; 0: none", 0.0, 60.0),
@@ -79,15 +86,6 @@ EVIDENCE = "evidence (1 warns)"
 
 def _mm(vector: np.ndarray) -> str:
     return " ".join(f"{1e3 * value:+.2f}" for value in vector) + " mm"
-
-
-@dataclass(frozen=True)
-class Promise:
-    """Tip expected at a rest pose, its standard deviation, and what a predictor added: (3,) m."""
-
-    tip: np.ndarray
-    sigma: np.ndarray
-    learned: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,17 +161,22 @@ class TipMonitor:
         Returns the learned error (3,) m that was expected there; None where no predictor speaks.
         """
         missed = self._missed(rest, model, context)
-        promise = self._promise(rest, model, context)
-        if promise is None:
-            self._outside += 1
-            return None
-        residual = rest.tip - promise.tip
-        self._monitor = self._monitor.seen(residual, promise.sigma)
+        learned, sigma = None, np.full(3, self._sigma_m)
+        with contextlib.suppress(NoAnswer):
+            if self._state.predictor.present:
+                found = self._state.predictor.ask(rest.q, context)
+                if not found.in_domain:
+                    self._outside += 1
+                    return None
+                learned, sigma = found.error, found.sigma
+        residual = rest.tip - model.measured(rest.q, context)
+        residual = residual if learned is None else residual - learned
+        self._monitor = self._monitor.seen(residual, sigma)
         self._last = f"residual {_mm(residual)}"
         if missed is not None:
-            self._at_target = self._at_target.seen(missed, promise.sigma)
+            self._at_target = self._at_target.seen(missed, sigma)
             self._last_miss = f"tip - target {_mm(missed)}"
-        return promise.learned
+        return learned
 
     def _missed(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
         """tip - target (3,) m where the arm rests at a target, without the measuring side."""
@@ -183,20 +186,6 @@ class TipMonitor:
         missed = rest.tip - seen_beside - self._aim[1]
         self.sighted = Sighted(rest.q, rest.tip, missed)
         return missed
-
-    def _promise(self, rest: RestPose, model: Model, context: Context) -> Promise | None:
-        """Expected tip; None where the predictor refuses."""
-        tip = model.measured(rest.q, context)
-        fallback = np.full(3, self._sigma_m)
-        if not self._state.predictor.present:
-            return Promise(tip, fallback)
-        try:
-            found = self._state.predictor.ask(rest.q, context)
-        except NoAnswer:
-            return Promise(tip, fallback)
-        if not found.in_domain:
-            return None
-        return Promise(tip + found.error, found.sigma, found.error)
 
     def judge_servos(self, model: Model, read: np.ndarray, context: Context) -> None:
         """Add the readings (n,) at the end of a move to the test of the servos.
@@ -261,3 +250,60 @@ class TipMonitor:
         if verdict.drifted:
             return Report(WARN, f"{verdict.finding}; run: {self._advice}", facts)
         return Report(OK, "residuals are as expected", facts)
+
+
+class RingTeller:
+    """Computes on the worker, when a move has ended and nothing else waits.
+
+    Args:
+        shaped: whether the driver splits moves so that they leave little ring.
+    """
+
+    def __init__(self, state: ArmState, shaped: bool) -> None:
+        self._state, self._shaped = state, shaped
+        self._move: Any = None
+        self._last: MoveRing | None = None
+        self._said = "not known, because no move has ended"
+        if not state.driver.acknowledged:
+            self._said = "not known, because the driver does not say when it ends"
+
+    def told(self, motion: Motion) -> None:
+        """Take what became of a trajectory."""
+        if motion.event == Motion.ACCEPTED:
+            self._move = motion
+        elif motion.event == Motion.REACHED and self._move is not None:
+            move = self._move
+            if move.id == motion.id and not self._state.worker.waiting:
+                self._state.worker.submit(partial(self._compute, move))
+        elif motion.event in (Motion.REPLACED, Motion.BROKEN_OFF):
+            self._move, self._last = None, None
+            self._said = "not known, because it did not end at rest"
+
+    def _compute(self, move: Any) -> None:
+        state, arm = self._state, self._state.arm
+        context = state.known()
+        if move is not self._move or context is None:
+            return
+        try:
+            start = joints_of(move.start, arm, "start of motion")
+            way = JointTrajectory(joint_names=move.start.name, points=move.points)
+            points = path_of(way, arm)
+        except InputError:
+            return  # the link to the driver has said so
+        times = np.array([seconds(point.time_from_start) for point in move.points])
+        self._last = ring_after(state.files.loaded.model, context, start, points, times)
+        if self._last is None:
+            self._said = "by this model nothing bends"
+        elif self._shaped:
+            self._said = f"{self._last.hz:.2g} Hz; moves are shaped, little of the ring is left"
+        else:
+            self._said = self._last.said()
+
+    def report(self) -> Report:
+        """The last one, for diagnostics."""
+        ring = None if self._shaped else self._last
+        facts: dict[str, object] = {} if ring is None else {
+            "frequency [Hz]": ring.hz, "size [m]": ring.size_m, "settles in [s]": ring.settle_s,
+            "damping": ring.damping,
+        }  # fmt: skip
+        return Report(OK, self._said, facts)

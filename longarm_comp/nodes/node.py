@@ -107,8 +107,8 @@ def _signature(file: str) -> tuple[int, int, int] | None:
     return stat.st_ino, stat.st_size, stat.st_mtime_ns
 
 
-def run(make: Callable[[SingleThreadedExecutor], Any]) -> int:
-    """Spin what is made, an `ArmNode` or several, until a signal.
+def run(make: Callable[[SingleThreadedExecutor], ArmNode]) -> int:
+    """Spin the node that is made, until a signal.
 
     Signals only set an event, so a second one does not interrupt the clean-up.
 
@@ -122,22 +122,20 @@ def run(make: Callable[[SingleThreadedExecutor], Any]) -> int:
         signal.signal(number, lambda *_: stop.set())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
-    nodes: Sequence[ArmNode] = ()
+    node: ArmNode | None = None
     try:
-        made = make(executor)
-        nodes = made if isinstance(made, Sequence) else (made,)
-        for node in nodes:
-            executor.add_node(node)
+        node = make(executor)
+        executor.add_node(node)
         gc.freeze()  # everything loaded so far stays, so collections need not scan it again
-        spin(executor, nodes[-1], stop)
+        spin(executor, node, stop)
     except LongarmError as error:
         print(error, file=sys.stderr)
         return error.exit_code
     finally:
-        for node in reversed(nodes):
+        if node is not None:
             node.close()
         executor.shutdown(timeout_sec=1.0)
-        for node in reversed(nodes):
+        if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
@@ -158,6 +156,6 @@ def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event)
             node.survived(error)
 
 
-def program(make: Callable[[SingleThreadedExecutor], Any]) -> Callable[[], None]:
+def program(make: Callable[[SingleThreadedExecutor], ArmNode]) -> Callable[[], None]:
     """The main of a module: a process that runs what ``make`` makes."""
     return lambda: sys.exit(run(make))

@@ -110,29 +110,18 @@ _NO_STAMP = (
 
 
 class Driver(Protocol):
-    """What decides of a trajectory needs of the driver."""
+    """What decides of a trajectory needs of the driver: as `servo_driver` has it."""
 
     @property
-    def names(self) -> Sequence[str]:
-        """Names of the joints."""
-
+    def names(self) -> Sequence[str]: ...
     @property
-    def readings(self) -> Mapping[str, ServoReading]:
-        """The last read-back by joint; empty where a servo was silent."""
-
+    def readings(self) -> Mapping[str, ServoReading]: ...
     @property
-    def set_points(self) -> Mapping[str, float]:
-        """Where each joint should be now, rad or m; empty while none is driven."""
-
+    def set_points(self) -> Mapping[str, float]: ...
     @property
-    def following(self) -> str:
-        """Id of the trajectory that is being followed; empty while none is."""
-
-    def take(self, message: JointTrajectory, name: str) -> None:
-        """Check and follow a trajectory; what becomes of it is told by its id ``name``."""
-
-    def refuse(self, name: str, why: str) -> None:
-        """Tell that a trajectory is not taken up."""
+    def following(self) -> str: ...
+    def take(self, message: JointTrajectory, name: str) -> None: ...
+    def refuse(self, name: str, why: str) -> None: ...
 
 
 class Intake:

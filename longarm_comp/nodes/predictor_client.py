@@ -54,13 +54,7 @@ class PredictorClient:
         """Whether a predictor is on the graph."""
         return self._caller.present
 
-    def ask(
-        self,
-        q: np.ndarray,
-        context: Context,
-        *,
-        deflection: bool = True,
-    ) -> Expansion:
+    def ask(self, q: np.ndarray, context: Context, *, deflection: bool = True) -> Expansion:
         """Expected error at joints (n,) and its expansion around them, for one context.
 
         Args:

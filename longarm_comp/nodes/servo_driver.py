@@ -9,14 +9,13 @@ from __future__ import annotations
 import os
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pydantic import BaseModel
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.errors import InputError, LongarmError
@@ -71,7 +70,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
 _BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD)
 """Events after which the joints are not where they were sent."""
 
-DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+_DONE, _FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
 class _ServoDriver(ArmNode, LifecycleNode):
@@ -98,9 +97,9 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._max_age_s, self._cycled = p["order_max_age_s"], time.monotonic()
         self._intake = Intake(self, self, self._max_age_s, unstamped=p["unstamped"])
         self._follow = FollowServer(self, self) if graph.HAS_FOLLOW else None
-        graph.ESTOP.server(self, self._on_estop)
-        graph.HOLD.server(self, self._on_hold)
-        graph.RESET.server(self, self._on_reset)
+        self._offer(graph.ESTOP, lambda request: self._estop(request.data))
+        self._offer(graph.HOLD, lambda request: self._hold(request.data))
+        self._offer(graph.RESET, lambda request: self._recover())
         self._timer = steady_timer(self, self._period_s, self._cycle)
         # Pause between two messages of the state, s. It is also told when it changes
         steady_timer(self, 0.5, self._tell_state)
@@ -197,11 +196,11 @@ class _ServoDriver(ArmNode, LifecycleNode):
             if not self._waiting:
                 self.get_logger().info(f"waiting for the servos on {self._config.bus.port}")
             self._waiting = str(error)
-            return FAILED
+            return _FAILED
         if str(error) != self._fault:
             self.get_logger().error(str(error))
         self._fault = str(error)
-        return FAILED
+        return _FAILED
 
     def _release(self) -> None:
         self._active = False
@@ -330,40 +329,37 @@ class _ServoDriver(ArmNode, LifecycleNode):
         moving = follower is FollowerState.TRACKING
         return (DriverState.MOVING if moving else DriverState.READY), ""
 
-    def _on_estop(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if request.data:
-            return self._do(response, self._estop, "torque off, commands refused")
-        return self._do(response, self._recover, "ready")
+    def _estop(self, on: bool) -> str:
+        if not on:
+            return self._recover()
+        if self._arm is not None:
+            self._arm.estop()
+        return "torque off, commands refused"
 
-    def _on_hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        done = "held: torque on, trajectories refused" if request.data else "ready"
-        return self._do(response, lambda: self._hold(request.data), done)
-
-    def _hold(self, on: bool) -> None:
+    def _hold(self, on: bool) -> str:
         if self._arm is None or (on and not self._active):
             raise LongarmError("the driver is not active, so there is no torque to hold the arm")
         self._arm.follower.hold(on)
+        return "held: torque on, trajectories refused" if on else "ready"
 
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._do(response, self._recover, "ready")
-
-    def _estop(self) -> None:
-        if self._arm is not None:
-            self._arm.estop()
-
-    def _recover(self) -> None:
+    def _recover(self) -> str:
         if self._arm is None:
             raise LongarmError("the driver is not configured")
         self._arm.release(time.monotonic(), on=self._active)
         self._trouble = ""
+        return "ready"
 
-    def _do(self, response: Any, action: Any, done: str) -> Any:
-        try:
-            action()
-            response.success, response.message = True, done
-        except LongarmError as error:
-            response.success, response.message = False, str(error)
-        return response
+    def _offer(self, service: graph.Service, action: Callable[[Any], str]) -> None:
+        """Serve what an action does with a request: what it says, or why it cannot."""
+
+        def serve(request: Any, response: Any) -> Any:
+            try:
+                response.success, response.message = True, action(request)
+            except LongarmError as error:
+                response.success, response.message = False, str(error)
+            return response
+
+        service.server(self, serve)
 
     # ------------------------------------------------------------------ diagnostics
 

@@ -6,7 +6,7 @@ It offers a servo bus on a pseudo-terminal and publishes images of two cameras a
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,6 @@ PARAMS = (
     Param("wire_faults_hz", 0.0, "servo replies lost, cut or damaged in a second", 0.0, 50.0),
     Param("temperature_c", 22.0, "temperature at the start", -50.0, 100.0),
     Param("warming_k", 0.0, "temperature rise over hours", -50.0, 50.0),
-    Param("damping", 0.0, "share of critical damping; 0: the arm does not ring", 0.0, 0.9),
     Param("payload_kg", 0.25, "mass carried at the tool", 0.0, 1000.0),
     Param("sockets", "", "conical sockets in the base frame, 'name=x,y,z name=x,y,z', m"),
     Param("camera.position", [0.75, -1.7, 0.3], "left camera in the base frame, m"),
@@ -78,33 +77,22 @@ _SIDES = ("left", "right")
 
 def sizes(text: str) -> dict[str, float]:
     """Effects and sizes, mm, of ``name=mm name=mm``."""
-    return _numbers("hidden", text, "name=mm, for instance backlash=2.0")
+    found = numbers("hidden", text, 1, "name=mm, for instance backlash=2.0")
+    return {name: size for name, (size,) in found.items()}
 
 
-def _numbers(field: str, text: str, allowed: str) -> dict[str, float]:
+def numbers(field: str, text: str, count: int, allowed: str) -> dict[str, list[float]]:
+    """So many numbers by name, of ``name=number,number name=...``."""
     by_name = {}
     for part in text.split():
-        name, _, size = part.partition("=")
+        name, _, said = part.partition("=")
         try:
-            by_name[name] = float(size)
+            by_name[name] = [float(number) for number in said.split(",")]
         except ValueError:
-            where = "parameters of simulated_arm"
-            raise InputError(where, field, part, allowed) from None
+            by_name[name] = []
+        if len(by_name[name]) != count:
+            raise InputError("parameters of simulated_arm", field, part, allowed)
     return by_name
-
-
-def places(text: str) -> Mapping[str, Sequence[float]]:
-    """Sockets and their places, m, of ``name=x,y,z name=x,y,z``."""
-    made: dict[str, tuple[float, ...]] = {}
-    for part in text.split():
-        name, _, place = part.partition("=")
-        try:
-            x, y, z = map(float, place.split(","))
-        except ValueError:
-            where, allowed = "parameters of simulated_arm", "name=x,y,z (m)"
-            raise InputError(where, "sockets", part, allowed) from None
-        made[name] = (x, y, z)
-    return made
 
 
 def _named(field: str, text: str, known: Iterable[str]) -> list[str]:
@@ -143,8 +131,7 @@ class _SimulatedArm(ArmNode):
             ),
             temperature_c=(p["temperature_c"], p["warming_k"]),
             payload_kg=p["payload_kg"],
-            damping=p["damping"],
-            sockets=places(p["sockets"]),
+            sockets=numbers("sockets", p["sockets"], 3, "name=x,y,z (m)"),
         )
         self._plant = Plant(config, Path(p["port"]), rng)
         self._covered: list[str] = []
@@ -171,9 +158,6 @@ class _SimulatedArm(ArmNode):
         if p["wire_faults_hz"]:
             self._chance = np.random.default_rng([p["seed"], 1])
             steady_timer(self, 1.0 / p["wire_faults_hz"], self._spoil)
-        if p["damping"]:
-            # Between two steps of the arm's vibration, s: a small part of the first modes' periods
-            steady_timer(self, 0.01, self._ring)
         self.health.parts["plant"] = self._report
         self._plant.start()
 
@@ -183,7 +167,8 @@ class _SimulatedArm(ArmNode):
         self._plant.stop()
 
     def _wear(self, text: str) -> None:
-        self._plant.wear(_numbers("more_play", text, "joint=rad, for instance joint4=0.002"))
+        play = numbers("more_play", text, 1, "joint=rad, for instance joint4=0.002")
+        self._plant.wear({joint: more for joint, (more,) in play.items()})
 
     def _unplug(self, text: str) -> None:
         ids = {joint.name: joint.servo_id for joint in self._plant.config.servos.joints}
@@ -201,9 +186,6 @@ class _SimulatedArm(ArmNode):
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
-
-    def _ring(self) -> None:
-        self._plant.ring(time.monotonic() - self._started)
 
     def _expose(self) -> None:
         if not self._worker.submit(self._frame):

@@ -137,7 +137,10 @@ class TargetInlet:
                 self._publish_answer(request)
 
         if not self._worker.submit(answer):
-            reply(response_of(self._refuse_busy(request), self._arm, self._base_frame))
+            waiting = f"{self._worker.waiting} targets wait already"
+            refused = self._refuse(request, Status.NOT_READY, waiting)
+            self._publish_answer(request)
+            reply(response_of(refused, self._arm, self._base_frame))
 
     def execute(self, request: Request) -> Future | None:
         """Compute and send a target in its turn: its `Answer`; None where too many wait."""
@@ -149,12 +152,6 @@ class TargetInlet:
                 self._publish_answer(request)
 
         return self._worker.ask(serve)
-
-    def _refuse_busy(self, request: Request) -> Answer:
-        waiting = f"{self._worker.waiting} targets wait already"
-        answer = self._refuse(request, Status.NOT_READY, waiting)
-        self._publish_answer(request)
-        return answer
 
     def _refuse(self, request: Request, status: Status, why: str) -> Answer:
         request.answer = self._compensator.refused(request.name, request.message, status, why)
@@ -231,6 +228,6 @@ class TargetInlet:
             return Report(WARN, self._state.doubt, facts)
         if self._broken:
             return Report(ERROR, self._broken, facts)
-        if not self._compensator.learned:
+        if not self._state.predictor.answers:
             return Report(WARN, "no error_predictor answers: physics only", facts)
         return Report(OK, "compensating", facts)

@@ -47,11 +47,7 @@ from longarm_comp.nodes.ticks import Ticks
 PARAMS = (
     *arm_state.PARAMS,
     Param("method", "both", "what is compensated", choices=tuple(m.value for m in Method)),
-    Param(
-        "controller",
-        "servo_driver/follow_joint_trajectory",
-        "action to which trajectories are sent",
-    ),
+    Param("controller", graph.FOLLOW.name, "action to which trajectories are sent"),
     Param("acknowledged", True, "the controller is servo_driver, which reports what it does"),
     Param("max_velocity", [0.0], "limit of each joint or of all, rad/s or m/s; 0: none", 0.0, 1e6),
     Param(
@@ -67,7 +63,7 @@ PARAMS = (
     Param("order_max_age_s", 2.0, "goals older than this are refused", 0.01, 60.0),
     Param("planned_period_s", 0.1, "time between two joint states for the planner", 0.01, 60.0),
     PERIOD,
-)
+)  # fmt: skip
 
 _WAITING = 4
 """Goals that may wait."""
@@ -153,8 +149,12 @@ class _TrajectoryCompensator(ArmNode):
 
     async def _forward(self, goal: Any, made: CompensatedPath) -> Any:
         """Send the path to the controller; what became of it."""
+        timed = made.timed
+        message = trajectory_message(
+            self._arm, timed.joints, timed.times, self._stamps.next(), timed.velocities
+        )
         out = graph.FOLLOW.type.Goal(
-            trajectory=self._message(made),
+            trajectory=message,
             path_tolerance=goal.request.path_tolerance,
             goal_tolerance=goal.request.goal_tolerance,
             goal_time_tolerance=goal.request.goal_time_tolerance,
@@ -188,10 +188,6 @@ class _TrajectoryCompensator(ArmNode):
             cancelled = answer.status == GoalStatus.STATUS_CANCELED and goal.is_cancel_requested
             (goal.canceled if cancelled else goal.abort)()
         return answer.result
-
-    def _message(self, made: CompensatedPath) -> JointTrajectory:
-        timed, stamp = made.timed, self._stamps.next()
-        return trajectory_message(self._arm, timed.joints, timed.times, stamp, timed.velocities)
 
     # ------------------------------------------------------------------ on the worker's thread
 

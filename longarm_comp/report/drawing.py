@@ -20,8 +20,8 @@ from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.model.tip_motion import stack
-from longarm_comp.core.vibration.dwell import ring_of_moves
 from longarm_comp.core.vibration.modes import modes
+from longarm_comp.core.vibration.ring import ring_of_moves
 from longarm_comp.core.vibration.shaper import USUAL_DAMPING
 from longarm_comp.report.candidate_states import best_forms
 from longarm_comp.report.detail import (

@@ -6,7 +6,6 @@ It is commanded only through the servo bus and observed only through the cameras
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,7 +23,6 @@ from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.hidden.drives import Backlash, ServoDroop
-from longarm_comp.sim.ringing import Ringing
 from longarm_comp.sim.servo_emulator import (
     EmulatedArm,
     EmulatedJoint,
@@ -37,6 +35,8 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 _STEPS = 2  # integration steps a rod: good to 10 nm, and the images are due
 _SAME = 1e-7  # rad or m: the arm has not moved
+_MOUTH_M = 0.009
+"""Radius of a socket's mouth."""
 _SEATED_M = 5e-5
 """From the bottom of a socket, within which the ball touches all round."""
 _SLIDES = 5
@@ -47,13 +47,7 @@ def hidden_effects(
     arm: Arm, sizes_mm: Mapping[str, float], rng: np.random.Generator
 ) -> tuple[HiddenEffect, ...]:
     """Hidden effects by canonical name, each scaled to shift the tip by its size in mm rms."""
-    effects = []
-    for name, size_mm in sizes_mm.items():
-        effect = draw(name, arm, rng, size_mm)
-        if not isinstance(effect, HiddenEffect):
-            raise InputError("plant", "hidden", name, "an effect of the arm's side")
-        effects.append(effect)
-    return tuple(effects)
+    return tuple(draw(name, arm, rng, size_mm) for name, size_mm in sizes_mm.items())
 
 
 def _with_play(hidden: tuple[HiddenEffect, ...], more: Array) -> tuple[HiddenEffect, ...]:
@@ -76,8 +70,7 @@ class PlantConfig:
         cameras, plate, plate_on_tip: cameras, marker and the marker's pose (4, 4) on the tip.
         spec: mechanics of the servos.
         temperature_c: temperature at the start, and its rise over hours (K).
-        damping: share of critical damping that the arm rings with; 0: it does not.
-        sockets: places (m, base frame) of conical sockets by name, and the radius of their mouths.
+        sockets: places (m, base frame) of conical sockets by name.
     """
 
     arm: Arm
@@ -87,12 +80,9 @@ class PlantConfig:
     plate_on_tip: Array
     hidden: tuple[HiddenEffect, ...] = ()
     spec: MotorSpec = field(default_factory=MotorSpec)
-    conditions: Conditions = field(default_factory=Conditions)
     temperature_c: tuple[float, float] = (22.0, 0.0)
     payload_kg: float = 0.0
-    damping: float = 0.0
     sockets: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    mouth_m: float = 0.009
 
 
 class Plant:
@@ -126,14 +116,6 @@ class Plant:
         self._true = TrueArm(config.arm, self._behind, steps=_STEPS)
         self._last: tuple[Array, Array] | None = None
         self._lit: tuple[Array, tuple[Light, Light]] | None = None
-        self._ringing = Ringing(self._true, config.damping) if config.damping else None
-        self._swing, self._swings = np.zeros(3), threading.Lock()
-
-    def ring(self, t_s: float) -> None:
-        """The arm vibrates on, up to a time; call it often. It does nothing without damping."""
-        if self._ringing is not None:
-            with self._swings:
-                self._swing = self._ringing.moved(t_s, self.joints())
 
     def wear(self, play: Mapping[str, float]) -> None:
         """The play of some joints is so much (rad, m) larger than at the start from now on."""
@@ -192,9 +174,7 @@ class Plant:
             found = self._true.settled(q, context)
             self._last = known, found.pose[0]
             self._loads = self._felt(found.torques[0])
-        pose = self._last[1].copy()
-        pose[:3, 3] += self._swing
-        return pose
+        return self._last[1]
 
     def contact(self, t_s: float) -> str:
         """Name of the socket that the ball at the tip sits in, or blank.
@@ -204,7 +184,7 @@ class Plant:
         """
         for name, place in self.config.sockets.items():
             away = np.asarray(place) - self.tip_pose(t_s)[:3, 3]
-            if np.linalg.norm(away) > self.config.mouth_m:
+            if np.linalg.norm(away) > _MOUTH_M:
                 continue
             for _ in range(_SLIDES):
                 if np.linalg.norm(away) <= _SEATED_M:
@@ -238,8 +218,8 @@ class Plant:
         config = self.config
         plate = self.tip_pose(t_s) @ config.plate_on_tip
         if self._lit is None or not np.array_equal(plate, self._lit[0]):
-            self._lit = plate, light(plate, config.plate, config.cameras, config.conditions)
-        left, right = (exposed(each, config.conditions, self._rng) for each in self._lit[1])
+            self._lit = plate, light(plate, config.plate, config.cameras, Conditions())
+        left, right = (exposed(each, Conditions(), self._rng) for each in self._lit[1])
         return left, right
 
 

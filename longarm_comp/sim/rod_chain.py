@@ -33,7 +33,12 @@ class Settled:
 
 
 class Walk:
-    """The whole chain for given joint values, integrated from the last frame to the base."""
+    """The whole chain for given joint values, integrated from the last frame to the base.
+
+    Attributes:
+        gravity: (3,) m/s^2. base: (6,) m and rad. rows: (4, R, N) alpha, a, theta, d.
+        masses: of each frame: kg and position, m.
+    """
 
     def __init__(
         self,
@@ -63,13 +68,13 @@ class Walk:
         for k, joint in enumerate(arm.joints):
             if joint.type != "fixed":
                 rows[THETA if joint.type == "revolute" else D, k] += value[k]
-        self._rows = rows
-        self._masses = self._all_masses()
+        self.rows = rows
+        self.masses = self._all_masses()
         self.gravity = np.asarray(arm.gravity_mps2, float)
         base = np.array([*arm.base.xyz_m, *np.radians(arm.base.rpy_deg)])
         for effect in self._hidden:
             self.gravity, base = effect.gravity(self.gravity), effect.base(base)
-        self._base = base
+        self.base = base
 
     def _all_masses(self) -> list[list[tuple[Array | float, tuple[float, float, float]]]]:
         masses: list[list] = [[] for _ in range(len(self._arm.joints) + 1)]
@@ -117,7 +122,7 @@ class Walk:
                 walker.mark(axis, point=False)
         for row in range(len(self._arm.joints), -1, -1):
             self._give(walker, Place("frame", row))
-            for mass, at in self._masses[row]:
+            for mass, at in self.masses[row]:
                 walker.hang(mass, at)
             if tip and row == self._arm.tip.frame:
                 matrix = rpy_matrix(np.radians(self._arm.tip.rpy_deg))
@@ -129,14 +134,14 @@ class Walk:
         self._give(walker, Place("base", 0))
         for effect in self._hidden:
             walker.shift(np.broadcast_to(effect.foot(self._state), (3, len(self._state.q))))
-        walker.rotate(rpy_matrix(self._base[3:]))
-        walker.shift(self._base[:3])
+        walker.rotate(rpy_matrix(self.base[3:]))
+        walker.shift(self.base[:3])
         return walker, marks, torques
 
     def _row(self, walker: Walker, row: int, torques: Array) -> None:
         """Back through one row: frame, Tz with its rods, bearing, Rz, Tx with its rods, Rx."""
         joint = self._arm.joints[row - 1]
-        alpha, a, theta, d = self._rows[:, row - 1]
+        alpha, a, theta, d = self.rows[:, row - 1]
         motor = self._motor.get(row)
         place = Place("bearing", row, motor, joint.type == "prismatic")
         if joint.pose is not None:

@@ -94,14 +94,13 @@ class Walker:
         self._v[:, _MOMENT] += cross(_column(at), mass * self.gravity)
         self.mass = self.mass + mass
 
-    def push(self, force: Array, at: Sequence[float] | Array, moment: Array | float = 0.0) -> None:
-        """Apply a force (3, N) N at a position (m), and a moment (3, N) N m, in these axes."""
+    def push(self, force: Array, at: Sequence[float] | Array) -> None:
+        """Apply a force (3, N) N at a position (m), in these axes."""
         if self._pushed is None:
             self._pushed = self.mark((0.0, 0.0, 0.0), point=False)
         applied = _column(force)
         self._v[:, 2 + self._pushed] += applied
         self._v[:, _MOMENT] += cross(_column(at), applied + 0 * self.gravity)
-        self._v[:, _MOMENT] += _column(moment) if isinstance(moment, np.ndarray) else moment
 
     def shift(self, offset: Array) -> None:
         """Go back along a rigid piece, (3, ...) m from the new section to this one."""

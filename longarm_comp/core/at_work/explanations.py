@@ -24,13 +24,13 @@ MOST = 4
 KEPT = 0.99
 """Probability that these must have among all, so that the others may be forgotten: as
 sure as that a sighting is right (`learner.DOUBT`)."""
-FEWEST, LATEST = 2, 15
+_FEWEST, _LATEST = 2, 15
 """Sightings of a change after which posteriors part: at least, as one alone may be wrong, and
 whatever is left out, as its jump is then known four times better than by one."""
 
 
 @dataclass(frozen=True)
-class PastChange:
+class _PastChange:
     """An effect that changed, by one explanation.
 
     Attributes:
@@ -54,7 +54,7 @@ class Branch:
 
     weight: float
     known: RecursivePosterior
-    changes: tuple[PastChange, ...] = ()
+    changes: tuple[_PastChange, ...] = ()
 
     def parted(self) -> Iterator[Branch]:
         """One for each effect that may have changed; itself where that is not clear yet."""
@@ -64,8 +64,8 @@ class Branch:
         order = np.argsort(-chance)[:MOST]
         sure = some > CREDIBLE and known.unexplained < NEGLIGIBLE + 0.5 * some
         count = known.count[int(known.probability[:, order[0]].argmax())] if sure else 0
-        few = sure and chance[order].sum() >= KEPT * some and count >= FEWEST
-        if not (few or count >= LATEST):
+        few = sure and chance[order].sum() >= KEPT * some and count >= _FEWEST
+        if not (few or count >= _LATEST):
             yield self
             return
         whole = float(chance[order].sum())
@@ -74,14 +74,14 @@ class Branch:
                 changes = self._changed(c)
                 yield Branch(self.weight * float(chance[c]) / whole, known.given(c), changes)
 
-    def _changed(self, c: int) -> tuple[PastChange, ...]:
+    def _changed(self, c: int) -> tuple[_PastChange, ...]:
         known = self.known
         key, t = known.space.keys[c], int(known.probability[:, c].argmax())
         if any(change.key == key for change in self.changes):
             return self.changes
         own = known.space.own(c)
         before, where = tuple(known.mean[own].tolist()), known.space.slots[own[0]].owner.where
-        made = PastChange(key, where, float(known.since[t]), int(known.count[t]), before)
+        made = _PastChange(key, where, float(known.since[t]), int(known.count[t]), before)
         return (*self.changes, made)
 
 

@@ -19,7 +19,7 @@ from longarm_comp.core.model.model_file import StoredModel, restore, store
 from longarm_comp.core.yaml_file import Declared, parse_declared
 
 
-class StoredVersion(Declared):
+class _StoredVersion(Declared):
     """A model that was served, and since when; the first is the model as it was given."""
 
     at_s: float | None
@@ -27,7 +27,7 @@ class StoredVersion(Declared):
     named: Named | None
 
 
-class StoredLearner(Declared):
+class _StoredLearner(Declared):
     """The whole file."""
 
     schema_: Literal["longarm/at_work/1"] = Field(alias="schema")
@@ -36,12 +36,12 @@ class StoredLearner(Declared):
     sightings: int = Field(ge=0)
     doubtful: int = Field(ge=0)
     served: StoredModel
-    versions: tuple[StoredVersion, ...] = Field(min_length=1)
+    versions: tuple[_StoredVersion, ...] = Field(min_length=1)
 
 
 def save(path: str | Path, learner: Learner, given: str) -> None:
     """Write what was learned since a model.yaml of a hash was given."""
-    stored = StoredLearner(
+    stored = _StoredLearner(
         schema="longarm/at_work/1",
         given=given,
         frozen=learner.frozen,
@@ -68,7 +68,7 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
         read = json.loads(Path(path).read_text(encoding="utf-8"))
     except (ValueError, OSError) as error:
         raise InputError(path, "file", str(error), "a file that kinematics wrote") from None
-    stored = parse_declared(StoredLearner, read, str(path))
+    stored = parse_declared(_StoredLearner, read, str(path))
     if stored.given != given:
         return begun
     where, arm = str(path), model.arm
@@ -85,6 +85,6 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
     )  # fmt: skip
 
 
-def _stored(version: Version) -> StoredVersion:
+def _stored(version: Version) -> _StoredVersion:
     at_s = None if version.named is None else version.at_s
-    return StoredVersion(at_s=at_s, model=store(version.model), named=version.named)
+    return _StoredVersion(at_s=at_s, model=store(version.model), named=version.named)

@@ -19,17 +19,17 @@ from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.identify.linear import log_mass
 from longarm_comp.core.identify.posterior.found import UNNAMED
 
-HAZARD = 1e-3
+_HAZARD = 1e-3
 """Probability that something changes between two moves: about once in ten days of a hundred."""
-AGAIN = 0.1
+_AGAIN = 0.1
 """The same of what has changed already: what wears, wears on."""
 SIZES = np.array([0.1, 0.3, 1.0, 3.0])
 """Of a change, in ordinary sizes of the parameter, equally likely: from what begins to
 show to what breaks."""
-GROWN = 3.0
+_GROWN = 3.0
 """Growth of the errors that stands for a change of no known effect: beyond what one
 sighting scatters."""
-ONSETS = 16
+_ONSETS = 16
 """Times of a change that are carried along; the old ones lie further apart.  Over a thousand
 sightings sixteen lie by a factor of 1.6 apart."""
 NEGLIGIBLE = 1e-3
@@ -122,7 +122,7 @@ class RecursivePosterior:
         mean[self.active] += gain @ off
         square = float(off @ inverse @ off)
         log_det = float(np.linalg.slogdet(2.0 * math.pi * spread)[1])
-        growth = 0.5 * square * (1.0 - GROWN**-2) - 3.0 * math.log(GROWN)
+        growth = 0.5 * square * (1.0 - _GROWN**-2) - 3.0 * math.log(_GROWN)
         covariance = self.covariance - gain @ carried.T
         after = dataclasses.replace(
             self,
@@ -141,9 +141,9 @@ class RecursivePosterior:
     # ------------------------------------------------------------------ hypotheses
 
     @cached_property
-    def hypotheses(self) -> Hypotheses:
+    def hypotheses(self) -> _Hypotheses:
         """Jumps of every effect at every onset."""
-        return Hypotheses.of(self)
+        return _Hypotheses.of(self)
 
     @property
     def total(self) -> float:
@@ -216,7 +216,7 @@ class RecursivePosterior:
 
     def _thinned(self) -> RecursivePosterior:
         """With one onset fewer where there are too many: the one least apart for its age."""
-        if len(self.since) <= ONSETS:
+        if len(self.since) <= _ONSETS:
             return self
         apart = (self.count[:-2] - self.count[2:]) / self.count[1:-1]
         kept = np.arange(len(self.since)) != 1 + int(apart.argmin())
@@ -225,7 +225,7 @@ class RecursivePosterior:
 
 
 @dataclass(frozen=True, eq=False)
-class Hypotheses:
+class _Hypotheses:
     """The changes of every effect at every onset.
 
     Attributes:
@@ -241,7 +241,7 @@ class Hypotheses:
     unnamed: np.ndarray
 
     @classmethod
-    def of(cls, known: RecursivePosterior) -> Hypotheses:
+    def of(cls, known: RecursivePosterior) -> _Hypotheses:
         space = known.space
         values, turn = np.linalg.eigh(known.gram)
         z = np.einsum("tcik,tci->tck", turn, known.along)[:, :, None, :]
@@ -264,11 +264,11 @@ class Hypotheses:
         spread = np.einsum(
             "tcik,tck,tcjk->tcij", turn, np.einsum("tcs,tcsk->tck", chance, share), turn
         )
-        log_prior = space.log_prior + math.log(HAZARD * (1.0 - UNNAMED))
+        log_prior = space.log_prior + math.log(_HAZARD * (1.0 - UNNAMED))
         if known.again.any():
-            more = math.log(AGAIN / known.again.sum())
+            more = math.log(_AGAIN / known.again.sum())
             log_prior = np.where(known.again, np.maximum(log_prior, more), log_prior)
-        return cls(factor + log_prior, middle, spread, known.growth + math.log(HAZARD * UNNAMED))
+        return cls(factor + log_prior, middle, spread, known.growth + math.log(_HAZARD * UNNAMED))
 
 
 def _with_new(held: np.ndarray) -> np.ndarray:

@@ -31,13 +31,13 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 Start = Callable[[NetworkShape, Fitness, np.random.Generator, SparrowSearch], Array]
 
-INITS: dict[str, Start] = {
+_INITS: dict[str, Start] = {
     "ssa": sparrow_start,
     "xavier": lambda shape, fitness, rng, search: xavier_start(shape, rng),
 }
 _HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in order until the evidence falls by _UNLIKELY
 _UNLIKELY = 30.0
-FOLDS = 4
+_FOLDS = 4
 """Parts of the rows that are left out in turn, to see whether a network helps at all."""
 _FEWEST_ROWS = 20
 _Z90 = 1.6449
@@ -77,8 +77,8 @@ def train(
     """
     q, known = check_rows("train", q, context)
     y, weights = _checked_targets(q, residual, weights)
-    if init not in INITS:
-        raise InputError("train", "init", init, f"one of {sorted(INITS)}")
+    if init not in _INITS:
+        raise InputError("train", "init", init, f"one of {sorted(_INITS)}")
     if ensemble < 1:
         raise InputError("train", "ensemble", ensemble, "an integer >= 1")
     if hidden is not None and not 1 <= hidden <= 500:
@@ -96,7 +96,7 @@ def train(
 
     def tell(networks: int) -> None:
         if progress is not None:
-            progress(networks, len(sizes) * starts + FOLDS)
+            progress(networks, len(sizes) * starts + _FOLDS)
 
     fits = rows.likeliest(sizes, starts, tell)[:ensemble]
     shape = NetworkShape(x.shape[1], max(each.shape.hidden for each in fits), 3)
@@ -125,12 +125,12 @@ def train(
             {**origin.settings, **settings},
         ),
     )  # fmt: skip
-    left, folds = y.copy(), _folds(q, np.random.default_rng([seed, FOLDS]))
+    left, folds = y.copy(), _folds(q, np.random.default_rng([seed, _FOLDS]))
     without = [(fits[0].shape.hidden, 0, ~out) for out in folds]
     networks = rows.fits(without, tell, len(sizes) * starts)
     for one, out in zip(networks, folds, strict=True):
         left[out] -= forward(one.shape, one.weights, with_ones(x[out])) * scale + offset
-    tell(len(sizes) * starts + FOLDS)
+    tell(len(sizes) * starts + _FOLDS)
     return _calibrated(draft, y, left, x, weights, probe)
 
 
@@ -170,7 +170,7 @@ class _Rows:
         shape = NetworkShape(self.x.shape[1], units, 3)
         rng = np.random.default_rng([self.seed, units, start])
         x, target = self.x[rows], self.target[rows]
-        begun = INITS[self.init](shape, squared_error(shape, x, target), rng, self.search)
+        begun = _INITS[self.init](shape, squared_error(shape, x, target), rng, self.search)
         return back_propagate(shape, begun, x, target, self.weights[rows])
 
     def likeliest(
@@ -197,8 +197,8 @@ def _folds(q: Array, rng: np.random.Generator) -> list[NDArray[np.bool_]]:
     """(N,) masks of the rows left out together; repeats of a pose stay together."""
     _, pose = np.unique(np.round(q, 6), axis=0, return_inverse=True)
     pose = pose.ravel()
-    fold = (rng.permutation(pose.max() + 1) % FOLDS)[pose]
-    return [fold == k for k in range(FOLDS) if (fold == k).any()]
+    fold = (rng.permutation(pose.max() + 1) % _FOLDS)[pose]
+    return [fold == k for k in range(_FOLDS) if (fold == k).any()]
 
 
 def _padded(shape: NetworkShape, own: NetworkShape, weights: NDArray[Any]) -> NDArray[Any]:

@@ -131,9 +131,7 @@ def _expand(shape: NetworkShape, w: Array, gram: Array) -> Array:
     matrix[first:second, first:second] = np.kron(gram[first:-1, first:-1], eye)
     matrix[first:second, second:] = np.kron(gram[first:-1, -1:], eye)
     matrix[second:, second:] = gram[-1, -1] * eye
-    upper = np.triu(matrix)
-    full: Array = upper + np.triu(matrix, 1).T
-    return full
+    return np.asarray(np.triu(matrix) + np.triu(matrix, 1).T)
 
 
 def squared_error(

@@ -4,7 +4,7 @@ The algorithm of Xue and Shen, Systems Science & Control Engineering 8 (2020) 22
 references [15] and [16], minimising ``fitness`` over a box. Sorted by fitness, ``i = 1..n``:
 
 ===================  ========================  ====================================================
-role                 who                       update (``form="canonical"``)
+role                 who                       update
 ===================  ========================  ====================================================
 discoverer           ``i <= PD n``             ``X exp(-i / (alpha T))`` while ``R2 < ST``, else
                                                ``X + Q`` (one ``Q ~ N(0, 1)`` for every dimension)
@@ -19,15 +19,7 @@ best and the worst are refreshed after the foragers have moved; each sparrow kee
 best; positions are clipped to the bounds. One iteration evaluates discoverers, followers and
 vigilantes as three batches.
 
-``form="printed"`` is the paper's Eq. (6)-(8) as they are printed. They differ in four lines:
-
-- (7), first: ``exp((Xw - X) / (alpha T))`` for ``exp((Xw - X) / i^2)``. A starving sparrow becomes
-  ``Q`` times ones, or overflows.
-- (7), second: ``X^{t+1}`` on both sides for ``Xp + ...``. Followers never move to the discoverer.
-- (8), first: ``exp(|Xw - X| / (f - fw))`` for ``|X - Xw| / (f - fw)``, without bound as f -> fw.
-- (8), second: one ``beta`` for one per dimension. Sparrows move along one line only.
-
-``python -m bench.ssa_pays`` prints what that costs.
+The paper prints other updates: `bench/sparrow_as_printed.py`.
 
 Known weakness: the update is biased towards the origin and the diagonal (all coordinates alike),
 so as a general-purpose optimiser it loses to differential evolution on shifted problems.
@@ -47,6 +39,7 @@ Array = NDArray[np.float64]
 Fitness = Callable[[Array], NDArray[np.floating]]
 
 _TINY = 1e-50
+_PD, _SD, _ST = 0.2, 0.1, 0.8  # those of the reference code
 
 
 @dataclass(frozen=True)
@@ -60,20 +53,14 @@ class Flock:
     horizon: int  # T, iterations in all
 
 
-_Discover = Callable[[np.random.Generator, Array, Array, int, bool], Array]
-Follow = Callable[[np.random.Generator, Array, Array], Array]
-_Starve = Callable[[np.random.Generator, Array, Array, Flock], Array]
-Watch = Callable[[np.random.Generator, Array, Array, Flock], Array]
-
-
 @dataclass(frozen=True)
 class Rules:
-    """The four moves of one form of the algorithm; each takes and returns (m, D) positions."""
+    """The four moves of the algorithm; each takes and returns (m, D) positions."""
 
-    discover: _Discover  # (rng, position, rank (m,), horizon, alarmed)
-    follow: Follow  # (rng, position, leader (D,))
-    starve: _Starve  # (rng, position, rank (m,), flock)
-    watch: Watch  # (rng, position, fitness (m,), flock)
+    discover: Callable[..., Array]  # (rng, position, rank (m,), horizon, alarmed)
+    follow: Callable[..., Array]  # (rng, position, leader (D,))
+    starve: Callable[..., Array]  # (rng, position, rank (m,), flock)
+    watch: Callable[..., Array]  # (rng, position, fitness (m,), flock)
 
 
 def _discover(
@@ -87,7 +74,7 @@ def _discover(
     return position * shrink[:, None]
 
 
-def _diagonal_step(rng: np.random.Generator, position: Array, leader: Array) -> Array:
+def diagonal_step(rng: np.random.Generator, position: Array, leader: Array) -> Array:
     """``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension."""
     sign = 1.0 - 2.0 * rng.integers(0, 2, position.shape, dtype=np.int8)
     step: Array = np.mean(np.abs(position - leader) * sign, axis=1, keepdims=True)
@@ -95,23 +82,12 @@ def _diagonal_step(rng: np.random.Generator, position: Array, leader: Array) -> 
 
 
 def _follow(rng: np.random.Generator, position: Array, leader: Array) -> Array:
-    return leader + _diagonal_step(rng, position, leader)
-
-
-def _follow_printed(rng: np.random.Generator, position: Array, leader: Array) -> Array:
-    return position + _diagonal_step(rng, position, leader)
+    return leader + diagonal_step(rng, position, leader)
 
 
 def _starve(rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
     quantity = rng.standard_normal((len(position), 1))
     moved: Array = quantity * np.exp((flock.worst - position) / rank[:, None] ** 2)
-    return moved
-
-
-def _starve_printed(rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
-    quantity = rng.standard_normal((len(position), 1))
-    alpha = 1.0 - rng.random((len(position), 1))
-    moved: Array = quantity * np.exp((flock.worst - position) / (alpha * flock.horizon))
     return moved
 
 
@@ -125,22 +101,7 @@ def _watch(rng: np.random.Generator, position: Array, fitness: Array, flock: Flo
     return moved
 
 
-def _watch_printed(
-    rng: np.random.Generator, position: Array, fitness: Array, flock: Flock
-) -> Array:
-    beta = rng.standard_normal((len(position), 1))
-    k = rng.uniform(-1.0, 1.0, (len(position), 1))
-    towards = flock.best + beta * np.abs(position - flock.best)
-    gap = (fitness - flock.worst_fitness)[:, None]
-    away = position + k * np.exp(np.abs(flock.worst - position) / (gap + _TINY))
-    moved: Array = np.where((fitness > flock.best_fitness)[:, None], towards, away)
-    return moved
-
-
-FORMS: dict[str, Rules] = {
-    "canonical": Rules(_discover, _follow, _starve, _watch),
-    "printed": Rules(_discover, _follow_printed, _starve_printed, _watch_printed),
-}
+CANONICAL = Rules(_discover, _follow, _starve, _watch)
 
 
 @dataclass(frozen=True)
@@ -155,27 +116,18 @@ class SparrowResult:
 
 @dataclass(frozen=True)
 class SparrowSearch:
-    """Settings of the search; defaults are those of the reference code."""
+    """Settings of the search."""
 
     population: int = 50
     iterations: int = 100
-    discoverers: float = 0.2  # PD, share of the flock
-    vigilantes: float = 0.1  # SD, share of the flock
-    safety: float = 0.8  # ST
-    form: str = "canonical"
+    rules: Rules = CANONICAL
 
     def __post_init__(self) -> None:
         where = "sparrow search"
-        if self.form not in FORMS:
-            raise InputError(where, "form", self.form, sorted(FORMS))
         if self.population < 4:
             raise InputError(where, "population", self.population, "an integer >= 4")
         if self.iterations < 1:
             raise InputError(where, "iterations", self.iterations, "an integer >= 1")
-        for name in ("discoverers", "vigilantes"):
-            share = getattr(self, name)
-            if not 0.0 < share <= 0.5:
-                raise InputError(where, name, share, "a share in (0, 0.5]")
 
     def minimise(
         self, fitness: Fitness, lower: Array, upper: Array, rng: np.random.Generator
@@ -193,9 +145,9 @@ class SparrowSearch:
             raise InputError("sparrow search", "bounds", (lower, upper), "(D,) with lower < upper")
         if not np.all(np.isfinite(upper - lower)):
             raise InputError("sparrow search", "bounds", (lower, upper), "finite numbers")
-        rules = FORMS[self.form]
+        rules = self.rules
         n, horizon = self.population, self.iterations
-        lead = max(1, round(self.discoverers * n))
+        lead = max(1, round(_PD * n))
         half = max(lead, n // 2)
         rank = np.arange(1, n + 1, dtype=float)
         evaluations = 0
@@ -220,7 +172,7 @@ class SparrowSearch:
             home, value = home[order], value[order]
             worst = now[np.argmax(now_value)]
             flock = Flock(home[0], worst, value[0], float(now_value.max()), horizon)
-            alarmed = bool(rng.random() >= self.safety)
+            alarmed = bool(rng.random() >= _ST)
             with np.errstate(over="ignore", invalid="ignore"):
                 leaders = clip(rules.discover(rng, home[:lead], rank[:lead], horizon, alarmed))
                 leader_value = evaluate(leaders)
@@ -233,7 +185,7 @@ class SparrowSearch:
                 better = now_value < value
                 home[better], value[better] = now[better], now_value[better]
 
-                watching = rng.permutation(n)[: max(1, round(self.vigilantes * n))]
+                watching = rng.permutation(n)[: max(1, round(_SD * n))]
                 best, worst_index = int(np.argmin(value)), int(np.argmax(now_value))
                 f_best, f_worst = float(value[best]), float(now_value[worst_index])
                 flock = Flock(home[best], now[worst_index], f_best, f_worst, horizon)

@@ -37,12 +37,10 @@ class Fit:
     weights: Array  # (D,)
     posterior: Array  # (D, D) lower-triangular L^-1 with covariance (L^-1)'(L^-1), Laplace
     sigma: float  # noise sd of an output (core of the Student-t)
-    tail: float  # nu
     row_weights: Array  # (N,) robust weights, near 0 for outliers
     relevance: Array  # (d,) alpha of each input; large means ignored
     effective: float  # gamma, well determined weights
     evidence: float  # log evidence (Laplace)
-    steps: int
 
 
 def back_propagate(
@@ -64,7 +62,7 @@ def back_propagate(
     members = np.bincount(group).astype(float)
     alpha, beta, tail = np.full(len(members), 0.1), 10.0, _TAILS[-1]
     weights, robust, damping = start.astype(float), np.ones(len(x)), 1e-2
-    gamma, settled, step = members, 0, 0
+    gamma, settled = members, 0
     matrix, gradient, residual = normal_equations(shape, weights, x1, y, count * robust)
     for step in range(1, max_steps + 1):
         prior = alpha[group]
@@ -90,16 +88,33 @@ def back_propagate(
         if step <= _PLAIN_STEPS:
             continue
         before = np.log(beta)
-        gamma = _determined(matrix, group, members, alpha, beta)
+        # Weights of each group that the data determine
+        _, inverse = _laplace(matrix, alpha[group], beta)
+        variance = np.bincount(group, np.einsum("ij,ij->j", inverse, inverse))
+        gamma = np.clip(members - alpha * variance, 1e-3, members)
         alpha = np.clip(gamma / (np.bincount(group, weights**2) + 1e-9), *_ALPHA)
         spread = float(np.sum((count * robust)[:, None] * residual**2))
         beta = max(used - gamma.sum(), 0.02 * used) / max(spread, 1e-12 * used)
         settled = settled + 1 if abs(np.log(beta) - before) < _SETTLED else 0
         if settled >= _SETTLED_STEPS:
             break
-    return _finished(
-        shape, weights, matrix, residual, count, robust, alpha, beta, float(tail), gamma, step
+    prior = alpha[group]
+    factor, inverse = _laplace(matrix, prior, beta)
+    square = beta * count * np.sum(residual**2, axis=1)
+    evidence = (
+        _student_log(square[count > 0], tail, shape.outputs)
+        + 0.5 * shape.outputs * np.sum(np.log(beta * count[count > 0]))
+        - 0.5 * np.sum(prior * weights**2)
+        + 0.5 * np.sum(np.log(prior))
+        - np.sum(np.log(np.diag(factor)))
+        + gammaln(shape.hidden + 1)
+        + shape.hidden * np.log(2.0)  # equal optima: hidden units permuted, signs flipped
     )
+    relevance = alpha[: shape.inputs]
+    return Fit(
+        shape, weights, inverse, float(beta**-0.5), robust, relevance, float(gamma.sum()),
+        float(evidence),
+    )  # fmt: skip
 
 
 def _cost(residual: Array, weights: Array, row: Array, prior: Array, beta: float) -> float:
@@ -107,16 +122,10 @@ def _cost(residual: Array, weights: Array, row: Array, prior: Array, beta: float
     return float(value)
 
 
-def _determined(
-    matrix: Array, group: NDArray[np.intp], members: Array, alpha: Array, beta: float
-) -> Array:
-    """gamma per group: number of its weights that the data determine."""
-    factor = cholesky(beta * matrix + np.diag(alpha[group]), lower=True, check_finite=False)
-    inverse = dtrtri(factor, lower=1)[0]
-    variance = np.einsum("ij,ij->j", inverse, inverse)
-    left = members - alpha * np.bincount(group, variance)
-    gamma: Array = np.clip(left, 1e-3, members)
-    return gamma
+def _laplace(matrix: Array, prior: Array, beta: float) -> tuple[Array, Array]:
+    """Lower triangle L of the posterior's precision, and its inverse."""
+    factor = cholesky(beta * matrix + np.diag(prior), lower=True, check_finite=False)
+    return factor, dtrtri(factor, lower=1)[0]
 
 
 def _student(residual: Array, beta: float, count: Array) -> tuple[float, Array]:
@@ -132,45 +141,3 @@ def _student(residual: Array, beta: float, count: Array) -> tuple[float, Array]:
 def _student_log(square: Array, tail: float, k: int) -> float:
     constant = gammaln((tail + k) / 2) - gammaln(tail / 2) - 0.5 * k * np.log(tail * np.pi)
     return float(np.sum(constant - 0.5 * (tail + k) * np.log1p(square / tail)))
-
-
-def _finished(
-    shape: NetworkShape,
-    weights: Array,
-    matrix: Array,
-    residual: Array,
-    count: Array,
-    robust: Array,
-    alpha: Array,
-    beta: float,
-    tail: float,
-    gamma: Array,
-    steps: int,
-) -> Fit:
-    prior = alpha[shape.groups()]
-    factor = cholesky(beta * matrix + np.diag(prior), lower=True, check_finite=False)
-    inverse = dtrtri(factor, lower=1)[0]
-    k = shape.outputs
-    square = beta * count * np.sum(residual**2, axis=1)
-    used = count > 0
-    evidence = (
-        _student_log(square[used], tail, k)
-        + 0.5 * k * np.sum(np.log(beta * count[used]))
-        - 0.5 * np.sum(prior * weights**2)
-        + 0.5 * np.sum(np.log(prior))
-        - np.sum(np.log(np.diag(factor)))
-        + gammaln(shape.hidden + 1)
-        + shape.hidden * np.log(2.0)  # equal optima: hidden units permuted, signs flipped
-    )
-    return Fit(
-        shape=shape,
-        weights=weights,
-        posterior=inverse,
-        sigma=float(beta**-0.5),
-        tail=tail,
-        row_weights=robust,
-        relevance=alpha[: shape.inputs],
-        effective=float(gamma.sum()),
-        evidence=float(evidence),
-        steps=steps,
-    )

@@ -93,7 +93,7 @@ def modes_along(
     known, tip = len(joints), model.arm.tip
     points = [*_masses_of(posture), Mass(posture.frame(tip.frame), tip.position_m, 0.0)]
     mass = np.repeat(np.array([np.broadcast_to(p.mass, known) for p in points]).T, 3, axis=1)
-    bends = flexibility(fine, posture, points, known)
+    bends = _flexibility(fine, posture, points, known)
     carried = np.concatenate([_carried(posture, p, known) for p in points], axis=1)
     if known > 1:
         from scipy.interpolate import CubicSpline
@@ -146,7 +146,7 @@ class _Pushed(Posture):
         return {e.station: [] for row in rows for e in (*row.elements_a, *row.elements_d)}
 
 
-def flexibility(model: Model, posture: Posture, points: list[Mass], postures: int) -> np.ndarray:
+def _flexibility(model: Model, posture: Posture, points: list[Mass], postures: int) -> np.ndarray:
     """(N, 3 P, 3 P) m/N at N postures: motion of every point by pushes along x, y, z of the base.
 
     All pushes at all postures are one posture of N times 4 times 3 P rows.

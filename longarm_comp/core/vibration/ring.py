@@ -7,17 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.vibration.modes import Modes
-from longarm_comp.math.cubic_path import CubicPath
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.vibration.modes import Modes, modes
+from longarm_comp.math.cubic_path import CubicPath, monotone_slopes
 from longarm_comp.math.shaper import Way
 
+USUAL_DAMPING = 0.01
+"""Of an arm that declares none, for the shares of a shaper: 0.05 more leave 6 % of a ring."""
 SMALL_M = 1e-4
 """A ring below it is over: what a good camera sees of one picture."""
 
 
 @dataclass(frozen=True, eq=False)
-class Ring:
+class _Ring:
     """A free vibration of the tip: ``sum_k tip_k Re(amplitude_k exp(rate_k t))``.
 
     Attributes:
@@ -99,13 +103,13 @@ def _rates(modes: Modes, damping: float) -> np.ndarray:
     return np.asarray(modes.omega * (-damping + 1j * np.sqrt(1.0 - damping**2)))
 
 
-def left_by(modes: Modes, times: np.ndarray, joints: np.ndarray, damping: float) -> Ring:
+def left_by(modes: Modes, times: np.ndarray, joints: np.ndarray, damping: float) -> _Ring:
     """The ring at the end of a motion (M, n) from rest to rest, by the modes there."""
     if not len(modes.omega):
-        return Ring(np.zeros(0, complex), modes.tip, np.zeros(0, complex))
+        return _Ring(np.zeros(0, complex), modes.tip, np.zeros(0, complex))
     whole = amplitudes([modes], np.zeros(len(times), int), times, joints[..., None], damping,
                        np.ones(1))  # fmt: skip
-    return Ring(_rates(modes, damping), modes.tip, whole[0, :, 0])
+    return _Ring(_rates(modes, damping), modes.tip, whole[0, :, 0])
 
 
 def sampled(modes: Sequence[Modes], seconds: float) -> np.ndarray:
@@ -119,7 +123,7 @@ _IN_A_PERIOD = 16
 off by a thousandth of the way."""
 
 
-def along(modes: Modes, way: Way, seconds: float, damping: float) -> Ring:
+def along(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
     """The ring after a motion that takes some seconds from time 0 on; its time 0 is their end."""
     times = sampled([modes], seconds)
     return left_by(modes, times, way(times), damping)
@@ -128,3 +132,95 @@ def along(modes: Modes, way: Way, seconds: float, damping: float) -> Ring:
 def straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:
     """One move from rest to rest, as the driver makes it: a cubic in time."""
     return CubicPath(np.array([0.0, seconds]), np.stack([start, end]), np.zeros((2, len(start)))).at
+
+
+def ring_of_moves(
+    model: Model, joints: np.ndarray, move_s: float, damping: float, context: Context | None = None
+) -> list[tuple[Modes, _Ring]]:
+    """Modes at each of the postures (N, n), and the ring of the move there from the one before.
+
+    The first is reached from the middle of the joint box.
+
+    Args:
+        move_s: time of a move, s. damping: share of critical damping.
+
+    Raises:
+        InputError: no such time or damping.
+    """
+    if not 0.0 < move_s < np.inf:
+        raise InputError("ringing", "time of a move", move_s, "above 0 s")
+    made, before = [], model.arm.mid
+    for row, end in enumerate(np.atleast_2d(joints)):
+        found = modes(model, end, None if context is None else context.take(row))
+        made.append((found, along(found, straight(before, end, move_s), move_s, damping)))
+        before = end
+    return made
+
+
+REST_S = 0.3
+"""Rest of an arm that says nothing of its damping: servos and cameras need it too."""
+
+
+def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None) -> float:
+    """How long to rest before a sighting, s: as given; else what 90 of 100 of these moves need.
+
+    Without `damping` in arm.yaml nobody knows, and it is `REST_S`.
+
+    Args:
+        joints: (N, n) one after the other. move_s: time of a move, s.
+    """
+    damping = model.arm.damping
+    if given is not None:
+        return given
+    if damping is None or not len(joints) or not move_s > 0.0:
+        return REST_S
+    rings = ring_of_moves(model, joints[:_LOOKED_AT], move_s, damping)
+    return max(REST_S, float(np.quantile([ring.settle_s() for _, ring in rings], 0.9)))
+
+
+_LOOKED_AT = 32
+"""Moves that are looked at."""
+
+
+@dataclass(frozen=True)
+class MoveRing:
+    """What the model expects of the tip after a move.
+
+    Attributes:
+        hz: of the slowest mode. size_m: at the end of the move. settle_s: time to rest.
+        damping: share of critical damping. declared: whether arm.yaml says it.
+    """
+
+    hz: float
+    size_m: float
+    settle_s: float
+    damping: float
+    declared: bool
+
+    def said(self) -> str:
+        """In one line."""
+        told = "" if self.declared else " assumed"
+        swing = f"{1e3 * self.size_m:.2g} mm at most, {self.hz:.2g} Hz"
+        return (
+            f"the tip swings by {swing}; within {1e3 * SMALL_M:g} mm after {self.settle_s:.1f} s "
+            f"(damping {self.damping:g}{told})"
+        )
+
+
+def ring_after(
+    model: Model, context: Context, start: np.ndarray, points: np.ndarray, times: np.ndarray
+) -> MoveRing | None:
+    """The ring after a move from rest at ``start`` (n,) through points (k, n) at times (k,) s.
+
+    None where nothing of the model bends.
+    """
+    found = modes(model, points[-1], context)
+    if not len(found.omega):
+        return None
+    later = times > 0.0
+    when, joints = np.append(0.0, times[later]), np.vstack([start, points[later]])
+    path = CubicPath(when, joints, monotone_slopes(when, joints))
+    damping = model.arm.damping or USUAL_DAMPING
+    ring = along(found, path.at, path.duration, damping) if path.duration > 0.0 else None
+    size_m, settle_s = (0.0, 0.0) if ring is None else (ring.size_m(), ring.settle_s())
+    return MoveRing(float(found.hz[0]), size_m, settle_s, damping, model.arm.damping is not None)

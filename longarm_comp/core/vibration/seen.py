@@ -38,8 +38,8 @@ class SeenWave:
     size: np.ndarray
 
 
-def waves(times: np.ndarray, seen: np.ndarray, most: int = 2) -> list[SeenWave]:
-    """The waves in sightings (N, D) at times (N,) s, the largest first; none if all is noise.
+def waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
+    """At most two waves in sightings (N, D) at times (N,) s, the largest first; none: all is noise.
 
     The arm has to stand: its joints do not move any more.
 
@@ -64,7 +64,7 @@ def waves(times: np.ndarray, seen: np.ndarray, most: int = 2) -> list[SeenWave]:
     more = 2 + 2 * wide  # parameters of a wave
     found: list[float] = []  # omega, damping, omega, damping, ...
     left = _left(np.array(found), t, seen)
-    for _ in range(most):
+    for _ in range(2):
         tried = 2.0 * np.pi * np.arange(slowest, fastest, 0.1 * slowest)
         sizes = [float((_left(np.array([*found, w, _FIRST]), t, seen) ** 2).sum()) for w in tried]
         begin = np.array([*found, tried[int(np.argmin(sizes))], _FIRST])

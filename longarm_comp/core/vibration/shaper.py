@@ -16,12 +16,10 @@ import numpy as np
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import Modes, modes_along
-from longarm_comp.core.vibration.ring import amplitudes, sampled
+from longarm_comp.core.vibration.ring import USUAL_DAMPING, amplitudes, sampled
 from longarm_comp.math.shaper import Shaper, Way
 
-USUAL_DAMPING = 0.01
-"""Of an arm that declares none, for the shares of a shaper: 0.05 more leave 6 % of a ring."""
-FREQUENCY_SD = 0.05
+_FREQUENCY_SD = 0.05
 """Of a model's frequencies, as a share: a calibration knows a stiffness to some 10 %."""
 _DELAYS = 7
 """By which parts may begin and end later: a sixth of the period apart."""
@@ -64,7 +62,7 @@ def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) 
     joints = np.moveaxis(parts.parts(way, times, seconds), 0, 2)
     progress = np.interp(parts.since(times, seconds), *_progress(way, seconds))
     # A normal distribution by three points (Gauss and Hermite)
-    factors = 1.0 + FREQUENCY_SD * np.sqrt(3.0) * np.array([-1.0, 0.0, 1.0])
+    factors = 1.0 + _FREQUENCY_SD * np.sqrt(3.0) * np.array([-1.0, 0.0, 1.0])
     chances = np.sqrt([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])[:, None, None]
     for _ in range(_ROUNDS):
         where = np.rint((len(along) - 1) * (parts.weights @ progress)).astype(int)

@@ -13,24 +13,3 @@ from longarm_comp.devices.servo_bus.errors import (
 from longarm_comp.devices.servo_bus.registry import models, open_bus, protocols
 from longarm_comp.devices.servo_bus.scan import FoundServo, Scan, scan_line, usable_ports
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
-
-__all__ = [
-    "BusUnplugged",
-    "FoundServo",
-    "IncompleteReply",
-    "Scan",
-    "SerialServoBus",
-    "ServoAlarm",
-    "ServoBusError",
-    "ServoChecksum",
-    "ServoFault",
-    "ServoModel",
-    "ServoRejected",
-    "ServoState",
-    "ServoTimeout",
-    "models",
-    "open_bus",
-    "protocols",
-    "scan_line",
-    "usable_ports",
-]

@@ -20,7 +20,7 @@ from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoSt
 
 
 @dataclass(slots=True)
-class BusCounters:
+class _BusCounters:
     """Counters of the bus since it was opened, for diagnostics."""
 
     requests: int = 0
@@ -62,7 +62,7 @@ class SerialServoBus:
         self._dialect = dialect
         self._models = dict(models)
         self._retries = retries
-        self.counters = BusCounters()
+        self.counters = _BusCounters()
 
     def ping(self, servo_id: int) -> int:
         """The servo's model number. Raises ServoTimeout, ServoChecksum."""

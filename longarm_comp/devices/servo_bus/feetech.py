@@ -70,7 +70,7 @@ class FeetechSts(Dialect):
     def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
         speed = min(round(speed_ticks_s), 0x7FFF) if speed_ticks_s else 0
         # acceleration 0 (the servo's maximum), position, time (unused), speed
-        return b"\0" + _signed(ticks, 15) + b"\0\0" + max(speed, 0).to_bytes(2, "little")
+        return b"\0" + _signed(ticks) + b"\0\0" + max(speed, 0).to_bytes(2, "little")
 
     def turns_bytes(self, many: bool) -> bytes:
         low, high = (0, 0) if many else (0, 4095)
@@ -92,8 +92,8 @@ def _checksum(body: bytes) -> int:
     return ~sum(body) & 0xFF
 
 
-def _signed(value: int, sign_bit: int) -> bytes:
-    return (abs(value) | (value < 0) << sign_bit).to_bytes(2, "little")
+def _signed(value: int) -> bytes:
+    return (abs(value) | (value < 0) << 15).to_bytes(2, "little")
 
 
 def _value(data: bytes, sign_bit: int) -> int:

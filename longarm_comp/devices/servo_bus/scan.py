@@ -12,7 +12,7 @@ from longarm_comp.devices.servo_bus.dialect import Dialect
 from longarm_comp.devices.servo_bus.port import SerialPort
 from longarm_comp.devices.servo_bus.registry import protocols
 
-ALL_IDS = range(253)
+_ALL_IDS = range(253)
 _LOOKS, _DAMAGED = 5, 2
 """States read of a servo that answers, and damaged ones among them that are no accident."""
 
@@ -56,7 +56,7 @@ def scan_line(
     port: str,
     protocol: str | None = None,
     baudrate: int | None = None,
-    ids: Iterable[int] = ALL_IDS,
+    ids: Iterable[int] = _ALL_IDS,
     reply_timeout_s: float = 0.02,
     tell: Tell = lambda text, share: None,
 ) -> Scan | None:
@@ -121,7 +121,7 @@ def look(line: SerialPort, dialect: Dialect, servo_id: int) -> FoundServo | None
     )
 
 
-def renumber(found: Scan, servo_id: int, reply_timeout_s: float = 0.05) -> int:
+def renumber(found: Scan, servo_id: int) -> int:
     """Write an id into the memory of the only servo of a scan; its torque goes off.
 
     Returns:
@@ -131,15 +131,15 @@ def renumber(found: Scan, servo_id: int, reply_timeout_s: float = 0.05) -> int:
         InputError: no id of a servo.
         JobError: several servos are on the line, or it does not answer to its new id.
     """
-    if servo_id not in ALL_IDS:
-        raise InputError("servo set-id", "ID", servo_id, f"0 to {ALL_IDS[-1]}")
+    if servo_id not in _ALL_IDS:
+        raise InputError("servo set-id", "ID", servo_id, f"0 to {_ALL_IDS[-1]}")
     ids = [servo.servo_id for servo in found.servos]
     if len(ids) != 1 or found.clashes:
         raise JobError("connect one servo alone, or several get the same id", ids=ids)
     dialect, old = protocols()[found.protocol](), ids[0]
     if dialect.identity is None:
         raise JobError(f"ids of {found.protocol} are set with its maker's tool")
-    with closing(SerialPort(found.port, found.baudrate, reply_timeout_s)) as line:
+    with closing(SerialPort(found.port, found.baudrate, reply_timeout_s=0.05)) as line:
         line.send(dialect.sync_write(dialect.torque, {old: b"\0"}))
         if dialect.turns_lock is not None:
             line.send(dialect.sync_write(dialect.turns_lock, {old: b"\0"}))

@@ -41,11 +41,10 @@ def calibrate_stereo(
     board: Target,
     pairs: Sequence[tuple[Corners, Corners]],
     size: tuple[int, int],
-    worst: float = 2.0,
 ) -> StereoCalibration:
     """Intrinsics with plumb-bob distortion of both cameras and the transform between them.
 
-    Pairs whose triangulation residuals exceed `worst` times the median are left out and the rest
+    Pairs whose triangulation residuals exceed twice the median are left out and the rest
     fitted again: hand-held boards move between exposures that are not simultaneous.
     """
     common = [np.intersect1d(left.ids, right.ids, return_indices=True) for left, right in pairs]
@@ -82,7 +81,7 @@ def calibrate_stereo(
             off = np.full(len(pairs), np.nan)
             for i in usable:
                 off[i] = triangulate(rig, lefts[i].reshape(-1, 2), rights[i].reshape(-1, 2)).rms_px
-            keep = [i for i in usable if off[i] <= worst * np.median(off[used])]
+            keep = [i for i in usable if off[i] <= 2.0 * np.median(off[used])]
             if keep == used or len(keep) < _FEWEST_PAIRS:
                 break
             used = keep

@@ -101,11 +101,8 @@ class StereoEye:
         One tag leaves 10 degrees of freedom, too few to outweigh an assumption that is four times
         too large; hundreds of sightings do.
         """
-        assumed, total = self.noise, self.noise.weight + self._freedom
-        if not total:
-            return assumed
-        square = assumed.weight * assumed.sigma_px**2 + self._square_px2
-        return PixelNoise(float(np.sqrt(square / total)), assumed.weight)
+        sigma_px = self.noise.estimate(np.sqrt(self._square_px2), self._freedom)
+        return PixelNoise(sigma_px, self.noise.weight)
 
     def _measure(
         self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int

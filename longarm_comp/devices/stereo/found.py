@@ -66,9 +66,9 @@ def found_corners(target: Target, grey: Grey, side: str, limits: Limits) -> Corn
 def _unseen(grey: Grey, side: str, limits: Limits) -> StereoRefusal:
     dark, bright = np.percentile(grey[::2, ::2], [1.0, 99.0])
     facts: dict[str, object] = {"image": side, "bright": round(bright), "dark": round(dark)}
-    if not bright >= limits.bright:
+    if not bright >= 45.0:
         return StereoRefusal(RefusalReason.TOO_DARK, **facts)
-    if not dark <= limits.dark:
+    if not dark <= 235.0:
         return StereoRefusal(RefusalReason.TOO_BRIGHT, **facts)
     edge_px = _edge_px(grey, float(bright - dark))
     facts["edge_px"] = round(edge_px, 2)

@@ -18,26 +18,22 @@ class Limits:
         epipolar_px: largest median distance from the epipolar lines.
         rms_px: largest root mean square reprojection error of the whole board.
         edge_px: largest blur (Gaussian sigma of the sharpest edges), px.
-        bright: grey level that 99 % of the pixels must not stay below, when no marker is found.
-        dark: grey level that 1 % of the pixels must stay below, when no marker is found.
         size: largest relative difference of the seen from the declared marker size.
         size_tolerance: tolerance of the printed size (1 sigma, relative). It weighs the depth
             from the size against the depth from the baseline.
-        edge_bias_px: common shift of all dark edges by glare, gamma and saturation (1 sigma). It
-            lowers the weight of the size of small marker images.
     """
 
     seen_share: float = 0.5
     epipolar_px: float = 1.5
     rms_px: float = 0.8
     edge_px: float = 2.5
-    bright: float = 45.0
-    dark: float = 235.0
     size: float = 0.05
     size_tolerance: float = 0.005
-    edge_bias_px: float = 0.1
 
     def tolerance(self, pixels: Array) -> float:
-        """Relative 1 sigma of the size measured from an image with corners (N, 2) px."""
+        """Relative 1 sigma of the size measured from an image with corners (N, 2) px.
+
+        Glare, gamma and saturation shift all dark edges alike, by 0.1 px (1 sigma).
+        """
         spread = np.sqrt(np.mean(np.sum((pixels - pixels.mean(axis=0)) ** 2, axis=1)))
-        return float(np.hypot(self.size_tolerance, np.sqrt(2) * self.edge_bias_px / spread))
+        return float(np.hypot(self.size_tolerance, np.sqrt(2) * 0.1 / spread))

@@ -8,6 +8,8 @@ from enum import Enum
 from typing import Generic, TypeVar
 
 Image = TypeVar("Image")
+_RESTART_NS = 1_000_000_000
+"""A stamp further back than this means a restarted clock, not a late image."""
 
 
 class Drop(str, Enum):
@@ -48,12 +50,10 @@ class StereoPairer(Generic[Image]):
     Args:
         slop_ns: largest difference of stamps within a pair, in nanoseconds.
         queue: images kept per side while they wait for a partner.
-        restart_ns: a stamp further back than this means a restarted clock, not a late image.
     """
 
     slop_ns: int = 5_000_000
     queue: int = 8
-    restart_ns: int = 1_000_000_000
     drops: Counter[Drop] = field(default_factory=Counter)
     pairs: int = 0
     _waiting: tuple[deque[tuple[int, Image]], deque[tuple[int, Image]]] = field(
@@ -66,7 +66,7 @@ class StereoPairer(Generic[Image]):
         mine = self._waiting[side.value]
         newest = mine[-1][0] if mine else self._done_ns[side.value]
         if newest is not None and stamp_ns <= newest:
-            if newest - stamp_ns <= self.restart_ns:
+            if newest - stamp_ns <= _RESTART_NS:
                 self.drops[Drop.OUT_OF_ORDER] += 1
                 return []
             self._restart()

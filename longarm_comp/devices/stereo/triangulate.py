@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
@@ -31,7 +32,7 @@ class PixelNoise:
     sigma_px: float = 0.04
     weight: float = 4.0
 
-    def estimate(self, residuals_px: Array, dof: int) -> float:
+    def estimate(self, residuals_px: ArrayLike, dof: float) -> float:
         """Sigma (px) given residuals (px) and their degrees of freedom."""
         total = self.weight * self.sigma_px**2 + float(np.sum(np.square(residuals_px)))
         count = self.weight + dof

@@ -54,17 +54,13 @@ class BoardView:
             or np.abs(turn).max() > _NEW_TILT_DEG
         )
 
-    def moved_px(self, before: BoardView) -> float:
-        """Mean way of the common corners since another view, px; infinite without any."""
-        _, mine, its = np.intersect1d(self.left.ids, before.left.ids, return_indices=True)
-        if not len(mine):
-            return np.inf
-        way = self.left.pixels[mine] - before.left.pixels[its]
-        return float(np.linalg.norm(way, axis=1).mean())
-
     def is_still(self, before: BoardView | None) -> bool:
-        """Whether the board has hardly moved since the pair before."""
-        return before is not None and self.moved_px(before) < 1.0
+        """Whether the common corners have moved by less than 1 px since the pair before."""
+        if before is None:
+            return False
+        _, mine, its = np.intersect1d(self.left.ids, before.left.ids, return_indices=True)
+        way = self.left.pixels[mine] - before.left.pixels[its]
+        return bool(len(mine) and np.linalg.norm(way, axis=1).mean() < 1.0)
 
 
 def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None) -> BoardView:

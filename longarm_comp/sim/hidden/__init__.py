@@ -1,1 +1,1 @@
-"""Hidden effects: undeclared errors of the true arm and its cameras, each with a dose."""
+"""Hidden effects: undeclared errors of the true arm, each with a dose."""

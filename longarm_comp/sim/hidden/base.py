@@ -40,6 +40,15 @@ class Place:
     overlap: Array | None = None
 
 
+def wound_up(compliance: Array, place: Place, beyond: Walker) -> Array | None:
+    """Turn (3, B, N) of a turning joint by its torque times its compliance (n,), rad/(N m)."""
+    if place.kind != "bearing" or place.joint is None or place.prismatic:
+        return None
+    turn = np.zeros_like(beyond.moment)
+    turn[2] = compliance[place.joint] * beyond.moment[2]
+    return turn
+
+
 class Dosed:
     """What has a name, that of its class (``JointZero``: ``joint_zero``), and a size."""
 

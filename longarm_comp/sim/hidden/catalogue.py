@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import State, TrueContext
-from longarm_comp.sim.hidden import camera, drives, geometry, loads
+from longarm_comp.sim.context import TrueContext
+from longarm_comp.sim.hidden import drives, geometry, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.hidden.camera import CameraEffect
-from longarm_comp.sim.measure import TrueCamera
 
 Array = np.ndarray
-Hidden = HiddenEffect | CameraEffect
 _STEPS = 2  # integration steps a rod: sizes need no nanometres
-_Maker = Callable[[Arm, np.random.Generator], Hidden]
+_Maker = Callable[[Arm, np.random.Generator], HiddenEffect]
 
 
 def _kind(arm: Arm, kind: str) -> Array:
@@ -40,27 +38,27 @@ def _signs(rng: np.random.Generator, size: int) -> Array:
     return rng.choice([-1.0, 1.0], size)
 
 
-def _joint_zero(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _joint_zero(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     sd = 4e-3 * _kind(arm, "revolute") + 1e-3 * _kind(arm, "prismatic")
     return geometry.JointZero(sd * rng.standard_normal(arm.n))
 
 
-def _dh_error(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _dh_error(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     sd = np.array([[3e-3], [1e-3], [0.0], [1e-3]])  # theta is the joint zero
     delta = sd * rng.standard_normal((4, len(arm.joints)))
     delta[:, [j.type == "fixed" and j.pose is not None for j in arm.joints]] = 0.0
     return geometry.DhError(delta)
 
 
-def _base_pose(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _base_pose(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return geometry.BasePose(rng.standard_normal(6) * ([2e-3] * 3 + [4e-3] * 3))
 
 
-def _thermal(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _thermal(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return geometry.ThermalGrowth(rng.uniform(7e-5, 1.2e-4))
 
 
-def _loose_screw(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _loose_screw(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     joint = int(rng.choice(np.flatnonzero(_kind(arm, "revolute"))))
     at = rng.uniform(0.35, 0.65)
     threshold = arm.lower[joint] + at * (arm.upper[joint] - arm.lower[joint])
@@ -68,44 +66,44 @@ def _loose_screw(arm: Arm, rng: np.random.Generator) -> Hidden:
     return geometry.LooseScrew(arm.commanded[joint], joint, threshold, jump)
 
 
-def _eccentricity(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _eccentricity(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     amplitude = np.stack([_turning(arm, rng, 4e-3, 1e-2), _turning(arm, rng, 1e-3, 4e-3)])
     return drives.GearEccentricity(amplitude, rng.uniform(-np.pi, np.pi, (2, arm.n)))
 
 
-def _cogging(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _cogging(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     joint = int(rng.choice(np.flatnonzero(_kind(arm, "revolute"))))
     span = arm.upper[joint] - arm.lower[joint]
     centre = arm.lower[joint] + rng.uniform(0.3, 0.7) * span
     return drives.CoggingBump(joint, centre, 0.12 * span, float(rng.choice([-1e-2, 1e-2])))
 
 
-def _cable(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _cable(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     joint, one, two = rng.permutation(np.flatnonzero(_kind(arm, "revolute")))[:3]
     return drives.CableDrag(int(joint), (int(one), int(two)), float(rng.choice([-1e-2, 1e-2])))
 
 
-def _droop(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _droop(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return drives.ServoDroop(
         _turning(arm, rng, 1e-3, 4e-3), _turning(arm, rng, 1e-3, 3e-3), friction=0.1
     )
 
 
-def _backlash(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _backlash(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return drives.Backlash(_turning(arm, rng, 3e-3, 8e-3), gate=rng.uniform(0.25, 0.45))
 
 
-def _link_stiffness(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _link_stiffness(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     common = rng.uniform(0.15, 0.35)
     return loads.LinkStiffness({b.name: common * rng.uniform(0.7, 1.3) for b in arm.links})
 
 
-def _link_mass(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _link_mass(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     middle = [row.id for row in arm.joints][2:-1]
     return loads.LinkMass(int(rng.choice(middle)), rng.uniform(0.1, 0.3))
 
 
-def _measured_tilt(arm: Arm, rng: np.random.Generator) -> Hidden:
+def _measured_tilt(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return loads.MeasuredTilt(
         0, rng.uniform(1e-3, 3e-3, 2), rng.uniform(1500, 4000), rng.uniform(-3e-3, 3e-3, 2)
     )
@@ -151,58 +149,60 @@ HIDDEN: dict[str, _Maker] = {
     "cogging_bump": _cogging,
     "cable_drag": _cable,
     "loose_screw": _loose_screw,
-    "camera_pose": lambda arm, rng: camera.CameraPose(
-        rng.standard_normal(6) * ([2e-3] * 3 + [2e-3] * 3)
-    ),
-    "camera_scale": lambda arm, rng: camera.CameraScale(float(rng.choice([-3e-3, 3e-3]))),
-    "camera_radial": lambda arm, rng: camera.CameraRadial(rng.uniform(0.02, 0.06)),
-    "camera_drift": lambda arm, rng: camera.CameraDrift(
-        rng.standard_normal(6) * ([1e-3] * 3 + [1e-4] * 3)
-    ),
 }
 OUTSIDE_EVERY_LIBRARY = ("cogging_bump", "cable_drag", "loose_screw")
 
 
-def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> Hidden:
+def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> HiddenEffect:
     """An effect by name, `dose` times its typical size, at a random place."""
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
     return HIDDEN[name](arm, rng).scaled(dose)
 
 
-def draw(
-    name: str, arm: Arm, rng: np.random.Generator, size_mm: float, poses: Array | None = None
-) -> Hidden:
-    """An effect by name, scaled so that it shifts the seen tip by about `size_mm` rms.
+def draw(name: str, arm: Arm, rng: np.random.Generator, size_mm: float) -> HiddenEffect:
+    """An effect by name, scaled so that it shifts the tip by about `size_mm` rms.
 
     Servo steps exist only in a few sizes, so the nearest of them is taken.
+    """
+    made: HiddenEffect = sized(hidden(name, arm, 1.0, rng), arm, rng, size_mm)
+    return made
+
+
+def moved_tip(
+    effect: HiddenEffect, arm: Arm, poses: Array, context: TrueContext, sound: Array
+) -> Array:
+    """Tip (N, 3) with one effect; `sound` is the tip without it."""
+    return TrueArm(arm, [effect], steps=_STEPS).tip(poses, context)
+
+
+def sized(
+    effect: Any,
+    arm: Arm,
+    rng: np.random.Generator,
+    size_mm: float,
+    poses: Array | None = None,
+    seen: Callable[..., Array] = moved_tip,
+) -> Any:
+    """An effect with another dose, so that the seen tip shifts by about `size_mm` rms.
 
     Args:
-        arm: the declared arm.
-        size_mm: wanted rms shift over the poses (3-D), mm.
         poses: (N, n); 60 random ones by default.
+        seen: the tip with an effect, as of `moved_tip`.
     """
-    effect = HIDDEN[name](arm, rng) if name in HIDDEN else hidden(name, arm, 1.0, rng)
     poses = rng.uniform(arm.lower, arm.upper, (60, arm.n)) if poses is None else poses
     context = typical_context(len(poses), arm, rng)
     sound = TrueArm(arm, steps=_STEPS).tip(poses, context)
     dose = 1.0
     for _ in range(8):
-        moved = seen_tip(effect.scaled(dose), arm, poses, context, sound) - sound
+        moved = seen(effect.scaled(dose), arm, poses, context, sound) - sound
         size = 1e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
         if size == 0.0:
-            raise InputError("hidden effect", "name", name, "an effect that moves this arm")
+            raise InputError("hidden effect", "name", effect.name, "an effect that moves this arm")
         if abs(size - size_mm) < 0.02 * size_mm:
             break
         dose *= size_mm / size
     return effect.scaled(dose)
-
-
-def seen_tip(effect: Hidden, arm: Arm, poses: Array, context: TrueContext, sound: Array) -> Array:
-    """Seen tip (N, 3) with one effect; `sound` is the tip without it."""
-    if isinstance(effect, CameraEffect):
-        return TrueCamera.of(arm, [effect]).seen(sound, State.of(arm, poses, context).t_s)
-    return TrueArm(arm, [effect], steps=_STEPS).tip(poses, context)
 
 
 def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> TrueContext:

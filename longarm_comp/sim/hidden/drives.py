@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from longarm_comp.sim.context import State
-from longarm_comp.sim.hidden.base import HiddenEffect, Place
+from longarm_comp.sim.hidden.base import HiddenEffect, Place, wound_up
 from longarm_comp.sim.rods import Walker
 
 Array = np.ndarray
@@ -133,11 +133,7 @@ class ServoDroop(HiddenEffect):
     friction: float
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
-        if place.kind != "bearing" or place.joint is None or place.prismatic:
-            return None
-        turn = np.zeros_like(beyond.moment)
-        turn[2] = self.yielding[place.joint] * beyond.moment[2]
-        return turn
+        return wound_up(self.yielding, place, beyond)
 
     def held(self, torques: Array, state: State) -> Array | float:
         loaded = np.abs(torques) > self.friction

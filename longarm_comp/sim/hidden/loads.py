@@ -9,7 +9,7 @@ import numpy as np
 
 from longarm_comp.core.arm.beam import Beam
 from longarm_comp.sim.context import State
-from longarm_comp.sim.hidden.base import HiddenEffect, Place
+from longarm_comp.sim.hidden.base import HiddenEffect, Place, wound_up
 from longarm_comp.sim.rods import Walker
 
 Array = np.ndarray
@@ -22,11 +22,7 @@ class JointCompliance(HiddenEffect):
     compliance: Array
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
-        if place.kind != "bearing" or place.joint is None or place.prismatic:
-            return None
-        turn = np.zeros_like(beyond.moment)
-        turn[2] = self.compliance[place.joint] * beyond.moment[2]
-        return turn
+        return wound_up(self.compliance, place, beyond)
 
 
 @dataclass(frozen=True)
@@ -53,10 +49,7 @@ class BaseCompliance(HiddenEffect):
         if place.kind != "base":
             return None
         turn = np.zeros_like(beyond.moment)
-        turn[0], turn[1] = (
-            self.compliance[0] * beyond.moment[0],
-            self.compliance[1] * beyond.moment[1],
-        )
+        turn[:2] = np.reshape(self.compliance, (2, 1, 1)) * beyond.moment[:2]
         return turn
 
 
@@ -86,13 +79,11 @@ class TelescopeClearance(HiddenEffect):
 
     Attributes:
         clearance: across the guide, m.
-        firm: moment at which the play is taken up (tanh), N m.
         pads: compression per force of the two pads of a guide, an overlap apart, m/N.
     """
 
     doses: ClassVar[tuple[str, ...]] = ("clearance", "pads")
     clearance: float
-    firm: float = 0.02
     pads: float = 0.0
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
@@ -104,7 +95,8 @@ class TelescopeClearance(HiddenEffect):
         size = np.sqrt(np.sum(across**2, axis=0))
         overlap = np.maximum(place.overlap, 0.01)
         pressed = self.pads * size / overlap  # by the force on each pad
-        tilt = (self.clearance * np.tanh(size / self.firm) + pressed) / overlap
+        # The play is taken up at 0.02 N m
+        tilt = (self.clearance * np.tanh(size / 0.02) + pressed) / overlap
         return tilt * across / np.maximum(size, 1e-12)
 
 

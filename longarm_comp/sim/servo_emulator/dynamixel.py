@@ -8,7 +8,7 @@ from enum import IntEnum
 from longarm_comp.sim.servo_emulator.motor import Motor
 from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire, Told
 
-BULK_READ = 0x92
+_BULK_READ = 0x92
 _HARDWARE_BITS = {"voltage": 1, "overheat": 4, "sensor": 8, "current": 16, "overload": 32}
 _SPEED_UNIT = 0.229 * 4096 / 60  # ticks/s
 _EXTENDED = 4
@@ -79,7 +79,7 @@ class DynamixelWire(RegisterWire):
 
     def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
         _, instruction, params = self.parts(frame)
-        if instruction != BULK_READ:
+        if instruction != _BULK_READ:
             return super().answer(frame, devices)
         items = [params[start : start + 5] for start in range(0, len(params) - 4, 5)]
         asked = [(devices[p[0]], self.words(p[1:])) for p in items if p[0] in devices]

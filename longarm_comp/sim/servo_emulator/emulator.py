@@ -8,14 +8,56 @@ import select
 import threading
 import time
 import tty
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from longarm_comp.sim.servo_emulator.faults import WireFaults
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 from longarm_comp.sim.servo_emulator.wire import Device, Wire
 from longarm_comp.sim.servo_emulator.wires import wire_of
+
+
+@dataclass
+class WireFaults:
+    """Replies to lose, damage, cut or delay; counts go down as replies are sent.
+
+    Attributes:
+        silent: servos that hear and move but answer nothing.
+        drops, corrupt, cuts: how many of a servo's next replies are lost, have a damaged checksum,
+            or are sent by half.
+        delays_s: by how much a servo's replies are late, s.
+        noise: bytes put on the line ahead of the next reply.
+        echo: every instruction is sent back first, as adapters that hear themselves do.
+    """
+
+    silent: set[int] = field(default_factory=set)
+    drops: Counter[int] = field(default_factory=Counter)
+    corrupt: Counter[int] = field(default_factory=Counter)
+    cuts: Counter[int] = field(default_factory=Counter)
+    delays_s: dict[int, float] = field(default_factory=dict)
+    noise: bytes = b""
+    echo: bool = False
+
+    def apply(self, servo_id: int, reply: bytes) -> tuple[float, bytes]:
+        """Delay (s) and bytes that are sent for ``reply``."""
+        if servo_id in self.silent or _take(self.drops, servo_id):
+            return 0.0, b""
+        if _take(self.corrupt, servo_id):
+            reply = reply[:-1] + bytes((reply[-1] ^ 0x5A,))
+        if _take(self.cuts, servo_id):
+            reply = reply[: len(reply) // 2]
+        noise, self.noise = self.noise, b""
+        return self.delays_s.get(servo_id, 0.0), noise + reply
+
+
+def _take(counts: Counter[int], servo_id: int) -> bool:
+    if counts[servo_id] <= 0:
+        return False
+    counts[servo_id] -= 1
+    return True
+
 
 _STEP_S = 0.01  # in which a load is constant: a fraction of the 30 ms in which servos follow
 Of = TypeVar("Of")
@@ -33,7 +75,6 @@ class ServoEmulator:
         spec: mechanics of all servos, or of each by id; none: an unloaded STS3215.
         link: path of a symbolic link to the pseudo-terminal, updated by ``replug``.
         load_of: external load from positions; none: unloaded.
-        baudrate: when given, replies take as long as their bytes take at this rate.
         clock: seconds, by which the servos move.
 
     Use as a context manager, or ``start`` and ``stop``.
@@ -46,7 +87,6 @@ class ServoEmulator:
         spec: MotorSpec | Mapping[int, MotorSpec] | None = None,
         link: Path | None = None,
         load_of: LoadOf | None = None,
-        baudrate: int | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._wire = wire_of(protocol, "servo emulator") if isinstance(protocol, str) else protocol
@@ -58,7 +98,6 @@ class ServoEmulator:
         self._twins: dict[int, Device] = {}
         self._link = link
         self._load_of = load_of
-        self._byte_s = 10.0 / baudrate if baudrate else 0.0
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -180,9 +219,8 @@ class ServoEmulator:
                     for servo_id, reply in self._answers(frame)
                 ]
             for late_s, reply in sent:
-                pause = late_s + self._byte_s * len(reply)
-                if pause:
-                    self._stop.wait(pause)
+                if late_s:
+                    self._stop.wait(late_s)
                 _send(master, reply)
 
     def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:

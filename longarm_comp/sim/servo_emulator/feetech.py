@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from longarm_comp.sim.servo_emulator.motor import Motor
+from longarm_comp.sim.servo_emulator.motor import SHUTDOWN_C, Motor
 from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire
 
 _STATUS_BITS = {"voltage": 1, "sensor": 2, "overheat": 4, "current": 8, "overload": 32}
@@ -33,7 +33,7 @@ class FeetechWire(RegisterWire):
         device.put(_At.ID, 1, servo_id)
         device.put(_At.MIN_ANGLE, 2, 0)
         device.put(_At.MAX_ANGLE, 2, 4095)
-        device.put(_At.MAX_TEMPERATURE, 1, round(motor.spec.shutdown_c))
+        device.put(_At.MAX_TEMPERATURE, 1, round(SHUTDOWN_C))
         device.put(_At.LOCK, 1, 1)
         device.put(_At.GOAL, 2, _sign_magnitude(round(motor.position), 15))
         device.kept = bytes(device.memory)
@@ -83,7 +83,7 @@ class FeetechWire(RegisterWire):
         if address <= _At.GOAL < end:
             if not motor.torque_on:
                 motor.switch(True)  # a goal wakes an STS servo up
-            motor.goal = _bounded(device, _signed(device.get(_At.GOAL, 2), 15))
+            motor.goal = _bounded(device, _signed(device.get(_At.GOAL, 2)))
         return 0
 
 
@@ -117,6 +117,5 @@ def _sign_magnitude(value: int, bit: int) -> int:
     return min(abs(value), (1 << bit) - 1) | (int(value < 0) << bit)
 
 
-def _signed(raw: int, bit: int) -> int:
-    magnitude = raw & ((1 << bit) - 1)
-    return -magnitude if raw >> bit & 1 else magnitude
+def _signed(raw: int) -> int:
+    return -(raw & 0x7FFF) if raw & 0x8000 else raw

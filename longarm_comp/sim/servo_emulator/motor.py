@@ -5,6 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+_FRICTION = 0.2  # share of full effort to turn freely at full speed
+_AMBIENT_C, _HEATING_C, _HEAT_TIME_S = 25.0, 60.0, 120.0  # at rest, rise at full effort
+SHUTDOWN_C = 70.0
+"""The servo alarms and lets go above this."""
+_OVERLOAD = 0.8  # share of full effort
+
 
 @dataclass(frozen=True)
 class MotorSpec:
@@ -20,15 +26,11 @@ class MotorSpec:
             it takes twice as much to wind it up to the other.
         droop_ticks: error at which the proportional controller gives its full effort: so far does
             a load as large push the horn off its goal.
-        encoder_zero_ticks, encoder_step_ticks: what the encoder says too much, and its resolution;
-            the controller has a finer one of its own.
+        encoder_zero_ticks: what the encoder says too much.
         stiff_ticks: position error at which a jammed drive gives its full effort.
-        friction_share: effort to turn freely at full speed.
         load_units: reading of the register of load, or current, at full effort.
         model: number that it says it is; None: the protocol's usual one.
-        ambient_c, heating_c, heat_time_s: temperature at rest, rise at full effort, time constant.
-        shutdown_c: the servo alarms and lets go above this.
-        overload_share, overload_s: so much effort for so long makes it alarm and let go.
+        overload_s: so long at `_OVERLOAD` makes it alarm and let go.
     """
 
     ticks_per_turn: int = 4096
@@ -39,16 +41,9 @@ class MotorSpec:
     wind_up_ticks: float = 650.0
     droop_ticks: float = 0.0
     encoder_zero_ticks: float = 0.0
-    encoder_step_ticks: float = 1.0
     stiff_ticks: float = 200.0
-    friction_share: float = 0.2
     load_units: float = 1000.0
     model: int | None = None
-    ambient_c: float = 25.0
-    heating_c: float = 60.0
-    heat_time_s: float = 120.0
-    shutdown_c: float = 70.0
-    overload_share: float = 0.8
     overload_s: float = 2.0
 
 
@@ -71,7 +66,7 @@ class Motor:
         self.torque_on = False
         self.external_load = 0.0
         self.effort = 0.0
-        self.temperature_c = spec.ambient_c
+        self.temperature_c = _AMBIENT_C
         self.voltage_v = 7.4
         self.blocked = False
         self.approach = 0
@@ -82,8 +77,7 @@ class Motor:
     @property
     def reading(self) -> int:
         """What the encoder says, ticks."""
-        step = self.spec.encoder_step_ticks
-        return round(step * round(self.seen / step))
+        return round(self.seen)
 
     def turn(self, by: float) -> None:
         """The horn turns by so many ticks."""
@@ -97,7 +91,7 @@ class Motor:
 
     @property
     def _hot(self) -> bool:
-        return self.temperature_c > self.spec.shutdown_c
+        return self.temperature_c > SHUTDOWN_C
 
     def switch(self, on: bool) -> None:
         """Torque on or off; it stays off while there is an alarm."""
@@ -159,15 +153,15 @@ class Motor:
     def _drive(self, dt_s: float) -> None:
         """Effort, temperature and the servo's own protection."""
         spec = self.spec
-        own = spec.friction_share * self.velocity / spec.max_speed_ticks_s
+        own = _FRICTION * self.velocity / spec.max_speed_ticks_s
         own += spec.hold_share * self.approach
         if self.blocked:
             own = (self.goal - self.position) / spec.stiff_ticks
         wanted = own - self.external_load
         self.effort = max(-1.0, min(1.0, wanted)) if self.torque_on else 0.0
-        warm = spec.ambient_c + spec.heating_c * self.effort**2
-        self.temperature_c = warm + (self.temperature_c - warm) * math.exp(-dt_s / spec.heat_time_s)
-        overloaded = abs(self.effort) >= spec.overload_share
+        warm = _AMBIENT_C + _HEATING_C * self.effort**2
+        self.temperature_c = warm + (self.temperature_c - warm) * math.exp(-dt_s / _HEAT_TIME_S)
+        overloaded = abs(self.effort) >= _OVERLOAD
         self._overloaded_s = self._overloaded_s + dt_s if overloaded else 0.0
         if self._overloaded_s > spec.overload_s:
             self._alarm("overload")

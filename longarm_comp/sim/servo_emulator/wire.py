@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from longarm_comp.sim.servo_emulator.motor import Motor
 
-BROADCAST = 0xFE
+_BROADCAST = 0xFE
 
 
 class Told(IntEnum):
@@ -95,10 +95,10 @@ class RegisterWire(Wire):
                     self.write(devices[rest[start]], address, data)
             return []
         hearing = [devices[target]] if target in devices else []
-        if target == BROADCAST:
+        if target == _BROADCAST:
             hearing = list(devices.values())
         replies = [self.status(d, *self.carry_out(d, instruction, params)) for d in hearing]
-        return replies if target != BROADCAST or instruction in self.answers_all else []
+        return replies if target != _BROADCAST or instruction in self.answers_all else []
 
     def carry_out(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
         """An instruction to one servo: error code and data of its answer."""

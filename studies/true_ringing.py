@@ -57,7 +57,7 @@ class _Build:
         self.masses: list[tuple[Array, float, int]] = []  # where, kg, springs before it
         self.moved: list[tuple[Array, Array | None, Array, int]] = []  # rows that move
         self.bearings: dict[int, tuple[int, Array]] = {}  # spring and axis, by joint
-        self._turn, self._at = rpy_matrix(self._walk._base[3:]), self._walk._base[:3]
+        self._turn, self._at = rpy_matrix(self._walk.base[3:]), self._walk.base[:3]
         self.tip = (self._at, 0)
         self._yields(Place("base", 0))
         self._frame(0)
@@ -77,7 +77,7 @@ class _Build:
     def _bent(self, times: float) -> Walker:
         """Unit moments about the three axes here, times a number."""
         walker = Walker(np.zeros((3, 1, 3)))
-        walker.push(np.zeros((3, 3)), np.zeros((3, 3)), times * np.eye(3))
+        walker.moment[:, 0] = times * np.eye(3)
         return walker
 
     def _spring(self, at: Array, compliance: Array) -> None:
@@ -86,7 +86,7 @@ class _Build:
         self.springs.append((np.array(at), root))
 
     def _frame(self, row: int) -> None:
-        for mass, at in self._walk._masses[row]:
+        for mass, at in self._walk.masses[row]:
             self._mass(float(np.ravel(mass)[0]), self._at + self._turn @ np.asarray(at))
         if row == self.arm.tip.frame:
             self.tip = (self._at + self._turn @ np.asarray(self.arm.tip.position_m),
@@ -96,7 +96,7 @@ class _Build:
         self.masses.append((at, mass, len(self.springs)))
 
     def _row(self, row: int) -> None:
-        joint, rows = self.arm.joints[row - 1], self._walk._rows[:, row - 1, 0]
+        joint, rows = self.arm.joints[row - 1], self._walk.rows[:, row - 1, 0]
         if joint.pose is not None:
             self._at = self._at + self._turn @ np.asarray(joint.pose.xyz_m)
             self._turn = self._turn @ rpy_matrix(np.radians(joint.pose.rpy_deg))
