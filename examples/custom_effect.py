@@ -7,13 +7,10 @@ docs/add_an_effect.md goes through this file line by line.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import moving_joints, parameter, place
 from longarm_comp.core.effects.joint_term import JointTerm
 
@@ -26,9 +23,9 @@ class CableCoupling(JointTerm):
         driver: row id of the joint that the cable runs over; `joint` is the one that is pulled.
     """
 
-    name: ClassVar[str] = "cable_coupling"
-    title: ClassVar[str] = "cable that pulls a joint"
-    action: ClassVar[str] = "Guide the cable through the axis of the joint that it runs over."
+    name = "cable_coupling"
+    title = "cable that pulls a joint"
+    action = "Guide the cable through the axis of the joint that it runs over."
 
     driver: int = place(moving_joints)
     gain: float = parameter("1", "motion per motion of the driver", prior=0.02)
@@ -39,7 +36,7 @@ class CableCoupling(JointTerm):
         rows = cls.rows(arm)
         return [(cls(joint=j, driver=d),) for j in rows for d in rows if d < j]
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture) -> Twists:
         """The pulled joint's rotation about its own axis."""
         angle = posture.q[posture.arm.commanded.index(self.driver)]
         return self.motion(posture, self.gain * angle)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Vec
-from longarm_comp.core.effects.effect import Bias, parameter, place
+from longarm_comp.core.effects.effect import Bias, Sites, parameter, place
 
 
 @dataclass(frozen=True)
@@ -20,11 +18,11 @@ class AnchorPlace(Bias):
     One that was not declared is solved from the origin, with any place equally likely.
     """
 
-    name: ClassVar[str] = "anchor_place"
-    title: ClassVar[str] = "anchor placement"
-    action: ClassVar[str] = "Measure where the anchor stands and declare it."
-    geometry: ClassVar[bool] = True
-    sees: ClassVar[frozenset[str]] = frozenset({"distance"})
+    name = "anchor_place"
+    title = "anchor placement"
+    action = "Measure where the anchor stands and declare it."
+    geometry = True
+    sees = frozenset({"distance"})
 
     anchor: str = place(default="")
     x: float = parameter("m", "place of the anchor", 0.05, unknown=True)
@@ -32,8 +30,7 @@ class AnchorPlace(Bias):
     z: float = parameter("m", "place of the anchor", 0.05, unknown=True)
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
-        """Every anchor whose place is not declared."""
+    def sites(cls, arm: Arm) -> Sites:
         return [{"anchor": k} for k, v in arm.anchors.items() if v.xyz_m is None]
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import BLEND, GATES, JointTerm, with_prior
 
@@ -25,17 +24,17 @@ class Backlash(JointTerm):
         blend: share of that load over which the two change over.
     """
 
-    name: ClassVar[str] = "backlash"
-    title: ClassVar[str] = "play"
-    types: ClassVar[tuple[str, ...]] = ("revolute", "prismatic")
-    action: ClassVar[str] = "Tighten or replace the gear, coupling or clamp of the joint."
+    name = "backlash"
+    title = "play"
+    types = ("revolute", "prismatic")
+    action = "Tighten or replace the gear, coupling or clamp of the joint."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": "Renew worn pins and bushes of the cylinder and the joint.",
         "cable": "Raise the cables' pretension; look for worn sheaves.",
     }
-    needs: ClassVar[tuple[str, ...]] = ("approach",)
-    loaded: ClassVar[bool] = True
-    limit_aliases: ClassVar[tuple[str, ...]] = ("friction_hysteresis",)  # load decides nowhere
+    needs = ("approach",)
+    loaded = True
+    limit_aliases = ("friction_hysteresis",)  # load decides nowhere
 
     gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
     blend: float = form(BLEND, lower=0.01, upper=0.5)
@@ -47,6 +46,5 @@ class Backlash(JointTerm):
             return with_prior(self.declared(), unit="m", prior=5e-4)
         return self.declared()
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Half the width to the side that holds."""
+    def twists(self, posture: Posture) -> Twists:
         return self.motion(posture, (0.5 * self.width) * self.side(posture, self.gate, self.blend))

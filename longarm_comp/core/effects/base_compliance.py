@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Effect, Parameter, parameter
 from longarm_comp.core.effects.joint_term import typical_loads, with_prior
 
@@ -21,13 +18,11 @@ class BaseCompliance(Effect):
     both, it equals a bearing tilt of the first joint where the two have the same pivot.
     """
 
-    name: ClassVar[str] = "base_compliance"
-    title: ClassVar[str] = "soft base"
-    whole: ClassVar[str] = "base"
-    action: ClassVar[str] = (
-        "Tighten the bolts of the base, brace its stand, or put it on firm ground."
-    )
-    loaded: ClassVar[bool] = True
+    name = "base_compliance"
+    title = "soft base"
+    whole = "base"
+    action = "Tighten the bolts of the base, brace its stand, or put it on firm ground."
+    loaded = True
 
     about_x: float = parameter("rad/(N m)", "tilt about x per moment", prior=2e-3, lower=0.0)
     about_y: float = parameter("rad/(N m)", "tilt about y per moment", prior=2e-3, lower=0.0)
@@ -36,7 +31,6 @@ class BaseCompliance(Effect):
         """Prior: 10 mrad under the arm's typical torque."""
         return with_prior(self.declared(), prior=0.01 / typical_loads(arm)[1])
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Rotation of the base frame."""
+    def twists(self, posture: Posture) -> Twists:
         x, y, _ = posture.moment(0)
         return {0: (0.0, 0.0, 0.0, self.about_x * x, self.about_y * y, 0.0)}

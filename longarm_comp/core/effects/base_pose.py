@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import three
-from longarm_comp.core.arm.posture import PLACEMENT, Posture
+from longarm_comp.core.arm.posture import PLACEMENT, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Twist, exp_large
-from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
+from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
 
 
 @dataclass(frozen=True)
@@ -24,13 +22,11 @@ class BasePose(Effect):
     The base may stand anywhere, unless arm.yaml gives a tolerance.
     """
 
-    name: ClassVar[str] = "base_pose"
-    title: ClassVar[str] = "base placement"
-    action: ClassVar[str] = (
-        "Fix the base so that it cannot shift; calibrate after every move of it."
-    )
-    geometry: ClassVar[bool] = True
-    seen_only: ClassVar[bool] = True
+    name = "base_pose"
+    title = "base placement"
+    action = "Fix the base so that it cannot shift; calibrate after every move of it."
+    geometry = True
+    seen_only = True
 
     group: str = place(default="")
     x: float = parameter("m", "base position error", prior=0.05, unknown=True)
@@ -42,16 +38,14 @@ class BasePose(Effect):
 
     @property
     def where(self) -> str:
-        """``base`` or ``base of group a``."""
         return f"base of group {self.group}" if self.group else "base"
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
+    def sites(cls, arm: Arm) -> Sites:
         """One placement; groups are of a session."""
         return [{}]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Unknown, or with the priors of the declared tolerance."""
         known = arm.tolerance.base
         if known is None:
             return self.declared()
@@ -61,12 +55,10 @@ class BasePose(Effect):
         return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
 
     def base(self, arm: Arm) -> Frame:
-        """The declared base, moved."""
         moved = exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
         return arm.base.frame() @ moved
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """The placement's twist at the base, for the rows of its group."""
+    def twists(self, posture: Posture) -> Twists:
         twist: Twist = (self.x, self.y, self.z, self.rx, self.ry, self.rz)
         if self.group:
             mine = posture.context.is_label("group", self.group)

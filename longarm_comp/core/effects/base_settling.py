@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Effect, parameter
 
 
@@ -19,18 +16,17 @@ class BaseSettling(Effect):
     (`CameraDrift`): sinking alone cannot be told from that, leaning can.
     """
 
-    name: ClassVar[str] = "base_settling"
-    title: ClassVar[str] = "settling base"
-    whole: ClassVar[str] = "base"
-    action: ClassVar[str] = "Brace the stand; measure again after it has settled."
-    needs: ClassVar[tuple[str, ...]] = ("t_s",)
+    name = "base_settling"
+    title = "settling base"
+    whole = "base"
+    action = "Brace the stand; measure again after it has settled."
+    needs = ("t_s",)
 
     sink: float = parameter("m/h", "motion along z of the base frame", prior=1e-3)
     about_x: float = parameter("rad/h", "lean about x of the base frame", prior=2e-3)
     about_y: float = parameter("rad/h", "lean about y of the base frame", prior=2e-3)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Motion of the base frame since the session began."""
+    def twists(self, posture: Posture) -> Twists:
         hours = posture.context.column("t_s", 0.0) / 3600.0
         sunk, x, y = self.sink * hours, self.about_x * hours, self.about_y * hours
         return {0: (0.0, 0.0, sunk, x, y, 0.0)}

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Scalar, Twist
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.effect import Parameter, moving_joints, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
 
@@ -24,11 +22,11 @@ class BearingTilt(JointTerm):
     2021), y is across it.  On their arms axes that turn with the joint leave 3.9 mm, these 3.7.
     """
 
-    name: ClassVar[str] = "bearing_tilt"
-    title: ClassVar[str] = "soft bearing"
-    action: ClassVar[str] = "Check seat and preload of the bearing; replace it if it rocks by hand."
-    loaded: ClassVar[bool] = True
-    elastic: ClassVar[bool] = True
+    name = "bearing_tilt"
+    title = "soft bearing"
+    action = "Check seat and preload of the bearing; replace it if it rocks by hand."
+    loaded = True
+    elastic = True
 
     about_x: float = parameter(
         "rad/(N m)", "tilt about x_{i-1} per moment", prior=2e-3, lower=0.0, like="seat"
@@ -39,7 +37,6 @@ class BearingTilt(JointTerm):
 
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:
-        """Every joint that moves, passive ones too."""
         return moving_joints(arm)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
@@ -49,7 +46,7 @@ class BearingTilt(JointTerm):
         """
         return with_prior(self.declared(), prior=0.01 / typical_loads(arm)[1])
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture) -> Twists:
         """Rotation about the seat's lateral axes, seen in the bearing's."""
         station = posture.bearing(self.joint)
         x, y, _ = posture.moment(station)

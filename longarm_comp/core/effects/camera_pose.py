@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -19,12 +18,10 @@ class CameraPose(Bias):
     Position data cannot tell it from `base_pose`; a calibration fits one of the two.
     """
 
-    name: ClassVar[str] = "camera_pose"
-    title: ClassVar[str] = "camera pose"
-    action: ClassVar[str] = (
-        "Fix the camera's mount; repeat the hand-eye calibration after every move of it."
-    )
-    geometry: ClassVar[bool] = True
+    name = "camera_pose"
+    title = "camera pose"
+    action = "Fix the camera's mount; repeat the hand-eye calibration after every move of it."
+    geometry = True
 
     x: float = parameter("m", "shift of the seen points", prior=0.05)
     y: float = parameter("m", "shift of the seen points", prior=0.05)
@@ -34,6 +31,5 @@ class CameraPose(Bias):
     rz: float = parameter("rad", "turn of the seen points", prior=0.05)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The point moved by the placement's twist."""
         motion = spatial.exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
         return motion.transform(point)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -16,14 +15,13 @@ from longarm_comp.core.effects.effect import parameter
 class CameraRadial(CameraView):
     """Lateral part times ``1 + k1 r^2``, r the tangent off the optical axis (Brown)."""
 
-    name: ClassVar[str] = "camera_radial"
-    title: ClassVar[str] = "lens distortion"
-    action: ClassVar[str] = "Calibrate the lens again, with targets up to the edges of the image."
+    name = "camera_radial"
+    title = "lens distortion"
+    action = "Calibrate the lens again, with targets up to the edges of the image."
 
     k1: float = parameter("1", "first radial coefficient left over", prior=0.05)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The distorted point at its true depth."""
         position, depth, axis, lateral = self.split(point, arm)
         r2 = dot(lateral, lateral) / (depth * depth)
         return self.join(position, depth, axis, scale(1.0 + self.k1 * r2, lateral))

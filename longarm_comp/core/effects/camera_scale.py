@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -16,14 +15,13 @@ from longarm_comp.core.effects.effect import parameter
 class CameraScale(CameraView):
     """Everything seen is ``1 + scale`` times as far from the camera."""
 
-    name: ClassVar[str] = "camera_scale"
-    title: ClassVar[str] = "camera scale"
-    action: ClassVar[str] = "Repeat the stereo calibration; measure the printed target."
+    name = "camera_scale"
+    title = "camera scale"
+    action = "Repeat the stereo calibration; measure the printed target."
 
     scale: float = parameter("1", "relative scale error", prior=0.02)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Depth and lateral part, scaled."""
         position, depth, axis, lateral = self.split(point, arm)
         factor = 1.0 + self.scale
         return self.join(position, factor * depth, axis, scale(factor, lateral))

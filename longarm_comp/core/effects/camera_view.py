@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.spatial import Scalar, Vec, add, dot, scale, sub
-from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.effects.effect import Bias, Sites
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,7 @@ class CameraView(Bias):
     instruments: ClassVar[Mapping[Instrument, str]] = {"camera": ""}
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
-        """One camera, where it is declared."""
+    def sites(cls, arm: Arm) -> Sites:
         return [{}] if arm.camera is not None else []
 
     @staticmethod
@@ -37,5 +36,4 @@ class CameraView(Bias):
 
     @staticmethod
     def join(position: Vec, depth: Scalar, axis: Vec, lateral: Vec) -> Vec:
-        """The point again."""
         return add(position, add(scale(depth, axis), lateral))

@@ -6,7 +6,6 @@ Besides the unit twists and wrenches: something that gives under the load, and a
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import BASE, Posture
+from longarm_comp.core.arm.posture import BASE, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.link_deflection import bent
 from longarm_comp.core.effects.quantities import AXES
@@ -51,7 +50,6 @@ class Acting:
 
     @classmethod
     def of(cls, posture: Posture, place: str) -> Acting:
-        """The place of a name of `stations`."""
         if place == TIP_PLACE:
             tip = posture.arm.tip
             station = posture.frame(tip.frame)
@@ -82,7 +80,7 @@ class _Component(ABC):
         return self.word if self.axis is None else f"{self.word} {AXES[self.axis]}"
 
     @abstractmethod
-    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
         """Twists by station of `amount` of it."""
 
     def _along(self, amount: Scalar) -> Vec:
@@ -94,10 +92,10 @@ class _Component(ABC):
 class Move(_Component):
     """A displacement."""
 
-    word: ClassVar[str] = "move"
-    unit: ClassVar[str] = "m"
+    word = "move"
+    unit = "m"
 
-    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
         return {at.station: (*self._along(amount), *ZERO)}
 
 
@@ -105,10 +103,10 @@ class Move(_Component):
 class Turn(_Component):
     """A rotation."""
 
-    word: ClassVar[str] = "turn"
-    unit: ClassVar[str] = "rad"
+    word = "turn"
+    unit = "rad"
 
-    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
         return {at.station: (*ZERO, *self._along(amount))}
 
 
@@ -116,10 +114,10 @@ class Turn(_Component):
 class Give(_Component):
     """A rotation under the moment that is carried there, across the place's z axis."""
 
-    word: ClassVar[str] = "give"
-    unit: ClassVar[str] = "rad/(N m)"
+    word = "give"
+    unit = "rad/(N m)"
 
-    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
         x, y, _ = posture.moment(at.station)
         return {at.station: (*ZERO, amount * x, amount * y, 0.0)}
 
@@ -132,7 +130,7 @@ class Wrench(_Component):
     def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
         """Force (N) and moment (N m) in the base's axes."""
 
-    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
         """To first order, every element as a cantilever under what the load makes of its end."""
         pushed, turned = self.loads(posture, at, amount)
         made: dict[int, Twist] = {}
@@ -153,8 +151,8 @@ class Wrench(_Component):
 class Force(Wrench):
     """A force at the place."""
 
-    word: ClassVar[str] = "force"
-    unit: ClassVar[str] = "N"
+    word = "force"
+    unit = "N"
 
     def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
         return at.frame.rotate(self._along(amount)), ZERO
@@ -164,8 +162,8 @@ class Force(Wrench):
 class Moment(Wrench):
     """A moment at the place."""
 
-    word: ClassVar[str] = "moment"
-    unit: ClassVar[str] = "N m"
+    word = "moment"
+    unit = "N m"
 
     def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
         return ZERO, at.frame.rotate(self._along(amount))
@@ -175,8 +173,8 @@ class Moment(Wrench):
 class Weight(Wrench):
     """A force at the place, the way that gravity pulls."""
 
-    word: ClassVar[str] = "weight"
-    unit: ClassVar[str] = "N"
+    word = "weight"
+    unit = "N"
 
     def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
         size = float(np.linalg.norm(posture.arm.gravity_mps2))

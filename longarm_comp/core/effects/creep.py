@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, form, parameter
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.effects.effect import Effect, Sites, form, parameter
 from longarm_comp.core.effects.link_deflection import extra_sag
 
 _TIMES_S = (900.0, 3600.0, 14400.0)
@@ -25,21 +22,19 @@ class Creep(Effect):
         time: time constant (s), counted from the start of the session.
     """
 
-    name: ClassVar[str] = "creep"
-    title: ClassVar[str] = "creep"
-    action: ClassVar[str] = "Take the load off between jobs; replace plastic parts that carry load."
-    needs: ClassVar[tuple[str, ...]] = ("t_s",)
-    loaded: ClassVar[bool] = True
+    name = "creep"
+    title = "creep"
+    action = "Take the load off between jobs; replace plastic parts that carry load."
+    needs = ("t_s",)
+    loaded = True
 
     time: float = form(3600.0, lower=100.0, upper=1e5, tried=_TIMES_S)
     amount: float = parameter("1", "final extra sag over the elastic one", prior=0.3, lower=0.0)
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
-        """All beams together."""
+    def sites(cls, arm: Arm) -> Sites:
         return [{}] if arm.links else []
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """The declared cantilever twist times the grown share."""
+    def twists(self, posture: Posture) -> Twists:
         grown = self.amount * (1.0 - np.exp(-posture.context.column("t_s", 0.0) / self.time))
         return extra_sag(posture, grown)

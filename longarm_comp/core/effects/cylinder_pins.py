@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 
@@ -22,12 +19,12 @@ class CylinderPins(JointTerm):
     cylinder's length sensor is the same as both distances wrong by its share.
     """
 
-    name: ClassVar[str] = "cylinder_pins"
-    title: ClassVar[str] = "places of the cylinder's pins"
-    action: ClassVar[str] = (
+    name = "cylinder_pins"
+    title = "places of the cylinder's pins"
+    action = (
         "Measure the distances from the joint's axis to both pins; set the length sensor's scale."
     )
-    geometry: ClassVar[bool] = True
+    geometry = True
 
     near: float = parameter("m", "distance of the pin before the joint", prior=2e-3)
     far: float = parameter("m", "distance of the pin on the part that turns", prior=2e-3)
@@ -35,10 +32,9 @@ class CylinderPins(JointTerm):
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Joints that a cylinder turns."""
         return arm.joints[row - 1].cylinder is not None
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture) -> Twists:
         """``(length L - near (a - b cos) - far (b - a cos)) / (L lever)``."""
         cylinder = posture.arm.joints[self.joint - 1].cylinder
         assert cylinder is not None

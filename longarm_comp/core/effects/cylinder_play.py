@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import form, parameter
 from longarm_comp.core.effects.joint_term import BLEND, GATES, JointTerm
 
@@ -22,11 +19,11 @@ class CylinderPlay(JointTerm):
         gate, blend: as in `Backlash`.
     """
 
-    name: ClassVar[str] = "cylinder_play"
-    title: ClassVar[str] = "play in the cylinder's pins"
-    action: ClassVar[str] = "Renew the pins and bushes of the cylinder."
-    needs: ClassVar[tuple[str, ...]] = ("approach",)
-    loaded: ClassVar[bool] = True
+    name = "cylinder_play"
+    title = "play in the cylinder's pins"
+    action = "Renew the pins and bushes of the cylinder."
+    needs = ("approach",)
+    loaded = True
 
     gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
     blend: float = form(BLEND, lower=0.01, upper=0.5)
@@ -34,11 +31,9 @@ class CylinderPlay(JointTerm):
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Joints that a cylinder turns."""
         return arm.joints[row - 1].cylinder is not None
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Half the play over the lever, to the side that holds."""
+    def twists(self, posture: Posture) -> Twists:
         cylinder = posture.arm.joints[self.joint - 1].cylinder
         assert cylinder is not None
         lever = spatial.absolute(cylinder.lever(posture.q[posture.arm.commanded.index(self.joint)]))

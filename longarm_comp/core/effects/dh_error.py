@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
 from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.effects.sites import rows
@@ -32,12 +29,10 @@ class DhError(Effect):
     (`joint_zero`) is held here.
     """
 
-    name: ClassVar[str] = "dh_error"
-    title: ClassVar[str] = "geometry error"
-    action: ClassVar[str] = (
-        "Nothing to repair: parts differ from the drawing; calibrate after every assembly."
-    )
-    geometry: ClassVar[bool] = True
+    name = "dh_error"
+    title = "geometry error"
+    action = "Nothing to repair: parts differ from the drawing; calibrate after every assembly."
+    geometry = True
 
     row: int = place(rows)
     a: float = parameter("m", "link length error along x_{i-1}", prior=1e-3)
@@ -73,7 +68,7 @@ class DhError(Effect):
                 allowed = f"within +-{most:.3g} m, a quarter of the arm's reach"
                 raise InputError(where, f"{self.name}.{p.name} at {self.where}", value, allowed)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture) -> Twists:
         """``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i."""
         return {
             posture.frame(self.row - 1): (self.a, self.b, 0.0, self.alpha, self.beta, 0.0),

@@ -7,7 +7,6 @@ one place.  `core/identify/discover` finds them; a model holds any number.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -17,8 +16,8 @@ import numpy as np
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import PER_JOINT, Context
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Scalar, Twist, Vec
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.arm.spatial import Scalar, Vec
 from longarm_comp.core.effects.components import COMPONENTS, Acting, components, stations
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
 from longarm_comp.core.effects.function import Function, function
@@ -49,7 +48,6 @@ class _OfFunction:
 
     @property
     def where(self) -> str:
-        """Where it acts, and what."""
         raise NotImplementedError
 
     @cached_property
@@ -59,16 +57,13 @@ class _OfFunction:
 
     @property
     def place(self) -> str:
-        """Where it acts and how it depends."""
         return f"{self.where}, {self.function}"
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Circumstances that its function reads."""
         return tuple(dict.fromkeys(name for q in self.of.quantities for name in q.inputs))
 
     def require(self, context: Context) -> None:
-        """What its function reads must be recorded."""
         for column in self.inputs:
             if column not in PER_JOINT and not context.has(column):
                 raise InputError(self.name, column, "missing", "a recorded column of the session")
@@ -86,12 +81,12 @@ class Discovered(_OfFunction, Effect):
         scale: prior standard deviation of the amount.
     """
 
-    name: ClassVar[str] = "discovered"
-    title: ClassVar[str] = "cause without a name"
-    action: ClassVar[str] = "Look there for something that acts like this."
-    loaded: ClassVar[bool] = True
-    bounded: ClassVar[bool] = True
-    searched: ClassVar[bool] = False
+    name = "discovered"
+    title = "cause without a name"
+    action = "Look there for something that acts like this."
+    loaded = True
+    bounded = True
+    searched = False
 
     at: str = place(stations, default="base")
     component: str = place(components, default="move x")
@@ -102,25 +97,20 @@ class Discovered(_OfFunction, Effect):
 
     @property
     def where(self) -> str:
-        """``joint 5, force y``."""
         return f"{self.at}, {self.component}"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """The amount, in the units of its component and function."""
         return _amount(self.declared(), COMPONENTS[self.component].unit, self.of, self.scale, arm)
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """The joint that it acts at."""
         kind, _, row = self.at.partition(" ")
         return (int(row),) if kind == "joint" else ()
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
-        """Joints whose side of arrival its function reads."""
         return tuple(dict.fromkeys(j for q in self.of.quantities for j in q.joints))
 
     def check(self, arm: Arm, where: str) -> None:
-        """Its function must be one of what this arm has."""
         _check(self.name, self, arm, where, OfPosture)
 
     def outside(self, posture: Posture) -> list[tuple[str, ...]]:
@@ -135,8 +125,7 @@ class Discovered(_OfFunction, Effect):
                     made[row] = (*made[row], text)
         return made
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Amount times function of its component."""
+    def twists(self, posture: Posture) -> Twists:
         amount = self.amount * self.of.value(lambda q: q.read(posture))  # type: ignore[attr-defined]
         at = Acting.of(posture, self.at)
         return COMPONENTS[self.component].twists(posture, at, amount)
@@ -153,12 +142,12 @@ class DiscoveredView(_OfFunction, Bias):
         domain, scale: as of `Discovered`.
     """
 
-    name: ClassVar[str] = "discovered_view"
-    title: ClassVar[str] = "cause without a name in what is measured"
-    action: ClassVar[str] = "Check mount, lenses and calibration of the camera."
-    searched: ClassVar[bool] = False
+    name = "discovered_view"
+    title = "cause without a name in what is measured"
+    action = "Check mount, lenses and calibration of the camera."
+    searched = False
 
-    at: ClassVar[str] = CAMERA
+    at = CAMERA
 
     axis: str = place(views, default="x")
     function: str = place(default="1")
@@ -173,7 +162,6 @@ class DiscoveredView(_OfFunction, Bias):
 
     @property
     def where(self) -> str:
-        """``camera, x``."""
         return f"{self.at}, {self.axis}"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
@@ -182,11 +170,9 @@ class DiscoveredView(_OfFunction, Bias):
         return _amount(self.declared(), unit, self.of, self.scale, arm)
 
     def check(self, arm: Arm, where: str) -> None:
-        """Its function must be one of the seen point and of recorded columns."""
         _check(self.name, self, arm, where, SeenCoordinate)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The point displaced along one axis, or away from the camera."""
         at = SeenPoint(point, context)
         by: Scalar = self.amount * self.of.value(lambda q: q.read(at))  # type: ignore[attr-defined]
         if self.axis == DISTANCE and arm.camera is not None:

@@ -23,8 +23,8 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Instrument
-from longarm_comp.core.arm.posture import Lumped, Posture
-from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
+from longarm_comp.core.arm.posture import Lumped, Posture, Twists
+from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.parameters import Parameter
 from longarm_comp.core.effects.sites import moving_joints
 from longarm_comp.core.errors import InputError
@@ -32,6 +32,7 @@ from longarm_comp.core.errors import InputError
 _PARAMETER, _PLACE, _FORM, _TRIED = "parameter", "place", "form", "tried"
 Drive = Literal["servo", "gear", "arm"]
 Places = Callable[[Arm], Sequence[int] | Sequence[str]]
+Sites = Sequence[Mapping[str, Any]]
 
 
 @cache
@@ -256,7 +257,7 @@ class _Term:
         return tuple(v for name, v in self.places.items() if kinds.get(name) is moving_joints)
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
+    def sites(cls, arm: Arm) -> Sites:
         """Values of the place fields that an arm has: of an effect without a place one, `{}`.
 
         None where a place may be any text: then the rows of a session say which there are.
@@ -323,7 +324,7 @@ class Effect(_Term, ABC):
     """An arm-side cause of error."""
 
     @abstractmethod
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture) -> Twists:
         """Small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
 
     def outside(self, posture: Posture) -> Sequence[tuple[str, ...]]:
@@ -369,7 +370,6 @@ class Bias(_Term, ABC):
         return arm.measuring is None or not cls.instruments or arm.measuring in cls.instruments
 
     def advice(self, arm: Arm) -> str:
-        """By what measures the arm."""
         return (arm.measuring and self.instruments.get(arm.measuring)) or self.action
 
     @abstractmethod

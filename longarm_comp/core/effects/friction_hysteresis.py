@@ -8,8 +8,7 @@ from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SLIDE
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 
@@ -29,16 +28,16 @@ class FrictionHysteresis(JointTerm):
             session that it was fitted to; 0: there were none.
     """
 
-    name: ClassVar[str] = "friction_hysteresis"
-    title: ClassVar[str] = "friction"
-    types: ClassVar[tuple[str, ...]] = ("revolute", "prismatic")
-    action: ClassVar[str] = "Clean and grease the joint; look for dragging seals and cables."
+    name = "friction_hysteresis"
+    title = "friction"
+    types = ("revolute", "prismatic")
+    action = "Clean and grease the joint; look for dragging seals and cables."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": "Check the cylinder's seals and guides, and the valve's deadband.",
         "cable": "Clean and grease sheaves and conduits; look for cables that rub.",
     }
-    needs: ClassVar[tuple[str, ...]] = ("approach",)
-    remembers: ClassVar[bool] = True
+    needs = ("approach",)
+    remembers = True
 
     near: float = form(0.04, lower=0.01, upper=0.6)
     far: float = form(0.15, lower=0.01, upper=0.6)
@@ -59,11 +58,9 @@ class FrictionHysteresis(JointTerm):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Side and legs of its joint."""
         return ("approach", "legs")
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Half the widths against the directions of motion."""
+    def twists(self, posture: Posture) -> Twists:
         sliding = posture.arm.joints[self.joint - 1].type == "prismatic"
         scale = SLIDE if sliding else 1.0
         side = self.direction(posture)

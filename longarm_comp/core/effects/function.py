@@ -38,7 +38,6 @@ class Function:
 
     @property
     def text(self) -> str:
-        """As it is stored."""
         return " * ".join(f.text for f in self.factors) or "1"
 
     @property

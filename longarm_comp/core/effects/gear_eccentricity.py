@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import form, parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 
@@ -21,14 +20,14 @@ class GearEccentricity(JointTerm):
         order: periods per turn of the joint.
     """
 
-    name: ClassVar[str] = "gear_eccentricity"
-    title: ClassVar[str] = "eccentric gear"
-    action: ClassVar[str] = "Seat the gear wheel or encoder disc again, or replace it."
+    name = "gear_eccentricity"
+    title = "eccentric gear"
+    action = "Seat the gear wheel or encoder disc again, or replace it."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": "Check the linkage's pins and the seat of the angle sensor.",
         "cable": "Seat the drum or sheave again, or replace it.",
     }
-    free_levels: ClassVar[int] = 3
+    free_levels = 3
 
     order: int = form(1, tried=(1, 2))
     cosine: float = parameter("rad", "cosine amplitude", prior=2e-3)
@@ -39,8 +38,7 @@ class GearEccentricity(JointTerm):
         """Each order of a joint on its own: real gears have several."""
         return f"{self.where}, order {self.order}"
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """The periodic rotation."""
+    def twists(self, posture: Posture) -> Twists:
         angle = float(self.order) * posture.q[posture.arm.commanded.index(self.joint)]
         amount = self.cosine * spatial.cos(angle) + self.sine * spatial.sin(angle)
         return self.motion(posture, amount)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist, Vec, add, cross
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.arm.spatial import Vec, add, cross
 from longarm_comp.core.effects.effect import Effect, parameter
 
 
@@ -19,19 +17,17 @@ class GravityDirection(Effect):
     base by eye or by a bubble leaves some 5 mrad, which is no finding.
     """
 
-    name: ClassVar[str] = "gravity_direction"
-    title: ClassVar[str] = "base out of level"
-    whole: ClassVar[str] = "base"
-    action: ClassVar[str] = "Level the base, or declare the direction of gravity."
-    loaded: ClassVar[bool] = True
+    name = "gravity_direction"
+    title = "base out of level"
+    whole = "base"
+    action = "Level the base, or declare the direction of gravity."
+    loaded = True
 
     about_x: float = parameter("rad", "lean of gravity about base x", prior=0.03, usual=5e-3)
     about_y: float = parameter("rad", "lean of gravity about base y", prior=0.03, usual=5e-3)
 
     def gravity(self, gravity: Vec) -> Vec:
-        """The turned gravity (first order)."""
         return add(gravity, cross((self.about_x, self.about_y, 0.0), gravity))
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """None of its own."""
+    def twists(self, posture: Posture) -> Twists:
         return {}

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 
@@ -19,16 +16,15 @@ class GuideCurvature(JointTerm):
     These are the pitch and yaw of a linear axis in ISO 230-1, to first order in its travel.
     """
 
-    name: ClassVar[str] = "guide_curvature"
-    title: ClassVar[str] = "curved guide"
-    types: ClassVar[tuple[str, ...]] = ("prismatic",)
-    action: ClassVar[str] = "Align the guide rail or replace it."
+    name = "guide_curvature"
+    title = "curved guide"
+    types = ("prismatic",)
+    action = "Align the guide rail or replace it."
 
     about_x: float = parameter("rad/m", "turn about x per travel", prior=5e-3)
     about_y: float = parameter("rad/m", "turn about y per travel", prior=5e-3)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Turn and lateral motion of the row's frame."""
+    def twists(self, posture: Posture) -> Twists:
         q = posture.q[posture.arm.commanded.index(self.joint)]
         x, y = self.about_x * q, self.about_y * q
         return {posture.frame(self.joint): (0.5 * q * y, -0.5 * q * x, 0.0, x, y, 0.0)}

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Parameter, moving_joints, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, reach, typical_loads, with_prior
 
@@ -20,23 +19,20 @@ class JointCompliance(JointTerm):
     A prismatic joint gives way along its axis: m/N.
     """
 
-    name: ClassVar[str] = "joint_compliance"
-    title: ClassVar[str] = "soft joint"
-    action: ClassVar[str] = (
-        "Check keys, clamps and screws of the drive; a stiffer gear or shaft lowers it."
-    )
+    name = "joint_compliance"
+    title = "soft joint"
+    action = "Check keys, clamps and screws of the drive; a stiffer gear or shaft lowers it."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": "Bleed cylinder and hoses of air; check hoses, pins and the valve's leakage.",
         "cable": "Use stiffer cables or raise their pretension; check their anchors.",
     }
-    loaded: ClassVar[bool] = True
-    elastic: ClassVar[bool] = True
+    loaded = True
+    elastic = True
 
     compliance: float = parameter("rad/(N m)", "torsion per gravity torque", prior=4e-3, lower=0.0)
 
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:
-        """Every joint that moves, passive ones too."""
         return moving_joints(arm)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
@@ -49,6 +45,5 @@ class JointCompliance(JointTerm):
             return with_prior(self.declared(), unit="m/N", prior=0.002 * reach(arm) / force)
         return with_prior(self.declared(), prior=0.02 / torque)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Rotation about (translation along) the joint's axis at its bearing."""
+    def twists(self, posture: Posture) -> Twists:
         return self.motion(posture, self.compliance * self.load(posture))

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 
@@ -16,9 +15,9 @@ from longarm_comp.core.effects.joint_term import JointTerm
 class JointGain(JointTerm):
     """A revolute joint turns ``(1 + gain) q``; its offset at q = 0 is `joint_zero`."""
 
-    name: ClassVar[str] = "joint_gain"
-    title: ClassVar[str] = "scale error of the joint"
-    action: ClassVar[str] = "Check the gear ratio and the counts per turn in the servo's settings."
+    name = "joint_gain"
+    title = "scale error of the joint"
+    action = "Check the gear ratio and the counts per turn in the servo's settings."
     actions: ClassVar[Mapping[str, str]] = {
         "motor": "Check the gear ratio and the encoder's counts per turn in the drive's settings.",
         "hydraulic": (
@@ -26,11 +25,10 @@ class JointGain(JointTerm):
         ),
         "cable": "Measure the drum's diameter with the cable on it and set the ratio.",
     }
-    free_levels: ClassVar[int] = 2
+    free_levels = 2
 
     gain: float = parameter("1", "extra motion per commanded motion", prior=0.05)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Rotation ``gain * q``."""
+    def twists(self, posture: Posture) -> Twists:
         q = posture.q[posture.arm.commanded.index(self.joint)]
         return self.motion(posture, self.gain * q)

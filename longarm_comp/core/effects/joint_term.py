@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,9 +14,9 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import play
-from longarm_comp.core.arm.posture import Chain, Posture
+from longarm_comp.core.arm.posture import Chain, Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar, Twist
-from longarm_comp.core.effects.effect import Drive, Effect, Parameter, moving_joints, place
+from longarm_comp.core.effects.effect import Drive, Effect, Parameter, Sites, moving_joints, place
 
 GATES = (0.0, 0.03, 0.075, 0.15, 0.3, 0.75)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
@@ -54,20 +54,17 @@ class JointTerm(Effect):
         return [row for row in arm.commanded if cls.fits(arm, row)]
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
-        """Each of these joints."""
+    def sites(cls, arm: Arm) -> Sites:
         return [{"joint": row} for row in cls.rows(arm)]
 
     def advice(self, arm: Arm) -> str:
-        """By the joint's kind of drive."""
         return self.actions.get(arm.joints[self.joint - 1].drive, self.action)
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
-        """Its own joint if it reads a history."""
         reads = any(name in PER_JOINT for name in self.inputs)
         return (arm.commanded.index(self.joint),) if reads else ()
 
-    def motion(self, posture: Posture, amount: Scalar) -> Mapping[int, Twist]:
+    def motion(self, posture: Posture, amount: Scalar) -> Twists:
         """The joint moved by `amount` (rad or m) along its own z axis, at its bearing.
 
         Passive joints coupled to it (mimic) follow.

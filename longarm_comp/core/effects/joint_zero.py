@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Parameter, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 
@@ -18,17 +17,17 @@ from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 class JointZero(JointTerm):
     """The joint stands at ``q + offset``: the encoder's or servo horn's zero is off."""
 
-    name: ClassVar[str] = "joint_zero"
-    title: ClassVar[str] = "zero offset"
-    types: ClassVar[tuple[str, ...]] = ("revolute", "prismatic")
-    action: ClassVar[str] = "Set the zero of the servo or encoder again."
+    name = "joint_zero"
+    title = "zero offset"
+    types = ("revolute", "prismatic")
+    action = "Set the zero of the servo or encoder again."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": "Set the zero of the joint's angle or length sensor again.",
         "motor": "Reference the axis again, or set the encoder's zero.",
         "cable": "Reference the joint again; look for a cable that slipped or stretched.",
     }
-    geometry: ClassVar[bool] = True
-    displaces_joint: ClassVar[bool] = True
+    geometry = True
+    displaces_joint = True
 
     offset: float = parameter("rad", "joint value at command zero", prior=4e-3)
 
@@ -40,6 +39,5 @@ class JointZero(JointTerm):
         declared = joint.tolerance.theta_deg
         return with_prior(self.declared(), prior=math.radians(declared) if declared else 4e-3)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """The joint moved by its offset."""
+    def twists(self, posture: Posture) -> Twists:
         return self.motion(posture, self.offset)

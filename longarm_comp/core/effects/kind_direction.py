@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, form, parameter, place
 
@@ -20,11 +18,11 @@ class KindDirection(Effect):
     folded into the errors that it is made of.  No model.yaml holds it.
     """
 
-    name: ClassVar[str] = "kind_direction"
-    title: ClassVar[str] = "usual difference between arms of this kind"
-    geometry: ClassVar[bool] = True
-    passing: ClassVar[bool] = True
-    searched: ClassVar[bool] = False
+    name = "kind_direction"
+    title = "usual difference between arms of this kind"
+    geometry = True
+    passing = True
+    searched = False
 
     number: int = place()
     terms: tuple[Effect, ...] = form(())  # type: ignore[arg-type]
@@ -32,10 +30,9 @@ class KindDirection(Effect):
 
     @property
     def loaded(self) -> bool:  # type: ignore[override]
-        """Whether a part of it depends on the loads."""
         return any(term.loaded for term in self.terms)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture) -> Twists:
         """The twists of its parts, which are linear in their values, times the amount."""
         made: dict[int, Twist] = {}
         for term in self.terms:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm, Joint
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Scalar, Twist
-from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.arm.spatial import Scalar
+from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
 from longarm_comp.core.effects.joint_term import reach, typical_loads, with_prior
 from longarm_comp.core.effects.sites import rows
 
@@ -27,20 +25,18 @@ class LinkBending(Effect):
     ``(l/2 M x r + l/3 (r x F) x r) / EI`` (Euler-Bernoulli).  A slide is as long as it is out.
     """
 
-    name: ClassVar[str] = "link_bending"
-    title: ClassVar[str] = "undeclared bending of a link"
-    action: ClassVar[str] = (
-        "Declare the link's beam in arm.yaml; check its clamping. A stiffer profile lowers it."
-    )
-    loaded: ClassVar[bool] = True
-    elastic: ClassVar[bool] = True
+    name = "link_bending"
+    title = "undeclared bending of a link"
+    action = "Declare the link's beam in arm.yaml; check its clamping. A stiffer profile lowers it."
+    loaded = True
+    elastic = True
 
     row: int = place(rows)
     bending: float = parameter("1/(N m^2)", "1 / EI of the link", prior=1e-4, lower=0.0)
     torsion: float = parameter("1/(N m^2)", "1 / GJ of the link", prior=1e-4, lower=0.0)
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
+    def sites(cls, arm: Arm) -> Sites:
         """Every row with a length and without a declared beam."""
         declared = {beam.row for beam in arm.links}
         return [{"row": j.id} for j in arm.joints if j.id not in declared and _long(j)]
@@ -57,8 +53,7 @@ class LinkBending(Effect):
         """
         return with_prior(self.declared(), prior=0.01 / (typical_loads(arm)[1] * reach(arm) / 4))
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Turn and motion of the row's frame under the loads there."""
+    def twists(self, posture: Posture) -> Twists:
         start, station = posture.frame(self.row - 1), posture.frame(self.row)
         end = posture.frames[station]
         r = end.unrotate(spatial.sub(end.p, posture.frames[start].p))

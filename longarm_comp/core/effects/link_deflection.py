@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 from longarm_comp.core.arm import stacked
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Element, Posture, abs_, loads
+from longarm_comp.core.arm.posture import Element, Posture, Twists, abs_, loads
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
-from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.effect import Effect, Sites
 
 
 @dataclass(frozen=True)
@@ -20,24 +19,23 @@ class LinkDeflection(Effect):
     It has no parameter: sections, moduli and masses are declared in the arm.
     """
 
-    name: ClassVar[str] = "link_deflection"
-    title: ClassVar[str] = "sag of the beams"
-    action: ClassVar[str] = "Nothing to repair: a stiffer section or less load lowers it."
-    loaded: ClassVar[bool] = True
-    bends_beams: ClassVar[bool] = True
-    searched: ClassVar[bool] = False
+    name = "link_deflection"
+    title = "sag of the beams"
+    action = "Nothing to repair: a stiffer section or less load lowers it."
+    loaded = True
+    bends_beams = True
+    searched = False
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
+    def sites(cls, arm: Arm) -> Sites:
         """None: every model of declared beams has it."""
         return []
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Cantilever twist of every beam element at its end station."""
+    def twists(self, posture: Posture) -> Twists:
         return {e.station: cantilever(posture, e) for e in _elements(posture)}
 
 
-def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Mapping[int, Twist]:
+def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
     """A share of the declared cantilever twist, at the end of every element.
 
     Args:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Lumped, Posture
-from longarm_comp.core.arm.spatial import ZERO, Twist
-from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
+from longarm_comp.core.arm.posture import Lumped, Posture, Twists
+from longarm_comp.core.arm.spatial import ZERO
+from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
 from longarm_comp.core.effects.joint_term import typical_loads, with_prior
 from longarm_comp.core.effects.sites import rows
 
@@ -22,18 +20,18 @@ class LinkMass(Effect):
     twist of its own: its weight acts through every elastic effect of the model.
     """
 
-    name: ClassVar[str] = "link_mass"
-    title: ClassVar[str] = "mass along the arm"
-    action: ClassVar[str] = (
+    name = "link_mass"
+    title = "mass along the arm"
+    action = (
         "Weigh the links with all that they carry (drives, cables, hoses) and correct arm.yaml."
     )
-    loaded: ClassVar[bool] = True
+    loaded = True
 
     frame: int = place(rows)
     mass: float = parameter("kg", "mass beyond the declared ones", prior=0.1)
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
+    def sites(cls, arm: Arm) -> Sites:
         """Each frame that beams carry, but for the one where `tip_payload` is."""
         first = min((beam.row for beam in arm.links), default=len(arm.joints))
         tip = (arm.payload or arm.tip).frame
@@ -44,9 +42,7 @@ class LinkMass(Effect):
         return with_prior(self.declared(), prior=max(0.1 * typical_loads(arm)[0] / 9.81, 1e-6))
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
-        """The mass at the frame's origin."""
         return (Lumped(posture.frame(self.frame), self.mass, ZERO),)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """None of its own."""
+    def twists(self, posture: Posture) -> Twists:
         return {}

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Effect, parameter, place
 from longarm_comp.core.effects.link_deflection import extra_sag
 from longarm_comp.core.effects.sites import beams
@@ -17,12 +14,10 @@ from longarm_comp.core.effects.sites import beams
 class LinkStiffness(Effect):
     """Wrong E or section: the beam bends by ``1 + softness`` times what is declared."""
 
-    name: ClassVar[str] = "link_stiffness"
-    title: ClassVar[str] = "beam stiffness"
-    action: ClassVar[str] = (
-        "Compare section and material with arm.yaml; look for cracks and loose clamps."
-    )
-    loaded: ClassVar[bool] = True
+    name = "link_stiffness"
+    title = "beam stiffness"
+    action = "Compare section and material with arm.yaml; look for cracks and loose clamps."
+    loaded = True
 
     beam: str = place(beams)
     softness: float = parameter(
@@ -32,6 +27,5 @@ class LinkStiffness(Effect):
         lower=-0.9,
     )
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """The declared cantilever twist, times the softness."""
+    def twists(self, posture: Posture) -> Twists:
         return extra_sag(posture, self.softness, self.beam)

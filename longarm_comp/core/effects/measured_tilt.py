@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from typing_extensions import Self
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Inclinometer
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Effect, Parameter, form, parameter, place
 from longarm_comp.core.effects.sites import frames
 from longarm_comp.core.errors import InputError
@@ -32,9 +29,9 @@ class MeasuredTilt(Effect):
         gain: of a sensor whose gain is declared free.
     """
 
-    name: ClassVar[str] = "measured_tilt"
-    title: ClassVar[str] = "tilt that an inclinometer measures"
-    action: ClassVar[str] = "Brace the structure there; keep the inclinometer at work."
+    name = "measured_tilt"
+    title = "tilt that an inclinometer measures"
+    action = "Brace the structure there; keep the inclinometer at work."
 
     frame: int = place(frames, default=0)
     sensor: str = place(default="")
@@ -43,7 +40,6 @@ class MeasuredTilt(Effect):
 
     @property
     def where(self) -> str:
-        """``frame 4`` or ``sensor foot``."""
         return f"sensor {self.sensor}" if self.sensor else f"frame {self.frame}"
 
     @classmethod
@@ -57,25 +53,21 @@ class MeasuredTilt(Effect):
         return made
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """The gain, where it is free."""
         held = arm.sensors.get(self.sensor)
         free = isinstance(held, Inclinometer) and held.gain == "free"
         return self.declared() if free else ()
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Both readings."""
         of = self.sensor or self.frame
         return (f"incl_{of}_x", f"incl_{of}_y")
 
     def require(self, context: Context) -> None:
-        """Both readings must be recorded."""
         for column in self.inputs:
             if not context.has(column):
                 raise InputError(self.name, column, "missing", "an inclinometer's reading (rad)")
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """The reading as a rotation of the frame."""
+    def twists(self, posture: Posture) -> Twists:
         x, y = (posture.context.column(name, 0.0) for name in self.inputs)
         held = posture.arm.sensors.get(self.sensor)
         if not isinstance(held, Inclinometer):

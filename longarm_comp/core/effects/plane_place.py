@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -19,12 +18,12 @@ class PlanePlace(Bias):
     Its normal is the z axis before a turn about x and y; of two opposite ones, that closer to z.
     """
 
-    name: ClassVar[str] = "plane_place"
-    title: ClassVar[str] = "touched plane"
-    action: ClassVar[str] = "Nothing to repair: the plane is solved from the touches."
-    geometry: ClassVar[bool] = True
-    passing: ClassVar[bool] = True
-    sees: ClassVar[frozenset[str]] = frozenset({"plane"})
+    name = "plane_place"
+    title = "touched plane"
+    action = "Nothing to repair: the plane is solved from the touches."
+    geometry = True
+    passing = True
+    sees = frozenset({"plane"})
 
     plane: str = place(default="")
     z: float = parameter("m", "height of the plane along its normal", 0.05, unknown=True)

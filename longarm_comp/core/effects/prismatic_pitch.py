@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 
@@ -16,10 +15,10 @@ from longarm_comp.core.effects.joint_term import JointTerm
 class PrismaticPitch(JointTerm):
     """A prismatic joint travels ``(1 + gain) q``."""
 
-    name: ClassVar[str] = "prismatic_pitch"
-    title: ClassVar[str] = "pitch error of the slide"
-    types: ClassVar[tuple[str, ...]] = ("prismatic",)
-    action: ClassVar[str] = "Check the pitch of the spindle or belt in the servo's settings."
+    name = "prismatic_pitch"
+    title = "pitch error of the slide"
+    types = ("prismatic",)
+    action = "Check the pitch of the spindle or belt in the servo's settings."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": "Calibrate the cylinder's length sensor again, at both ends of its travel.",
         "cable": "Measure the drum's diameter with the cable on it and set the ratio.",
@@ -27,7 +26,6 @@ class PrismaticPitch(JointTerm):
 
     gain: float = parameter("1", "extra travel per commanded travel", prior=0.02)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Translation ``gain * q``."""
+    def twists(self, posture: Posture) -> Twists:
         q = posture.q[posture.arm.commanded.index(self.joint)]
         return self.motion(posture, self.gain * q)

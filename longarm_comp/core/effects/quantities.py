@@ -60,9 +60,9 @@ class Quantity(ABC):
     """
 
     pattern: ClassVar[str]
-    si: ClassVar[str] = "1"
+    si = "1"
     """Its SI unit, where it has one on every arm."""
-    plain: ClassVar[bool] = True
+    plain = True
     """Whether a cause is likely to depend on it as it is."""
 
     numbers: tuple[int, ...] = ()
@@ -95,7 +95,7 @@ class OfPosture(Quantity):
         resolution: span below which it is the arm's tolerance that varies, in its unit.
     """
 
-    resolution: ClassVar[float] = 0.0
+    resolution = 0.0
 
     @abstractmethod
     def read(self, posture: Posture) -> Scalar:
@@ -127,7 +127,7 @@ class _OfJoint(OfPosture):
 class JointPosition(_OfJoint):
     """Position of a commanded joint."""
 
-    pattern: ClassVar[str] = r"q(\d+)"
+    pattern = r"q(\d+)"
 
     def unit(self, arm: Arm) -> str:
         return "m" if self.slides(arm) else "rad"
@@ -140,7 +140,7 @@ class JointPosition(_OfJoint):
 class JointLoad(_OfJoint):
     """Gravity load of a commanded joint."""
 
-    pattern: ClassVar[str] = r"load_(\d+)"
+    pattern = r"load_(\d+)"
 
     def unit(self, arm: Arm) -> str:
         return "N" if self.slides(arm) else "N m"
@@ -153,7 +153,7 @@ class JointLoad(_OfJoint):
 class JointSide(_OfJoint):
     """Side that a commanded joint arrived from."""
 
-    pattern: ClassVar[str] = r"side_(\d+)"
+    pattern = r"side_(\d+)"
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -171,8 +171,8 @@ class JointSide(_OfJoint):
 class LoadSum(OfPosture):
     """Sum of the absolute torques of the turning commanded joints."""
 
-    pattern: ClassVar[str] = r"sum_loads"
-    si: ClassVar[str] = "N m"
+    pattern = r"sum_loads"
+    si = "N m"
 
     def exists(self, arm: Arm) -> bool:
         return bool(_turning(arm))
@@ -188,8 +188,8 @@ class LoadSum(OfPosture):
 class Warmth(OfPosture):
     """Temperature above the arm's reference."""
 
-    pattern: ClassVar[str] = r"warmth"
-    si: ClassVar[str] = "K"
+    pattern = r"warmth"
+    si = "K"
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -215,9 +215,9 @@ class _OfRow(OfPosture):
 class Moment(_OfRow):
     """Moment of all that is carried at a bearing, about one of its axes."""
 
-    pattern: ClassVar[str] = r"moment_(\d+)_([xyz])"
-    si: ClassVar[str] = "N m"
-    plain: ClassVar[bool] = False
+    pattern = r"moment_(\d+)_([xyz])"
+    si = "N m"
+    plain = False
 
     def read(self, posture: Posture) -> Scalar:
         return posture.moment(self.station(posture))[self.axis]
@@ -227,8 +227,8 @@ class Moment(_OfRow):
 class Gravity(_OfRow):
     """Share of gravity along an axis of a row."""
 
-    pattern: ClassVar[str] = r"gravity_(\d+)_([xyz])"
-    plain: ClassVar[bool] = False
+    pattern = r"gravity_(\d+)_([xyz])"
+    plain = False
 
     def read(self, posture: Posture) -> Scalar:
         size = float(np.linalg.norm(posture.arm.gravity_mps2))
@@ -239,10 +239,10 @@ class Gravity(_OfRow):
 class Span(OfPosture):
     """Distance between two bearings; row 0 is the base."""
 
-    pattern: ClassVar[str] = r"distance_(\d+)_(\d+)"
-    si: ClassVar[str] = "m"
-    resolution: ClassVar[float] = 1e-3  # the tolerance of a row's lengths (`dh_error`)
-    plain: ClassVar[bool] = False
+    pattern = r"distance_(\d+)_(\d+)"
+    si = "m"
+    resolution = 1e-3  # the tolerance of a row's lengths (`dh_error`)
+    plain = False
 
     def exists(self, arm: Arm) -> bool:
         first, last = self.numbers
@@ -259,11 +259,10 @@ class Span(OfPosture):
 class SeenCoordinate(Quantity):
     """A coordinate of the seen point in the base frame."""
 
-    pattern: ClassVar[str] = r"seen_([xyz])"
-    si: ClassVar[str] = "m"
+    pattern = r"seen_([xyz])"
+    si = "m"
 
     def read(self, seen: SeenPoint) -> Scalar:
-        """Its value."""
         return seen.point[self.axis]
 
 
@@ -271,7 +270,7 @@ class SeenCoordinate(Quantity):
 class Recorded(Quantity):
     """A recorded column."""
 
-    pattern: ClassVar[str] = r"[A-Za-z]\w*"
+    pattern = r"[A-Za-z]\w*"
 
     column: str = ""
 
@@ -283,7 +282,6 @@ class Recorded(Quantity):
         return (self.column,)
 
     def read(self, at: Circumstances) -> Scalar:
-        """Its value."""
         return at.context.column(self.column)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -16,10 +15,10 @@ from longarm_comp.core.effects.effect import Bias, parameter, place
 class SensorPlace(Bias):
     """A further sensor reports in a frame of its own, anywhere against that of the first one."""
 
-    name: ClassVar[str] = "sensor_place"
-    title: ClassVar[str] = "sensor placement"
-    action: ClassVar[str] = "Fix the sensor's stand; calibrate after every move of it."
-    geometry: ClassVar[bool] = True
+    name = "sensor_place"
+    title = "sensor placement"
+    action = "Fix the sensor's stand; calibrate after every move of it."
+    geometry = True
 
     sensor: str = place(default="")
     x: float = parameter("m", "shift of the points that it sees", 0.05, unknown=True)
@@ -30,7 +29,6 @@ class SensorPlace(Bias):
     rz: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The point in the sensor's frame, for its own rows."""
         mine = context.is_label("sensor", self.sensor)
         twist = (self.x, self.y, self.z, self.rx, self.ry, self.rz)
         return spatial.exp_large(tuple(mine * t for t in twist)).transform(point)  # type: ignore[arg-type]

@@ -8,9 +8,8 @@ from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Drive, Parameter, form, parameter
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import (
     BLEND,
     GATES,
@@ -33,12 +32,10 @@ class ServoDroop(JointTerm):
         blend: share of that load over which the two change over.
     """
 
-    name: ClassVar[str] = "servo_droop"
-    title: ClassVar[str] = "servo that yields to its load"
-    acts: ClassVar[Drive] = "servo"
-    action: ClassVar[str] = (
-        "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
-    )
+    name = "servo_droop"
+    title = "servo that yields to its load"
+    acts = "servo"
+    action = "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
     actions: ClassVar[Mapping[str, str]] = {
         "hydraulic": (
             "Add integral action to the valve's controller, or check it for leakage and deadband."
@@ -46,9 +43,9 @@ class ServoDroop(JointTerm):
         "motor": "Raise the gain of the position controller, or add integral action.",
         "cable": "Raise the gain of the position controller, or measure the angle at the joint.",
     }
-    loaded: ClassVar[bool] = True
-    aliases: ClassVar[tuple[str, ...]] = ("joint_compliance",)  # a sag is a compliance
-    limit_aliases: ClassVar[tuple[str, ...]] = ("backlash",)  # without sag
+    loaded = True
+    aliases = ("joint_compliance",)  # a sag is a compliance
+    limit_aliases = ("backlash",)  # without sag
 
     gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
     blend: float = form(BLEND, lower=0.01, upper=0.5)
@@ -66,11 +63,9 @@ class ServoDroop(JointTerm):
         return ("approach",)
 
     def require(self, context: Context) -> None:
-        """With a gate, the approach must be recorded."""
         if self.gate > 0 and not context.has("approach"):
             raise InputError(self.name, "approach", "missing", "a recorded column of the session")
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """The droop about the joint's axis."""
+    def twists(self, posture: Posture) -> Twists:
         resting = self.deadband * self.side(posture, self.gate, self.blend)
         return self.motion(posture, self.sag * self.load(posture) + resting)

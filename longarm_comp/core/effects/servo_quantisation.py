@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from typing_extensions import Self
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Drive, form
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.effects.effect import form
 from longarm_comp.core.effects.joint_term import JointTerm
 
 STEPS_PER_TURN = (
@@ -35,16 +32,14 @@ class ServoQuantisation(JointTerm):
         step_m: step of a slide that declares none, m.
     """
 
-    name: ClassVar[str] = "servo_quantisation"
-    title: ClassVar[str] = "servo steps"
-    types: ClassVar[tuple[str, ...]] = ("revolute", "prismatic")
-    acts: ClassVar[Drive] = "servo"
-    action: ClassVar[str] = (
-        "Nothing to repair: declare the steps in arm.yaml; finer ones need another servo."
-    )
-    continuous: ClassVar[bool] = False
-    stepped: ClassVar[bool] = True
-    free_levels: ClassVar[int] = 3  # of steps of an unknown size
+    name = "servo_quantisation"
+    title = "servo steps"
+    types = ("revolute", "prismatic")
+    acts = "servo"
+    action = "Nothing to repair: declare the steps in arm.yaml; finer ones need another servo."
+    continuous = False
+    stepped = True
+    free_levels = 3  # of steps of an unknown size
 
     steps_per_turn: float = form(1000)
     step_m: float = form(0.0)
@@ -92,15 +87,13 @@ class ServoQuantisation(JointTerm):
 
     @property
     def reading(self) -> str:
-        """Its steps."""
         if self.step_m:
             return f"steps of {1e3 * self.step_m:.4g} mm"
         if not self.steps_per_turn:
             return "in the steps that the arm declares"
         return f"{self.steps_per_turn:.6g} steps a turn, {360 / self.steps_per_turn:.3g}° each"
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """The rounding error."""
+    def twists(self, posture: Posture) -> Twists:
         step = self._step(posture.arm)
         if not step:
             return {}

@@ -42,9 +42,9 @@ class Shape(ABC):
     """
 
     word: ClassVar[str]
-    power: ClassVar[int] = 0
+    power = 0
     """Power of the quantity's unit that a value has."""
-    written: ClassVar[str] = "{of}"
+    written = "{of}"
     """The formula, with its fields."""
 
     of: str
@@ -53,7 +53,6 @@ class Shape(ABC):
 
     @property
     def quantity(self) -> Quantity:
-        """The quantity."""
         found = quantity(self.of)
         assert found is not None, "checked when the text was read"
         return found
@@ -73,7 +72,6 @@ class Shape(ABC):
 
     @property
     def text(self) -> str:
-        """As it is stored."""
         numbers = "".join(f", {float(getattr(self, name))!r}" for name in self.numbers())
         return f"{self.word}({self.of}{numbers})"
 
@@ -102,8 +100,8 @@ _COMMON = ("of", "low", "high")
 class Linear(Shape):
     """x."""
 
-    word: ClassVar[str] = "linear"
-    power: ClassVar[int] = 1
+    word = "linear"
+    power = 1
 
     def value(self, x: Scalar) -> Scalar:
         return x
@@ -113,9 +111,9 @@ class Linear(Shape):
 class Square(Shape):
     """x^2."""
 
-    word: ClassVar[str] = "square"
-    written: ClassVar[str] = "{of}^2"
-    power: ClassVar[int] = 2
+    word = "square"
+    written = "{of}^2"
+    power = 2
 
     def value(self, x: Scalar) -> Scalar:
         return x * x
@@ -125,9 +123,9 @@ class Square(Shape):
 class SignedSquare(Shape):
     """x |x|."""
 
-    word: ClassVar[str] = "signed_square"
-    written: ClassVar[str] = "{of} |{of}|"
-    power: ClassVar[int] = 2
+    word = "signed_square"
+    written = "{of} |{of}|"
+    power = 2
 
     def value(self, x: Scalar) -> Scalar:
         return x * spatial.absolute(x)
@@ -137,8 +135,8 @@ class SignedSquare(Shape):
 class Legendre(Shape):
     """Legendre polynomial over the range."""
 
-    word: ClassVar[str] = "legendre"
-    written: ClassVar[str] = "P{order:g}({of})"
+    word = "legendre"
+    written = "P{order:g}({of})"
 
     order: float = 1.0
 
@@ -178,7 +176,7 @@ class Wave(Shape):
 class Cosine(Wave):
     """cos(order x)."""
 
-    word: ClassVar[str] = "cos"
+    word = "cos"
 
     def value(self, x: Scalar) -> Scalar:
         return spatial.cos(self.order * x)
@@ -188,7 +186,7 @@ class Cosine(Wave):
 class Sine(Wave):
     """sin(order x)."""
 
-    word: ClassVar[str] = "sin"
+    word = "sin"
 
     def value(self, x: Scalar) -> Scalar:
         return spatial.sin(self.order * x)
@@ -205,8 +203,8 @@ class Threshold(Shape):
 class Switch(Threshold):
     """-1 below the threshold, +1 above it, a ramp within `half` of it."""
 
-    word: ClassVar[str] = "switch"
-    written: ClassVar[str] = "sign({of} - {threshold:.4g})"
+    word = "switch"
+    written = "sign({of} - {threshold:.4g})"
 
     half: float = 1.0
 
@@ -224,9 +222,9 @@ class Switch(Threshold):
 class Above(Threshold):
     """How far the quantity is above the threshold, else 0: a contact, a taut cable."""
 
-    word: ClassVar[str] = "above"
-    written: ClassVar[str] = "max(0, {of} - {threshold:.4g})"
-    power: ClassVar[int] = 1
+    word = "above"
+    written = "max(0, {of} - {threshold:.4g})"
+    power = 1
 
     def value(self, x: Scalar) -> Scalar:
         return spatial.maximum(x - self.threshold, 0.0)
@@ -236,9 +234,9 @@ class Above(Threshold):
 class Below(Threshold):
     """How far the quantity is below the threshold, else 0."""
 
-    word: ClassVar[str] = "below"
-    written: ClassVar[str] = "max(0, {threshold:.4g} - {of})"
-    power: ClassVar[int] = 1
+    word = "below"
+    written = "max(0, {threshold:.4g} - {of})"
+    power = 1
 
     def value(self, x: Scalar) -> Scalar:
         return spatial.maximum(self.threshold - x, 0.0)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
@@ -23,21 +20,19 @@ class SlidePlay(JointTerm):
     extension, and `TelescopeClearance` applies.
     """
 
-    name: ClassVar[str] = "slide_play"
-    title: ClassVar[str] = "tilting carriage"
-    action: ClassVar[str] = "Adjust the preload of the carriage or replace its rollers."
-    loaded: ClassVar[bool] = True
+    name = "slide_play"
+    title = "tilting carriage"
+    action = "Adjust the preload of the carriage or replace its rollers."
+    loaded = True
 
     tilt: float = parameter("rad", "half of the carriage's free angle", 3e-3, lower=0.0)
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Prismatic joints without a declared guide."""
         prismatic = arm.joints[row - 1].type == "prismatic"
         return prismatic and not TelescopeClearance.fits(arm, row)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Rotation about the direction of the lateral moment."""
+    def twists(self, posture: Posture) -> Twists:
         station = posture.frame(self.joint)
         x, y, _ = posture.moment(station)
         tilt = self.tilt / spatial.sqrt(x * x + y * y + 1e-12)

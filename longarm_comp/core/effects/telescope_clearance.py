@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.beam import Beam
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Parameter, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
 
@@ -25,10 +22,10 @@ class TelescopeClearance(JointTerm):
     each with an arm of the overlap.
     """
 
-    name: ClassVar[str] = "telescope_clearance"
-    title: ClassVar[str] = "clearance in the telescope"
-    action: ClassVar[str] = "Adjust or replace the guide pads; a longer overlap lowers it."
-    loaded: ClassVar[bool] = True
+    name = "telescope_clearance"
+    title = "clearance in the telescope"
+    action = "Adjust or replace the guide pads; a longer overlap lowers it."
+    loaded = True
 
     clearance: float = parameter("m", "play of the body in its guide", prior=3e-4, lower=0.0)
     give: float = parameter("m/N", "compression of both pads together per force", 1e-5, lower=0.0)
@@ -46,7 +43,7 @@ class TelescopeClearance(JointTerm):
         (give,) = with_prior((give,), prior=3e-3 * (body / 2) ** 2 / typical_loads(arm)[1])
         return clearance, give
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture) -> Twists:
         """Rotation about the lateral moment's direction at the mouth of the outer beam."""
         slider = _slider(posture.arm, self.joint)
         assert slider is not None and slider.body_length_m is not None

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Twist, add_twists
 from longarm_comp.core.effects.effect import Effect, parameter
 
@@ -15,14 +13,14 @@ from longarm_comp.core.effects.effect import Effect, parameter
 class ThermalGrowth(Effect):
     """All lengths grow by ``expansion (T - T_ref)``."""
 
-    name: ClassVar[str] = "thermal_growth"
-    title: ClassVar[str] = "thermal growth"
-    action: ClassVar[str] = "Keep the temperature steady, or measure it while the arm works."
-    needs: ClassVar[tuple[str, ...]] = ("temperature_c",)
+    name = "thermal_growth"
+    title = "thermal growth"
+    action = "Keep the temperature steady, or measure it while the arm works."
+    needs = ("temperature_c",)
 
     expansion: float = parameter("1/K", "expansion coefficient of the links", prior=1e-4)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture) -> Twists:
         """Translation along every row's a and d, in proportion to their length."""
         warm = posture.context.column("temperature_c", posture.arm.reference_temperature_c)
         rise = self.expansion * (warm - posture.arm.reference_temperature_c)

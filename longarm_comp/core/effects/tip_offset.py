@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import three
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
 from longarm_comp.core.effects.sites import markers
 
 
@@ -22,10 +19,10 @@ class TipOffset(Effect):
     The tip may be anywhere in its frame, unless arm.yaml gives a tolerance.
     """
 
-    name: ClassVar[str] = "tip_offset"
-    title: ClassVar[str] = "marker offset"
-    action: ClassVar[str] = "Check the mount of the marker or tool."
-    geometry: ClassVar[bool] = True
+    name = "tip_offset"
+    title = "marker offset"
+    action = "Check the mount of the marker or tool."
+    geometry = True
 
     marker: str = place(markers, default="")
     x: float = parameter("m", "tip position error along x", prior=3e-3, unknown=True)
@@ -34,16 +31,13 @@ class TipOffset(Effect):
 
     @property
     def where(self) -> str:
-        """``tip`` or ``marker left``."""
         return f"marker {self.marker}" if self.marker else "tip"
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
-        """Every declared marker, or the tip."""
+    def sites(cls, arm: Arm) -> Sites:
         return [{"marker": name} for name in arm.markers or [""]]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Unknown, or with the priors of the declared tolerance."""
         tolerance = arm.tolerance
         known = tolerance.markers.get(self.marker) if self.marker else tolerance.tip
         if known is None:
@@ -51,7 +45,7 @@ class TipOffset(Effect):
         pairs = zip(self.declared(), three(known.xyz_m), strict=True)
         return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
 
-    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+    def twists(self, posture: Posture) -> Twists:
         """Translation in the carrying frame, of the marker alone: what hangs there stays."""
         spot = posture.spot(self.marker)
         if not self.marker:

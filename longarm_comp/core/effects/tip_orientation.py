@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame, Vec
-from longarm_comp.core.effects.effect import Bias, parameter, place
+from longarm_comp.core.effects.effect import Bias, Sites, parameter, place
 from longarm_comp.core.effects.sites import markers
 
 
@@ -21,11 +19,11 @@ class TipOrientation(Bias):
     A tracker gives its bodies axes of their own, so the prior leaves any turn free.
     """
 
-    name: ClassVar[str] = "tip_orientation"
-    title: ClassVar[str] = "marker orientation"
-    action: ClassVar[str] = "Check the mount of the marker or tool."
-    geometry: ClassVar[bool] = True
-    sees: ClassVar[frozenset[str]] = frozenset({"orientation"})
+    name = "tip_orientation"
+    title = "marker orientation"
+    action = "Check the mount of the marker or tool."
+    geometry = True
+    sees = frozenset({"orientation"})
 
     marker: str = place(markers, default="")
     sensor: str = place(default="")
@@ -35,21 +33,17 @@ class TipOrientation(Bias):
 
     @property
     def where(self) -> str:
-        """``tip`` or ``marker left``, ``tip seen by wall`` of one of several sensors."""
         what = f"marker {self.marker}" if self.marker else "tip"
         return f"{what} seen by {self.sensor}" if self.sensor else what
 
     @classmethod
-    def sites(cls, arm: Arm) -> Sequence[Mapping[str, Any]]:
-        """Every declared marker, or the tip."""
+    def sites(cls, arm: Arm) -> Sites:
         return [{"marker": name} for name in arm.markers or [""]]
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The point as it is."""
         return point
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
-        """The tip with its axes turned, for the rows of its marker and sensor."""
         mine = 1.0
         for label, value in (("marker", self.marker), ("sensor", self.sensor)):
             mine = mine * context.is_label(label, value) if value else mine

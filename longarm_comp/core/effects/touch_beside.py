@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -22,12 +21,12 @@ class TouchBeside(Bias):
     is special. The distance may be wrong within its tolerance.
     """
 
-    name: ClassVar[str] = "touch_beside"
-    title: ClassVar[str] = "touched point at a known distance"
-    action: ClassVar[str] = "Nothing to repair: the point is solved from the touches."
-    geometry: ClassVar[bool] = True
-    passing: ClassVar[bool] = True
-    sees: ClassVar[frozenset[str]] = frozenset({"touch"})
+    name = "touch_beside"
+    title = "touched point at a known distance"
+    action = "Nothing to repair: the point is solved from the touches."
+    geometry = True
+    passing = True
+    sees = frozenset({"touch"})
 
     touch: str = place(default="")
     distance: float = form(0.0)
@@ -39,7 +38,6 @@ class TouchBeside(Bias):
     stretch: float = parameter("m", "error of the known distance", 1e-4)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """The distance is known to its tolerance."""
         *turn, stretch = self.declared()
         return (*turn, dataclasses.replace(stretch, prior=self.tolerance))
 

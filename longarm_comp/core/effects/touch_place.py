@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -19,12 +18,12 @@ class TouchPlace(Bias):
     Points at a known distance from it (`touch_beside`) move with it.
     """
 
-    name: ClassVar[str] = "touch_place"
-    title: ClassVar[str] = "touched point"
-    action: ClassVar[str] = "Nothing to repair: the point is solved from the touches."
-    geometry: ClassVar[bool] = True
-    passing: ClassVar[bool] = True
-    sees: ClassVar[frozenset[str]] = frozenset({"touch"})
+    name = "touch_place"
+    title = "touched point"
+    action = "Nothing to repair: the point is solved from the touches."
+    geometry = True
+    passing = True
+    sees = frozenset({"touch"})
 
     touch: str = place(default="")
     carries: str = form("")

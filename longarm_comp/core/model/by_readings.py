@@ -7,10 +7,33 @@ readings to the commands: then this is the model of the commands.
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
-from longarm_comp.core.effects.encoder import Encoder, Shaft
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.encoder import Encoder
+from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.model.encoders import sees
 from longarm_comp.core.model.model import Model
+
+
+@dataclass(frozen=True)
+class _Shaft(JointTerm):
+    """Where a joint stands whose encoder reads the commanded value: `Encoder` turned round.
+
+    It has the name and parameters of its encoder, whose uncertainty is its own.
+    """
+
+    name = Encoder.name
+    searched = False
+    acts = "arm"
+
+    zero: float = parameter("rad", "reading where the joint is at 0", 4e-3)
+    scale: float = parameter("1", "extra reading per motion", 0.01)
+
+    def twists(self, posture: Posture) -> Twists:
+        read = posture.q[posture.arm.commanded.index(self.joint)]
+        return self.motion(posture, (read - self.zero) * (1.0 / (1.0 + self.scale)) - read)
 
 
 def by_readings(model: Model) -> Model:
@@ -18,7 +41,7 @@ def by_readings(model: Model) -> Model:
     arm = model.arm
     behind = [e for e in model.effects if not any(sees(arm, row, e) for row in arm.commanded)]
     encoders = [b for b in model.biases if isinstance(b, Encoder)]
-    shafts = [Shaft(e.joint, e.zero, e.scale) for e in encoders]
+    shafts = [_Shaft(e.joint, e.zero, e.scale) for e in encoders]
     return dataclasses.replace(
         model,
         effects=(*behind, *shafts),
