@@ -16,6 +16,7 @@ from driver_rig import Rig
 import longarm_comp as la
 from longarm_comp.cli import touch
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.jobs import attend
 from longarm_comp.jobs.client import ArmClient, DriverStopped
 from longarm_interfaces.msg import DriverState
 
@@ -74,11 +75,13 @@ def test_a_fault_is_told_with_its_cause_and_stays_until_it_is_cured(rig: Rig, sh
     shell("reset")
 
 
-@pytest.mark.parametrize("name", ["status", "hold"])
-def test_without_an_arm_the_command_says_so(rig: Rig, shell: Shell, name: str) -> None:
-    assert "servo_driver" in (said := shell.refused(name, "--namespace", "moon", code=3)) or (
-        "longarm up" in said
-    )
+def test_without_an_arm_the_command_says_so(
+    rig: Rig, shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(attend, "_PATIENCE_S", 0.3)
+    for name in ("status", "hold"):
+        said = shell.refused(name, "--namespace", "moon", code=3)
+        assert "servo_driver" in said or "longarm up" in said
 
 
 def test_a_job_names_the_state_of_a_stopped_driver_at_once(rig: Rig, shell: Shell) -> None:

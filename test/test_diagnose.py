@@ -210,7 +210,8 @@ def test_gravity_compliance_of_a_real_arm(data_dir: Path) -> None:
     """DLR Justin, right arm: torsion and lateral compliance, and nothing else."""
     part = justin(data_dir / "real")[0]
     rigid = declared_model(part.arm, deflection=False)
-    found = diagnose(part.arm, part.train, test=part.test, model=rigid)
+    half = part.train.take(np.arange(0, len(part.train), 2))
+    found = diagnose(part.arm, half, test=part.test, model=rigid)
     sag = {"joint_compliance", "servo_droop"}  # one sag, two names
     assert {frozenset(f.names) for f in found.findings} == {
         frozenset(sag),
@@ -222,6 +223,7 @@ def test_gravity_compliance_of_a_real_arm(data_dir: Path) -> None:
     assert rows["with_effects"].mean < 3.5e-3
 
 
+@pytest.mark.long
 def test_a_stiff_real_arm_is_not_said_to_be_understood(data_dir: Path) -> None:
     """UR5: a tenth of a millimetre; what is named gains on the hold-out, and never is all of it."""
     part = laser_tracked(data_dir / "real", "ur5")[0]

@@ -78,8 +78,8 @@ def test_names_and_order_do_not_matter(gain: Diagnosis, rng: np.random.Generator
 
 
 # 3
-@pytest.mark.parametrize(("joint", "size"), [(1, 0.02), (2, -0.01)])
-def test_place_sign_and_value_follow_the_truth(joint: int, size: float) -> None:
+def test_place_sign_and_value_follow_the_truth() -> None:
+    joint, size = 1, -0.02
     found = diagnose(ARM, session([drives.JointGain(at(joint, size))]))
     assert "joint_gain" in names(found)
     assert [f.where for f in found.findings] == [(f"joint {joint}",)]
@@ -91,15 +91,14 @@ def test_place_sign_and_value_follow_the_truth(joint: int, size: float) -> None:
 
 
 # 4
-@pytest.mark.parametrize("seed", range(2))
-def test_geometry_errors_alone_are_no_effect(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_geometry_errors_alone_are_no_effect() -> None:
+    rng = np.random.default_rng(0)
     errors = [
         geometry.JointZero(4e-3 * rng.standard_normal(4)),
         geometry.DhError(1e-3 * rng.standard_normal((4, 4))),
         geometry.BasePose(2e-3 * rng.standard_normal(6)),
     ]
-    found = diagnose(ARM, session(errors, seed=seed))
+    found = diagnose(ARM, session(errors, seed=0))
     assert (found.verdict, found.findings) == ("noise", ())
     assert found.proof.rows["calibrated"].mean < 0.5 * found.proof.rows["nominal"].mean
 
@@ -113,16 +112,10 @@ def test_without_the_true_family_no_wrong_name_is_sure() -> None:
 
 
 # 6
-@pytest.mark.parametrize("n", [90, 180])
-def test_aliases_on_three_levels_stay_a_set(n: int) -> None:
-    found = diagnose(ARM, session(GAIN, n=n, levels=3))
+def test_aliases_on_three_levels_stay_a_set() -> None:
+    found = diagnose(ARM, session(GAIN, n=90, levels=3))
     assert found.verdict == "set"
     assert names(found) >= {"joint_gain", "gear_eccentricity"}
-
-
-def test_poses_off_the_grid_split_the_set() -> None:
-    found = diagnose(ARM, session([drives.JointGain(at(1, 0.1))], n=150))
-    assert (found.verdict, names(found)) == ("named", {"joint_gain"})
 
 
 # 7
@@ -136,6 +129,7 @@ def test_dose_decides_between_invisible_set_and_named() -> None:
         0.006: "set",
         0.1: "named",
     }
+    assert names(found[0.1]) == {"joint_gain"}
 
 
 def test_the_smallest_visible_size_is_between_unseen_and_found() -> None:
