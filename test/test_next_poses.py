@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from drawn_reports import in_doubt
 
+from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.model_fit import priors
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 
 
@@ -33,3 +35,16 @@ def test_the_odds_grow_with_the_square_of_the_effect_and_with_poses() -> None:
     assert one > 0.0
     assert asked(4, share=3.0).log_bayes_factor == pytest.approx(9.0 * one, rel=1e-2)
     assert asked(8).log_bayes_factor > one
+
+
+def test_the_odds_of_the_rows_alone_are_half_the_square_of_what_nothing_else_explains() -> None:
+    fitted = in_doubt().search.fit
+    (found,) = in_doubt().findings
+    keys = {t.key for t in found.terms}
+    own = [s for s in fitted.slots if s.owner.key in keys]
+    values = np.array([getattr(s.owner, s.parameter.name) for s in own]) / priors(tuple(own))
+    columns = columns_at(fitted)
+    rival = next(r for r in found.alternatives if r.candidate.name not in found.names[1:2])
+    besides = columns.without(keys, columns.scaled(rival.candidate.terms).b)
+    left = besides.normal((columns.scaled([s.owner for s in own]).b @ values)[:, None])[0]
+    assert asked(0).log_bayes_factor == pytest.approx(0.5 * float(left[0, 0]), rel=1e-6)
