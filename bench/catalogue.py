@@ -33,6 +33,9 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[Any, ...]]] = {
         "columns_batch": ("forward.columns",),
         "compensate_single": ("compensation.compensate_single",),
         "compensate_batch_10000": ("compensation.compensate_batch_10000",),
+        "compensate_path_15": ("compensation.path", 15),
+        "compensate_path_15_play": ("compensation.path", 15, True),
+        "compensate_path_240": ("compensation.path", 240),
     },
     "ssa": {
         "ssa_evals_vs_mealpy_300": ("ssa.evals_vs_mealpy", 300),

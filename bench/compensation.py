@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from bench.arms import demo_arm
-from bench.comparison import Result, alone
+from bench.comparison import Result, alone, beside
 from bench.kinematics import soft_model, timed
 from longarm_comp.core.compensation.compensate import Method, compensate
 from longarm_comp.core.compensation.result import Compensation
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.ik import solver as ik
+from longarm_comp.workflows.compensate_path import compensate_path
+from studies.path import ELASTIC, PLAY, StudiedArm, way
 
 
 class _Smooth:
@@ -55,3 +57,24 @@ def compensate_single() -> Result:
     timed(work, range(20))
     each = 1e6 * timed(work, range(200)).reshape(8, -1)
     return alone("us", np.median(each, axis=1), "one target, all passes")
+
+
+def path(way_points: int, play: bool = False) -> Result:
+    """Way-points of one arc, judged by the uncertainty of a calibrated model; goal 200 us each."""
+    number = int(play)
+    names = (*ELASTIC, PLAY) if play else ELASTIC
+    studied = StudiedArm.draw(demo_arm(), number, 1, names)
+    plan = way(studied.arm, "arc", 0.05, np.random.default_rng([1, number, 1])).plan
+    assert plan.joints is not None and plan.times is not None
+    rows = np.linspace(0, len(plan.times) - 1, way_points).round().astype(int)
+    targets, seed = plan.targets[rows], plan.joints[0]
+    times = plan.times[-1] * np.linspace(0.0, 1.0, way_points)
+    ik.warm_up()
+
+    def work(_: int) -> None:
+        compensate_path(studied.model, targets, times=times, seed=seed, frame="measured")
+
+    timed(work, range(5))
+    each = 1e6 / way_points * timed(work, range(40), time.process_time).reshape(8, -1)
+    note = f"{way_points} way-points, {len(studied.model.slots)} parameters"
+    return beside("us a way-point", np.median(each, axis=1), "goal", [200.0], note=note)

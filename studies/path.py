@@ -30,6 +30,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -111,7 +112,8 @@ class StudiedArm:
         rows = Session.record(q, seen, approach=side, source=f"arm {number}")
         *_, (_, geometry) = stages(declared_model(arm), rows)
         terms = [t for name in names for t in effect_class(name, "study path").for_arm(arm)]
-        return cls(arm, true, half, fit(geometry.model.plus(*terms), rows).model)
+        fitted = fit(geometry.model.plus(*terms), rows)
+        return cls(arm, true, half, with_uncertainty(fitted))
 
 
 def way(arm: Arm, kind: str, speed: float, rng: np.random.Generator) -> Way:

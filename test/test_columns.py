@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.catalogue import BUILT_IN
+from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.model.model import Model, unstack
@@ -117,3 +121,16 @@ def test_a_known_posture_leads_to_that_of_a_similar_model(arm, name):
     for close, share in ((True, 0.03), (False, 1e-3)):
         left = np.abs(moved.measured_at(moved.posture_near(known, close)) - want).max()
         assert left < share * change
+
+
+def test_a_column_is_taken_about_the_twists_that_placed_the_arm() -> None:
+    """Exact for a rigid arm whose base is turned far and whose seats are: by differences."""
+    arm = Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+    model = Model(arm).plus(*BasePose.for_arm(arm), *DhError.for_arm(arm))
+    values = 0.3 * np.random.default_rng(0).standard_normal(len(model.values))
+    model = model.with_values(values)
+    q = np.random.default_rng(1).uniform(arm.lower, arm.upper, (5, arm.n))
+    columns = model.columns(model.posture(tuple(q.T)))[1]
+    for k, step in enumerate(1e-5 * np.eye(len(values))):
+        ends = [model.with_values(values + by).tip(q) for by in (step, -step)]
+        np.testing.assert_allclose(columns[..., k], (ends[0] - ends[1]) / 2e-5, atol=1e-5)

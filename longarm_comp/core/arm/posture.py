@@ -190,6 +190,7 @@ class Posture:
         frames: every station's frame in the base frame (m).
         lengths: element length by station (m).
         gravity: in the base frame (m/s^2).
+        twists: by station, with which the frames were placed.
         extra: masses that effects add.
     """
 
@@ -199,6 +200,7 @@ class Posture:
     frames: list[Frame]
     lengths: list[Scalar]
     gravity: Vec
+    twists: Twists = field(default_factory=dict)
     extra: tuple[Lumped, ...] = ()
     _cache: dict[tuple[object, ...], object] = field(
         default_factory=dict, repr=False, compare=False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,23 +19,34 @@ def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], 
     kinds: dict[tuple[bool, ...], list[Any]] = {}
     for key, item in items.items():
         if any(isinstance(x, np.ndarray) and x.ndim == 1 for x in item):
-            zeros = tuple([type(x) is float and x == 0.0 for x in item])
+            zeros = tuple(map(_zero, item))
             kinds.setdefault(zeros, []).append(key)
         else:
             yield [key], item
-    for zeros, keys in kinds.items():
-        size = max(np.size(x) for x in items[keys[0]])
-        # Numbers in an array of several items: what a processor keeps near
-        count = max(1, 32768 // size)
-        for some in (keys[n : n + count] for n in range(0, len(keys), count)):
-            rows = [items[key] for key in some]
-            yield (
-                some,
-                tuple(
-                    0.0 if zero else _stacked([row[k] for row in rows])
-                    for k, zero in enumerate(zeros)
-                ),
-            )
+    for keys in kinds.values():
+        for some in parts(keys, max(np.size(x) for x in items[keys[0]])):
+            yield some, together([items[key] for key in some])
+
+
+def together(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
+    """The scalars of some items: each (k, N), (k, 1), or 0 where it is that of all of them."""
+    return tuple(
+        [0.0 if all(map(_zero, each)) else _stacked(each) for each in zip(*items, strict=True)]
+    )
+
+
+def _zero(x: Scalar) -> bool:
+    return type(x) is float and x == 0.0
+
+
+def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
+    """Keys of items of a size, as many at a time as one array may hold."""
+    each, count = list(keys), max(1, _NEAR // size)
+    return (each[n : n + count] for n in range(0, len(each), count))
+
+
+_NEAR = 32768
+"""Numbers in an array of several items: what a processor keeps near."""
 
 
 def _stacked(scalars: Sequence[Scalar]) -> np.ndarray:

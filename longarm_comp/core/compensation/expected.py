@@ -19,7 +19,7 @@ from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.ik.forward import posture_at
-from longarm_comp.core.model.model import Model, slots_of
+from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, sizes
 
@@ -133,8 +133,11 @@ def geometry_of(arm: Arm) -> list[Effect]:
 
 def _carried(known: ModelUncertainty, model: Model, at: Posture) -> np.ndarray:
     """(N, 3, 3) m^2 that the parameters bring to the tip at N postures."""
-    names = set(known.slots)
-    terms = model.effects if model.uncertainty is known else geometry_of(model.arm)
-    slots = [slot for slot in slots_of(model.arm, terms) if slot.identity in names]
-    columns = model.columns(at, slots)[1].reshape(-1, 3, len(slots))
-    return known.carried(columns, [slot.identity for slot in slots])
+    held: dict[tuple[object, ...], Slot] | None = model.__dict__.get("_not_known")
+    if held is None:
+        terms = model.effects if model.uncertainty is known else geometry_of(model.arm)
+        every = {slot.identity: slot for slot in slots_of(model.arm, terms)}
+        held = {name: slot for name, slot in every.items() if name in known.row}
+        model.__dict__["_not_known"] = held
+    columns = model.columns(at, tuple(held.values()))[1]
+    return known.carried(columns.reshape(-1, 3, len(held)), tuple(held))

@@ -54,6 +54,18 @@ class Slot:
         """``joint_compliance / joint 2 / compliance``."""
         return f"{self.owner.name} / {self.owner.place} / {self.parameter.name}"
 
+    @property
+    def step(self) -> float:
+        """A small change of the parameter."""
+        return 0.01 * self.parameter.prior
+
+    @cached_property
+    def ends(self) -> tuple[Any, Any]:
+        """Its term with the parameter a step higher, and a step lower."""
+        name, term = self.parameter.name, self.owner
+        up, down = (getattr(term, name) + by for by in (self.step, -self.step))
+        return term.with_values({name: up}), term.with_values({name: down})
+
 
 @dataclass(frozen=True)
 class Model:
@@ -215,7 +227,7 @@ class Model:
         """The arm at q with given twists (by station), and its loads."""
         frames, lengths = self.chain.place(q, twists)
         gravity = self._gravity(context)
-        posture = Posture(self.chain, tuple(q), context, frames, lengths, gravity)
+        posture = Posture(self.chain, tuple(q), context, frames, lengths, gravity, twists)
         extra = tuple(mass for effect in self.effects for mass in effect.masses(posture))
         return dataclasses.replace(posture, extra=extra, _cache={}) if extra else posture
 
@@ -312,20 +324,18 @@ class Model:
             turns: whether the turns of the tip's axes are wanted.
         """
         slots = self.slots if slots is None else slots
-        total = self._at_last(posture) if slots else {}
         ends: list[TwistChange | Reseen] = []
         for slot in slots:
-            term, step = slot.owner, 0.01 * slot.parameter.prior
+            term, per = slot.owner, 0.5 / slot.step
             if isinstance(term, Bias):
-                raised, lowered = (self._reseen(slot, by) for by in (step, -step))
-                ends.append(Reseen(raised, lowered, 0.5 / step, term.sees))
-                continue
-            if term.changes_loads:
-                ends.append(self._reloaded(slot, step, posture))
-                continue
-            up, down = (self._moved(slot, by).twists(posture) for by in (step, -step))
-            ends.append(TwistChange([(term, up)], [(term, down)], 0.5 / step))
-        return self._motion(posture, total, ends, turns)
+                raised, lowered = (self._reseen(term, end) for end in slot.ends)
+                ends.append(Reseen(raised, lowered, per, term.sees))
+            elif term.changes_loads:
+                ends.append(self._reloaded(slot, posture))
+            else:
+                up, down = ([(term, end.twists(posture))] for end in slot.ends)
+                ends.append(TwistChange(up, down, per))
+        return self._motion(posture, ends, turns)
 
     def added(
         self, posture: Posture, terms: Sequence[Effect | Bias], turns: bool = False
@@ -340,49 +350,37 @@ class Model:
                 ends.append(Reseen(self.plus(term), self, 1.0, term.sees))
             else:
                 ends.append(TwistChange([(term, term.twists(posture))], [], 1.0))
-        return self._motion(posture, self._at_last(posture), ends, turns)
-
-    def _at_last(self, posture: Posture) -> Twists:
-        """`twists`, kept for the posture that was asked for last."""
-        held = self.__dict__.get("_last")
-        if held is None or held[0] is not posture:
-            held = self.__dict__["_last"] = posture, self.twists(posture)
-        return held[1]
+        return self._motion(posture, ends, turns)
 
     def _motion(
-        self, posture: Posture, total: Twists, ends: Sequence[TwistChange | Reseen], turns: bool
+        self, posture: Posture, ends: Sequence[TwistChange | Reseen], turns: bool
     ) -> TipMotion:
         tip = self.tip_frame(posture)
         arm_side = [e for e in ends if isinstance(e, TwistChange)]
-        shifts = iter(moved(posture, tip.p, total, arm_side, turns))
+        shifts = iter(moved(posture, tip.p, arm_side, turns))
         changes = [next(shifts) if isinstance(e, TwistChange) else e for e in ends]
         read = SeenJoints(posture, self.effects, arm_side)
         return TipMotion(self, tip, posture.context, changes, read)
 
-    def _moved(self, slot: Slot, by: float) -> Any:
-        name = slot.parameter.name
-        return slot.owner.with_values({name: getattr(slot.owner, name) + by})
-
-    def _reloaded(self, slot: Slot, step: float, posture: Posture) -> TwistChange:
+    def _reloaded(self, slot: Slot, posture: Posture) -> TwistChange:
         """Change of the twists that depend on the loads, with a parameter that changes these."""
         terms = list(self.terms)
         if slot.term < len(terms) and terms[slot.term] is slot.owner:
-            terms[slot.term] = self._moved(slot, step)
+            terms[slot.term] = slot.ends[0]
             model = self.with_terms(terms)
         else:  # a load that the model does not hold: from none of it on
             none = slot.owner.with_values({p.name: 0.0 for p in slot.owner.parameters(self.arm)})
-            model = self.plus(self._moved(dataclasses.replace(slot, owner=none), step))
+            model = self.plus(dataclasses.replace(slot, owner=none).ends[0])
         raised = model._under_load(model._weighed(posture))
-        return TwistChange(raised, self._under_load(posture), 1.0 / step)
+        return TwistChange(raised, self._under_load(posture), 1.0 / slot.step)
 
     def _under_load(self, posture: Posture) -> Parts:
         """The twists that depend on the loads."""
         return [(e, e.twists(posture)) for e in self.effects if e.loaded or e.changes_loads]
 
-    def _reseen(self, slot: Slot, by: float) -> Model:
-        """The model with a parameter of the measuring side moved."""
-        changed = self._moved(slot, by)
-        biases = tuple(changed if b is slot.owner else b for b in self.biases)
+    def _reseen(self, bias: Bias, changed: Bias) -> Model:
+        """The model with a term of the measuring side changed."""
+        biases = tuple(changed if b is bias else b for b in self.biases)
         if not any(b is changed for b in biases):
             biases = (*biases, changed)
         return dataclasses.replace(self, biases=biases)

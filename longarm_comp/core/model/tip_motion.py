@@ -7,14 +7,15 @@ side moves what is reported of a tip that stays.  A kind of measurement
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm import spatial, stacked
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Posture, Twists
 from longarm_comp.core.arm.spatial import IDENTITY, Frame, Scalar, Vec
@@ -42,9 +43,6 @@ class _Moved:
 
     shift: Vec
     turn: Vec
-
-
-STILL = _Moved(spatial.ZERO, spatial.ZERO)
 
 
 @dataclass(frozen=True)
@@ -213,49 +211,65 @@ def summed(parts: Iterable[Twists]) -> Twists:
     return total
 
 
-def moved(
-    posture: Posture, tip: Vec, total: Twists, ends: Sequence[TwistChange], turns: bool
-) -> list[_Moved]:
+def moved(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) -> list[_Moved]:
     """Eq. (5): the tip's motion under changes of twists.
 
     Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``.
-    A change is taken about the present twist of the station. This is exact also for a large
+    A change is taken about the twist that placed the station. This is exact also for a large
     twist, as of a displaced base. The frames after it are kept.
     """
-    at: dict[int, tuple[list[Vec], list[Vec]]] = {}
+    changes = [list(_changes(e)) for e in ends]
+    units = _units(posture, tip, {station for each in changes for station, *_ in each})
     made = []
-    for e in ends:
-        shift, turn = [0.0] * 3, [0.0] * 3
-        raised, lowered = (summed(twists for _, twists in part) for part in e[:2])
-        for station in sorted({*raised, *lowered}):
-            up = raised.get(station, spatial.ZERO_TWIST)
-            down = lowered.get(station, spatial.ZERO_TWIST)
-            for k, (a, b) in enumerate(zip(up, down, strict=True)):
-                if a is b or (type(a) is float and type(b) is float and a == b):
-                    continue
-                if station not in at:
-                    at[station] = _units(posture, tip, station, total)
-                per, (turned, shifted) = e.per * (a - b), at[station]
-                _add(shift, per, turned[k] if k < 3 else shifted[k - 3])
-                if turns and k >= 3:
-                    _add(turn, per, turned[k - 3])
-        made.append(_Moved(tuple(shift), tuple(turn)))  # type: ignore[arg-type]
+    for each in changes:
+        shifts = [by * units[station][k] for station, k, by in each]
+        turned = [by * units[station][k - 3] for station, k, by in each if turns and k >= 3]
+        made.append(_Moved(_sum(shifts), _sum(turned)))
     return made
 
 
-def _units(posture: Posture, tip: Vec, station: int, total: Twists) -> tuple[list[Vec], list[Vec]]:
-    """Turn of the tip's axes by each rotation of a station's twist, and shift of the tip by it."""
-    frame, now = posture.frames[station], total.get(station, spatial.ZERO_TWIST)
-    here = frame.unrotate(spatial.sub(tip, frame.p))
-    turned, shifted = spatial.tangent(now, here, large=station == PLACEMENT)
-    return [frame.rotate(v) for v in turned], [frame.rotate(v) for v in shifted]
+def _sum(vectors: list[np.ndarray]) -> Vec:
+    """Sum of vectors (3, ...)."""
+    if not vectors:
+        return spatial.ZERO
+    return tuple(sum(vectors[1:], vectors[0]))  # type: ignore[return-value]
 
 
-def _add(total: list[Scalar], times: Scalar, v: Vec) -> None:
-    for axis in range(3):
-        if type(v[axis]) is not float or v[axis] != 0.0:
-            here, held = times * v[axis], total[axis]
-            total[axis] = here if type(held) is float and held == 0.0 else held + here
+def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
+    """Station, component of its twist (0 to 5), and by how much it changes, where it does."""
+    raised, lowered = (summed(twists for _, twists in part) for part in end[:2])
+    for station in sorted({*raised, *lowered}):
+        up = raised.get(station, spatial.ZERO_TWIST)
+        down = lowered.get(station, spatial.ZERO_TWIST)
+        for k, (a, b) in enumerate(zip(up, down, strict=True)):
+            if not (a is b or (type(a) is float and type(b) is float and a == b)):
+                yield station, k, end.per * (a - b)
+
+
+def _units(posture: Posture, tip: Vec, stations: Collection[int]) -> dict[int, np.ndarray]:
+    """(6, 3, ...) by station: how the tip moves with the components of its twist.
+
+    The first three are its shift by a translation, and the turn of its axes by a rotation; the
+    others its shift by a rotation.
+    """
+    shape = np.broadcast_shapes(*map(np.shape, tip))
+    made: dict[int, np.ndarray] = {}
+    size = math.prod(shape)
+    for some in stacked.parts(stations, 18 * size):
+        twists = [posture.twists.get(station, spatial.ZERO_TWIST) for station in some]
+        frames = [posture.frames[station] for station in some]
+        x = stacked.together(
+            [(*t, *f.n, *f.o, *f.a, *f.p) for t, f in zip(twists, frames, strict=True)]
+        )
+        frame = Frame(x[6:9], x[9:12], x[12:15], x[15:])
+        here = frame.unrotate(spatial.sub(tip, frame.p))
+        turns, shifts = spatial.tangent(x[:6], here, PLACEMENT in some)
+        moves = np.empty((len(some), 6, 3, size))
+        for k, unit in enumerate((*turns, *shifts)):
+            for axis, value in enumerate(frame.rotate(unit)):
+                moves[:, k, axis] = value
+        made |= zip(some, moves.reshape(-1, 6, 3, *shape), strict=True)
+    return made
 
 
 def stack(v: Vec) -> np.ndarray:

@@ -14,6 +14,7 @@ import binascii
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -72,6 +73,11 @@ class ModelUncertainty:
     largest_m: float
     rows: int
 
+    @cached_property
+    def row(self) -> dict[_Identity, int]:
+        """Row of the factor by identity."""
+        return {identity: k for k, identity in enumerate(self.slots)}
+
     def carried(self, columns: np.ndarray, slots: Sequence[_Identity]) -> np.ndarray:
         """(N, 3, 3) m^2 that the parameters bring to the tip.
 
@@ -79,9 +85,8 @@ class ModelUncertainty:
             columns: (N, 3, k) of the tip by some parameters.
             slots: (k,) their identities. Those that were not fitted count as known.
         """
-        row = {identity: k for k, identity in enumerate(self.slots)}
-        held = [k for k, identity in enumerate(slots) if identity in row]
-        moved = columns[..., held] @ self.factor[[row[slots[k]] for k in held]]
+        held = [k for k, identity in enumerate(slots) if identity in self.row]
+        moved = columns[..., held] @ self.factor[[self.row[slots[k]] for k in held]]
         return self.stretch.of(moved @ np.swapaxes(moved, -1, -2))
 
 
