@@ -19,13 +19,7 @@ from longarm_comp.devices.servo_bus import (
     ServoState,
 )
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import (
-    Accepted,
-    KeepsOut,
-    Shapes,
-    Step,
-    TrajectoryFollower,
-)
+from longarm_comp.devices.servo_follower import Accepted, KeepsOut, Shapes, Step, TrajectoryFollower
 
 
 @dataclass(frozen=True)

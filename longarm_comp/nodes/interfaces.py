@@ -12,12 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import (
-    PoseStamped,
-    PoseWithCovarianceStamped,
-    Vector3Stamped,
-    WrenchStamped,
-)
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped, WrenchStamped
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -171,11 +166,7 @@ MOTION = Topic(
     "motion", Motion, 2000, RELIABLE, "what happens to every trajectory, from the driver"
 )
 WITHDRAWN = Topic(
-    "withdrawn",
-    String,
-    10,
-    RELIABLE,
-    "id of a trajectory that must not move the arm any more",
+    "withdrawn", String, 10, RELIABLE, "id of a trajectory that must not move the arm any more"
 )
 DRIVER_STATE = Topic(
     "servo_driver/state", DriverState, 1, RELIABLE, "whether the driver takes trajectories",

@@ -172,9 +172,7 @@ def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
     """The trajectory for the servo side. It starts when it is taken up."""
     points = tuple(
         devices.TrajectoryPoint(
-            seconds(point.time_from_start),
-            tuple(point.positions),
-            tuple(point.velocities),
+            seconds(point.time_from_start), tuple(point.positions), tuple(point.velocities)
         )
         for point in message.points
     )

@@ -30,17 +30,11 @@ class _Process:
 
 @dataclass
 class Supervisor:
-    """Processes by name. Use as a context manager.
+    """Processes by name. Use as a context manager."""
 
-    Args:
-        commands: program and arguments of each.
-        respawn: restart a process that ends, except after exit code 2 (bad input).
-        say: called with a message on every start and end.
-    """
-
-    commands: Mapping[str, Sequence[str]]
-    respawn: bool = True
-    say: Callable[[str], None] = lambda text: None
+    commands: Mapping[str, Sequence[str]]  # program and arguments of each
+    respawn: bool = True  # restart a process that ends, except after exit code 2 (bad input)
+    say: Callable[[str], None] = lambda text: None  # called with a message on every start and end
     _children: dict[str, _Process] = field(default_factory=dict)
 
     def __enter__(self) -> Supervisor:

@@ -7,12 +7,7 @@ from longarm_comp.devices.stereo.hand_eye import HandEye, hand_eye
 from longarm_comp.devices.stereo.limits import Limits
 from longarm_comp.devices.stereo.pairing import Drop, Pair, Side, StereoPairer
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
-from longarm_comp.devices.stereo.target import (
-    CharucoTarget,
-    Corners,
-    TagBoard,
-    Target,
-)
+from longarm_comp.devices.stereo.target import CharucoTarget, Corners, TagBoard, Target
 from longarm_comp.devices.stereo.triangulate import (
     PixelNoise,
     Triangulation,
