@@ -115,7 +115,6 @@ class ServoArm:
         self.powered, self._owing_off = on, False
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
-        """Start a trajectory."""
         if not self.powered:
             raise JobError("the torque is off")
         return self.follower.accept(trajectory, now)

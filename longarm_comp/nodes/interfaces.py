@@ -69,7 +69,6 @@ class Topic:
     latched: bool = False
 
     def publisher(self, node: Node) -> Any:
-        """Create a publisher on a node."""
         qos = QoSProfile(depth=self.depth, durability=self._durability)
         return node.create_publisher(self.type, self.name, qos, event_callbacks=_UNHEARD_PUBLISHER)
 
@@ -128,7 +127,6 @@ class Service:
     def server(
         self, node: Node, callback: Callable[..., Any], group: CallbackGroup | None = None
     ) -> Any:
-        """Create the service on a node."""
         return node.create_service(
             self.type, self.name, callback, qos_profile=_PATIENT, callback_group=group
         )

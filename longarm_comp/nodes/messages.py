@@ -79,7 +79,6 @@ def quaternion_message(turn: np.ndarray) -> Quaternion:
 
 
 def vector_message(values: Sequence[float] | np.ndarray) -> Vector3:
-    """Three numbers."""
     x, y, z = (float(v) for v in values)
     return Vector3(x=x, y=y, z=z)
 
@@ -145,7 +144,6 @@ def duration(value_s: float) -> Duration:
 
 
 def seconds(message: Duration) -> float:
-    """A duration in seconds."""
     return float(message.sec + 1e-9 * message.nanosec)
 
 
@@ -281,7 +279,6 @@ def compensation_message(
 
 
 def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Response:
-    """The response to a `compensate` request."""
     response = Compensate.Response(
         success=answer.status.success, status=int(answer.status), message=answer.message,
         id=answer.name,

@@ -56,7 +56,6 @@ class Supervisor:
         self.stop()
 
     def pid(self, name: str) -> int:
-        """Present process id of a node."""
         return self._children[name].process.pid
 
     def deaths(self, name: str) -> int:
@@ -64,7 +63,6 @@ class Supervisor:
         return self._children[name].deaths
 
     def look(self) -> None:
-        """Restart the processes that have died."""
         for name, child in self._children.items():
             code = child.process.poll()
             if code is None:

@@ -48,7 +48,6 @@ class Worker:
 
     @property
     def waiting(self) -> int:
-        """Number of waiting jobs."""
         return len(self._jobs)
 
     def start(self) -> None:

@@ -64,7 +64,6 @@ class TrueArm:
         return state.q + sum((e.before(torques, state) for e in self.hidden), np.zeros(1))
 
     def settled(self, q: Array, context: TrueContext | None = None) -> Settled:
-        """State of the arm at rest."""
         state = State.of(self.arm, q, context)
         walk = Walk(state, self.hidden, self._steps, self._shear)
         gamma = walk.solve(walk.rigid())

@@ -86,11 +86,9 @@ class Explanations:
 
     @property
     def space(self) -> Parameters:
-        """The numbers."""
         return self.branches[0].known.space
 
     def seen(self, row: Row) -> Explanations:
-        """The next sighting taken in."""
         each = [(b, b.known.seen(row)) for b in self.branches]
         logs = np.array([math.log(b.weight) + known.log_likelihood for b, known in each])
         top = float(logs.max())

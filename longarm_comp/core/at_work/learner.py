@@ -99,7 +99,6 @@ class Learner:
 
     @property
     def record(self) -> ModelUncertainty:
-        """How good the model is."""
         assert self.model.uncertainty is not None
         return self.model.uncertainty
 

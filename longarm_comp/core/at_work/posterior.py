@@ -84,7 +84,6 @@ class RecursivePosterior:
         )  # fmt: skip
 
     def seen(self, row: Row) -> RecursivePosterior:
-        """The next sighting taken in."""
         a = row.columns[:, self.active]
         carried = self.covariance @ a.T
         spread = a @ carried + row.noise
@@ -120,7 +119,6 @@ class RecursivePosterior:
 
     @cached_property
     def hypotheses(self) -> _Hypotheses:
-        """Jumps of every effect at every onset."""
         return _Hypotheses.of(self)
 
     @property
@@ -135,11 +133,6 @@ class RecursivePosterior:
     def probability(self) -> np.ndarray:
         """(T, C) of every change at every onset."""
         return np.asarray(np.exp(self.hypotheses.log_weight - self.total))
-
-    @property
-    def nothing(self) -> float:
-        """Probability that nothing changed."""
-        return math.exp(-self.total)
 
     @property
     def unexplained(self) -> float:

@@ -119,7 +119,6 @@ class Predictor:
 
     @property
     def shape(self) -> NetworkShape:
-        """Sizes of each network of the ensemble."""
         shape: NetworkShape = self._shape  # type: ignore[attr-defined]
         return shape
 

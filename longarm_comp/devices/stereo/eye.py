@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
-from longarm_comp.devices.stereo.found import found_corners
-from longarm_comp.devices.stereo.limits import Limits
+from longarm_comp.devices.stereo.found import Limits, found_corners
 from longarm_comp.devices.stereo.marker_pose import MarkerPose, marker_pose
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Target

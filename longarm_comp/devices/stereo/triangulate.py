@@ -49,7 +49,6 @@ class Triangulation:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square of the residual components."""
         return float(np.sqrt(np.mean(np.square(self.residuals))))
 
 

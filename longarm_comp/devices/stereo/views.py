@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.devices.stereo.camera import Array
-from longarm_comp.devices.stereo.found import found_corners
-from longarm_comp.devices.stereo.limits import Limits
+from longarm_comp.devices.stereo.found import Limits, found_corners
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
