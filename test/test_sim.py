@@ -165,14 +165,6 @@ def test_single_and_batch_agree(twin: Arm, rng: np.random.Generator) -> None:
     assert np.allclose(rotation @ rotation.transpose(0, 2, 1), np.eye(3), atol=1e-9)
 
 
-def test_centre_line_runs_from_foot_to_tip(twin: Arm, rng: np.random.Generator) -> None:
-    q = rng.uniform(twin.lower, twin.upper, (3, twin.n))
-    points = TrueArm(twin).points(q)
-    assert np.allclose(points[:, 0], 0.0)
-    assert np.allclose(points[:, -1], TrueArm(twin).tip(q))
-    assert np.linalg.norm(np.diff(points, axis=1), axis=2).max() < 0.4
-
-
 def test_torques_are_the_slope_of_potential_energy(twin: Arm, rng: np.random.Generator) -> None:
     """Virtual work: at rest, with joints held, torque = dE/dq' by the payload's share."""
     stiff = stiffened(twin, 4e4)  # as stiff as arm.yaml can say

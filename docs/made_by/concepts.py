@@ -23,14 +23,14 @@ def deflection(figure: Figure) -> None:
     axes = figure.subplots()
     arm = Arm.load(folder("config") / "arm_demo.yaml")
     straight, bent = outline(Model(arm), arm.mid), outline(declared_model(arm), arm.mid)
-    true = TrueArm(arm).points(arm.mid)[0]
+    true = TrueArm(arm).tip(arm.mid)
     shown = 1e3 * exaggerated(bent, straight, _SAG_TIMES)
-    tip = 1e3 * exaggerated(true[-1:], straight[-1:], _SAG_TIMES)[0]
+    tip = 1e3 * exaggerated(true[None], straight[-1:], _SAG_TIMES)[0]
     axes.plot(*(1e3 * straight[:, [0, 2]].T), color=GREY, lw=5, ls=(0, (2, 0.6)), label="straight")
     axes.plot(*shown[:, [0, 2]].T, color=BLUE, lw=3, label=f"bent, sag × {_SAG_TIMES:g}")
     axes.plot(*tip[[0, 2]], "o", ms=11, mfc="none", mec=VERMILLION, mew=2,
               label="tip of elastic rods, computed apart")  # fmt: skip
-    sag, off = np.linalg.norm(bent[-1] - straight[-1]), np.linalg.norm(bent[-1] - true[-1])
+    sag, off = np.linalg.norm(bent[-1] - straight[-1]), np.linalg.norm(bent[-1] - true)
     axes.set(xlabel="x, mm", ylabel="z, mm",
              title=f"Under its own weight the tip sags by {1e3 * sag:.1f} mm; "
                    f"both computations agree to {1e6 * off:.0f} µm")  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from longarm_comp.arm_folder.measured import note_measured
-from longarm_comp.devices.stereo.board_calibration import BoardCalibration
+from longarm_comp.devices.stereo.calibrate import BoardCalibration
 from longarm_comp.devices.stereo.camera_file import calibration_of, write_camera
 
 CAMERAS = "cameras"

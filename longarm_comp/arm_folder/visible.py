@@ -61,7 +61,7 @@ class View:
     @classmethod
     def of(cls, bridge: Mapping[str, Any], simulated: Mapping[str, Any]) -> View:
         """From parameters of `stereo_bridge` and `simulated_arm` by dotted name."""
-        from longarm_comp.devices.stereo.limits import Limits  # these take a second, with OpenCV
+        from longarm_comp.devices.stereo.found import Limits  # these take a second, with OpenCV
         from longarm_comp.devices.stereo.target import TagBoard
         from longarm_comp.sim.cameras import CameraPair
         from longarm_comp.sim.plant import mounting

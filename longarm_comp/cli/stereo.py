@@ -17,7 +17,7 @@ from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
     from longarm_comp.devices.stereo import CharucoTarget, TagBoard, Target
-    from longarm_comp.devices.stereo.board_calibration import BoardCalibration
+    from longarm_comp.devices.stereo.calibrate import BoardCalibration
     from longarm_comp.devices.stereo.views import BoardView
 
     Size = tuple[int, int]
@@ -170,7 +170,7 @@ def calibrate(
       longarm stereo calibrate my_arm --images pictures --board 7x5 --square-mm 25.1
     """
     from longarm_comp.arm_folder.camera_files import write_cameras
-    from longarm_comp.devices.stereo.board_calibration import calibrated
+    from longarm_comp.devices.stereo.calibrate import calibrated
 
     if (images is not None) == live:
         given = "both" if live else "neither"

@@ -167,7 +167,6 @@ class InParts:
 
     @property
     def path(self) -> CubicPath:
-        """What is followed."""
         return self.way.path
 
     @property

@@ -19,13 +19,7 @@ from longarm_comp.devices.servo_bus import (
     ServoState,
 )
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import (
-    Accepted,
-    KeepsOut,
-    Shapes,
-    Step,
-    TrajectoryFollower,
-)
+from longarm_comp.devices.servo_follower import Accepted, KeepsOut, Shapes, Step, TrajectoryFollower
 
 
 @dataclass(frozen=True)
@@ -121,7 +115,6 @@ class ServoArm:
         self.powered, self._owing_off = on, False
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
-        """Start a trajectory."""
         if not self.powered:
             raise JobError("the torque is off")
         return self.follower.accept(trajectory, now)

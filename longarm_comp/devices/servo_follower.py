@@ -186,10 +186,7 @@ class TrajectoryFollower:
         self._say(EventKind.RESET, "ready")
 
     def step(
-        self,
-        now: float,
-        states: Mapping[int, ServoState],
-        driven: Mapping[int, bool] | None = None,
+        self, now: float, states: Mapping[int, ServoState], driven: Mapping[int, bool] | None = None
     ) -> Step:
         """Process one read-back, by servo id without silent servos, and return goals to send.
 

@@ -101,7 +101,6 @@ class JointConfig(ServoSettings):
 
     @property
     def unit(self) -> str:
-        """Unit of the joint value."""
         return "m" if self.type == "prismatic" else "rad"
 
     @property

@@ -52,10 +52,7 @@ class ServoWatch:
         self._now = 0.0
 
     def update(
-        self,
-        now: float,
-        states: Mapping[int, ServoState],
-        goals: Mapping[int, int] | None,
+        self, now: float, states: Mapping[int, ServoState], goals: Mapping[int, int] | None
     ) -> tuple[bool, list[JointFault]]:
         """Process one read-back, by servo id, without servos that did not answer.
 

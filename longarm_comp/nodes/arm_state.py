@@ -51,8 +51,6 @@ class ArmState:
 
     Args:
         capacity: jobs that may wait for the worker.
-        predictor: makes what the worker asks for the learned error; the service on the graph
-            where it is not given.
 
     Attributes:
         files: the declared arm and the model in use. base_frame: full name of its frame.

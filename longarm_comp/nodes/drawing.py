@@ -81,7 +81,6 @@ class Markers:
         self._tip: np.ndarray | None = None
 
     def on_answer(self, answer: Answer) -> None:
-        """Keep the target of the latest answer."""
         if answer.outcome is not None and answer.status.success:
             self._target = _position(answer.outcome.target)
             self._pseudo = _position(answer.outcome.pseudo_target)

@@ -130,7 +130,6 @@ class Health:
         self._fault_s = None
 
     def publish(self) -> None:
-        """Publish the report of every part now."""
         name = self._node.get_fully_qualified_name()
         array = DiagnosticArray()
         array.header.stamp = self._node.get_clock().now().to_msg()

@@ -12,12 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import (
-    PoseStamped,
-    PoseWithCovarianceStamped,
-    Vector3Stamped,
-    WrenchStamped,
-)
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped, WrenchStamped
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -74,7 +69,6 @@ class Topic:
     latched: bool = False
 
     def publisher(self, node: Node) -> Any:
-        """Create a publisher on a node."""
         qos = QoSProfile(depth=self.depth, durability=self._durability)
         return node.create_publisher(self.type, self.name, qos, event_callbacks=_UNHEARD_PUBLISHER)
 
@@ -133,7 +127,6 @@ class Service:
     def server(
         self, node: Node, callback: Callable[..., Any], group: CallbackGroup | None = None
     ) -> Any:
-        """Create the service on a node."""
         return node.create_service(
             self.type, self.name, callback, qos_profile=_PATIENT, callback_group=group
         )
@@ -171,11 +164,7 @@ MOTION = Topic(
     "motion", Motion, 2000, RELIABLE, "what happens to every trajectory, from the driver"
 )
 WITHDRAWN = Topic(
-    "withdrawn",
-    String,
-    10,
-    RELIABLE,
-    "id of a trajectory that must not move the arm any more",
+    "withdrawn", String, 10, RELIABLE, "id of a trajectory that must not move the arm any more"
 )
 DRIVER_STATE = Topic(
     "servo_driver/state", DriverState, 1, RELIABLE, "whether the driver takes trajectories",

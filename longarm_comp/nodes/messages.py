@@ -79,7 +79,6 @@ def quaternion_message(turn: np.ndarray) -> Quaternion:
 
 
 def vector_message(values: Sequence[float] | np.ndarray) -> Vector3:
-    """Three numbers."""
     x, y, z = (float(v) for v in values)
     return Vector3(x=x, y=y, z=z)
 
@@ -145,7 +144,6 @@ def duration(value_s: float) -> Duration:
 
 
 def seconds(message: Duration) -> float:
-    """A duration in seconds."""
     return float(message.sec + 1e-9 * message.nanosec)
 
 
@@ -172,9 +170,7 @@ def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
     """The trajectory for the servo side. It starts when it is taken up."""
     points = tuple(
         devices.TrajectoryPoint(
-            seconds(point.time_from_start),
-            tuple(point.positions),
-            tuple(point.velocities),
+            seconds(point.time_from_start), tuple(point.positions), tuple(point.velocities)
         )
         for point in message.points
     )
@@ -283,7 +279,6 @@ def compensation_message(
 
 
 def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Response:
-    """The response to a `compensate` request."""
     response = Compensate.Response(
         success=answer.status.success, status=int(answer.status), message=answer.message,
         id=answer.name,

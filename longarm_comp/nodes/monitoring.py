@@ -268,7 +268,6 @@ class RingTeller:
             self._said = "not known, because the driver does not say when it ends"
 
     def told(self, motion: Motion) -> None:
-        """Take what became of a trajectory."""
         if motion.event == Motion.ACCEPTED:
             self._move = motion
         elif motion.event == Motion.REACHED and self._move is not None:

@@ -65,7 +65,6 @@ class ArmNode(Node):
             worker.close()
 
     def survived(self, error: Exception) -> None:
-        """Count an exception that a callback raised."""
         self.health.fault(error)
 
     def every(self, name: str, callback: Callable[[], Any]) -> None:

@@ -43,7 +43,6 @@ class Stamps:
         self._clock, self._read, self._last = clock, 0, 0
 
     def next(self) -> Time:
-        """The stamp of the next order."""
         before, self._read = self._read, int(self._clock.now().nanoseconds)
         stood = before <= self._read <= self._last
         self._last = self._last + 1 if stood else self._read

@@ -46,7 +46,6 @@ class Param:
     live: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
-        """The descriptor for ROS."""
         described = ParameterDescriptor(
             name=self.name, description=self.description, read_only=not self.live
         )

@@ -48,7 +48,6 @@ class Weigher:
         graph.WRENCH.subscription(state.node, self._on_wrench)
 
     def moving(self) -> None:
-        """The arm was sent elsewhere."""
         self._due = math.inf
 
     def reached(self) -> None:

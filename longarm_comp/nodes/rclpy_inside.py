@@ -52,11 +52,9 @@ class _Aside(CallbackGroup):
     """Callback group of entities that a worker takes; the executor ignores them."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Never in an executor."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
-        """Never in an executor."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
@@ -169,11 +167,9 @@ class ServiceCaller:
 
     @property
     def present(self) -> bool:
-        """Whether the service is on the graph."""
         return bool(self._client.service_is_ready())
 
     def send(self, request: Any) -> int:
-        """Send a request and return its number."""
         handle = self._client.handle
         with handle:
             return int(handle.send_request(request))

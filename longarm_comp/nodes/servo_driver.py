@@ -246,7 +246,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @property
     def names(self) -> Sequence[str]:
-        """Names of the joints."""
         return list(self._config.joints)
 
     @property
@@ -288,7 +287,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell_change()
 
     def refuse(self, name: str, why: str) -> None:
-        """Tell that a trajectory is not taken up."""
         self._counts["refused"] += 1
         self._refusal = why
         self._tell(Motion.REFUSED, name, why)

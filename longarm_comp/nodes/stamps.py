@@ -18,5 +18,4 @@ def sent_s(source_ns: int) -> float:
 
 
 def stamp_of(ns: int) -> Time:
-    """Nanoseconds as a stamp."""
     return Time(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)

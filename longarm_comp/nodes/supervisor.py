@@ -30,17 +30,11 @@ class _Process:
 
 @dataclass
 class Supervisor:
-    """Processes by name. Use as a context manager.
+    """Processes by name. Use as a context manager."""
 
-    Args:
-        commands: program and arguments of each.
-        respawn: restart a process that ends, except after exit code 2 (bad input).
-        say: called with a message on every start and end.
-    """
-
-    commands: Mapping[str, Sequence[str]]
-    respawn: bool = True
-    say: Callable[[str], None] = lambda text: None
+    commands: Mapping[str, Sequence[str]]  # program and arguments of each
+    respawn: bool = True  # restart a process that ends, except after exit code 2 (bad input)
+    say: Callable[[str], None] = lambda text: None  # called with a message on every start and end
     _children: dict[str, _Process] = field(default_factory=dict)
 
     def __enter__(self) -> Supervisor:
@@ -62,7 +56,6 @@ class Supervisor:
         self.stop()
 
     def pid(self, name: str) -> int:
-        """Present process id of a node."""
         return self._children[name].process.pid
 
     def deaths(self, name: str) -> int:
@@ -70,7 +63,6 @@ class Supervisor:
         return self._children[name].deaths
 
     def look(self) -> None:
-        """Restart the processes that have died."""
         for name, child in self._children.items():
             code = child.process.poll()
             if code is None:

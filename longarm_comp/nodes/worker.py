@@ -34,11 +34,7 @@ class Worker:
     """
 
     def __init__(
-        self,
-        node: Node,
-        executor: Executor,
-        capacity: int,
-        on_error: Callable[[Exception], None],
+        self, node: Node, executor: Executor, capacity: int, on_error: Callable[[Exception], None]
     ) -> None:
         self._context = node.context
         self._executor = executor
@@ -52,7 +48,6 @@ class Worker:
 
     @property
     def waiting(self) -> int:
-        """Number of waiting jobs."""
         return len(self._jobs)
 
     def start(self) -> None:

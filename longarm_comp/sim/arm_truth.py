@@ -54,10 +54,6 @@ class TrueArm:
         pose = self.settled(q, context).pose
         return pose if np.ndim(q) == 2 else pose[0]
 
-    def points(self, q: Array, context: TrueContext | None = None) -> Array:
-        """Centre line from the foot to the last frame, (N, P, 3) m."""
-        return self.settled(q, context, trace=True).points
-
     def torques(self, q: Array, context: TrueContext | None = None) -> Array:
         """True joint loads, (N, n): N m about a turning axis, N along a sliding one."""
         return self.settled(q, context).torques
@@ -67,10 +63,7 @@ class TrueArm:
         state, torques = State.of(self.arm, q, context), self.torques(q, context)
         return state.q + sum((e.before(torques, state) for e in self.hidden), np.zeros(1))
 
-    def settled(
-        self, q: Array, context: TrueContext | None = None, *, trace: bool = False
-    ) -> Settled:
-        """State of the arm at rest."""
+    def settled(self, q: Array, context: TrueContext | None = None) -> Settled:
         state = State.of(self.arm, q, context)
         walk = Walk(state, self.hidden, self._steps, self._shear)
         gamma = walk.solve(walk.rigid())
@@ -79,4 +72,4 @@ class TrueArm:
             held = sum((e.held(torques, state) for e in self.hidden), np.zeros_like(state.q))
             walk = Walk(state, self.hidden, self._steps, self._shear, held)
             gamma = walk.solve(gamma)
-        return walk.finish(gamma, trace=trace)
+        return walk.finish(gamma)

@@ -134,7 +134,6 @@ class Plant:
         self.emulator.start()
 
     def stop(self) -> None:
-        """Power off."""
         self.emulator.stop()
 
     def joints(self) -> Array:

@@ -24,12 +24,10 @@ class Settled:
         pose: tip in the base frame, (N, 4, 4).
         torques: moment of the weight about each motor's axis (N m), along it if it slides
             (N), (N, n).
-        points: centre line from the foot to the last frame, (N, P, 3) m.
     """
 
     pose: Array
     torques: Array
-    points: Array
 
 
 class Walk:
@@ -98,22 +96,20 @@ class Walk:
         """Gravity in the last frame's axes at rest, (3, N)."""
         return settle(lambda gamma: self._walk(gamma)[0], start, self.gravity)
 
-    def finish(self, gamma: Array, *, trace: bool = False) -> Settled:
+    def finish(self, gamma: Array) -> Settled:
         """The arm at rest for the solved gravity direction."""
-        end, marks, torques = self._walk(gamma[:, None], tip=True, trace=trace)
+        end, marks, torques = self._walk(gamma[:, None], tip=True)
         pose = np.zeros((gamma.shape[1], 4, 4))
         pose[:, 3, 3] = 1.0
         for column, mark in enumerate(marks):
             pose[:, :3, column] = end.seen(mark)[:, 0].T
-        line = [end.seen(m)[:, 0].T for m in reversed(end.line)]
-        points = np.stack(line, axis=1) if line else np.zeros((gamma.shape[1], 0, 3))
-        return Settled(pose, torques, points)
+        return Settled(pose, torques)
 
     def _walk(
-        self, gamma: Array, *, tip: bool = False, trace: bool = False, last: bool = False
+        self, gamma: Array, *, tip: bool = False, last: bool = False
     ) -> tuple[Walker, list[int], Array]:
         """Integrate to the base. Returns the walker there, its marks and the joint loads."""
-        walker = Walker(gamma, trace=trace)
+        walker = Walker(gamma)
         marks: list[int] = []
         torques = np.zeros_like(self._state.q)
 
@@ -128,7 +124,6 @@ class Walk:
                 matrix = rpy_matrix(np.radians(self._arm.tip.rpy_deg))
                 marks += [walker.mark(c, point=False) for c in matrix.T]
                 marks.append(walker.mark(self._arm.tip.position_m, point=True))
-            walker.point()
             if row > 0:
                 self._row(walker, row, torques)
         self._give(walker, Place("base", 0))
@@ -171,7 +166,6 @@ class Walk:
         rest = size - sign * sum(lengths, np.zeros_like(size))
         if np.any(rest != 0.0):
             walker.shift(np.stack([rest if k == axis else 0 * rest for k in range(3)]))
-            walker.point()
         ends = np.cumsum([0 * size, *lengths], axis=0)
         for k in range(len(beams) - 1, -1, -1):
             self._beam(walker, axis, sign, beams, ends, k)
@@ -209,7 +203,6 @@ class Walk:
             middle = (near + far) / 2
             density = sum((rho * (start < middle) for rho, start in bodies), np.zeros_like(near))
             walker.rod(axis, sign, far - near, compliance, density, self._steps, stretch)
-            walker.point()
 
     def _give(self, walker: Walker, place: Place) -> None:
         for effect in reversed(self._hidden):

@@ -37,21 +37,17 @@ class Walker:
     Args:
         gamma: gravity in the axes of the last frame, (3, B, N) m/s^2: N postures, B trial
             directions each.
-        trace: follow every section that `point` is called at.
 
     Attributes:
         mass: carried mass, kg, broadcast against (B, N).
-        line: numbers of the followed sections, tip first.
     """
 
-    def __init__(self, gamma: Array, *, trace: bool = False) -> None:
+    def __init__(self, gamma: Array) -> None:
         self._v = np.zeros((3, 2, *gamma.shape[1:]))  # component, vector, trial, posture
         self._v[:, _GRAVITY] = gamma
         self._point = np.zeros(2)
         self.mass: Array | float = 0.0
         self._pushed: int | None = None
-        self._trace = trace
-        self.line: list[int] = []
 
     @property
     def gravity(self) -> Array:
@@ -83,11 +79,6 @@ class Walker:
         self._v = np.concatenate([self._v, new], axis=1)
         self._point = np.append(self._point, float(point))
         return len(self._point) - 3
-
-    def point(self) -> None:
-        """Follow this section's origin if ``trace`` is set."""
-        if self._trace:
-            self.line.append(self.mark((0.0, 0.0, 0.0), point=True))
 
     def hang(self, mass: Array | float, at: Sequence[float] | Array) -> None:
         """Add a mass (kg) at a position (m) in these axes."""

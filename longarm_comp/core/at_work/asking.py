@@ -18,19 +18,12 @@ POOL = 256
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A pose to measure.
+    """A pose to measure."""
 
-    Attributes:
-        q: (n,) commanded joints, rad and m.
-        side: (n,) of +-1, from which each joint arrives, by a run-up.
-        between: effects that it tells apart, the likelier first.
-        apart: how far their predictions lie apart there, m.
-    """
-
-    q: np.ndarray
-    side: np.ndarray
-    between: tuple[str, str]
-    apart: float
+    q: np.ndarray  # (n,) commanded joints, rad and m
+    side: np.ndarray  # (n,) of +-1, from which each joint arrives, by a run-up
+    between: tuple[str, str]  # effects that it tells apart, the likelier first
+    apart: float  # how far their predictions lie apart there, m
 
     @property
     def text(self) -> str:

@@ -31,21 +31,13 @@ whatever is left out, as its jump is then known four times better than by one.""
 
 @dataclass(frozen=True)
 class _PastChange:
-    """An effect that changed, by one explanation.
-
-    Attributes:
-        key: of the effect.
-        where: it is.
-        since_s: time of the first sighting that shows it.
-        sightings: from then until posteriors parted.
-        before: (k,) values of its parameters until then.
-    """
+    """An effect that changed, by one explanation."""
 
     key: Key
     where: str
-    since_s: float
-    sightings: int
-    before: tuple[float, ...]
+    since_s: float  # time of the first sighting that shows it
+    sightings: int  # from then until posteriors parted
+    before: tuple[float, ...]  # (k,) values of its parameters until then
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,23 +79,16 @@ class Branch:
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """All explanations; weights sum to 1.
+    """All explanations; weights sum to 1."""
 
-    Attributes:
-        branches: the most probable first.
-        log_likelihood: of the last sighting.
-    """
-
-    branches: tuple[Branch, ...]
-    log_likelihood: float = 0.0
+    branches: tuple[Branch, ...]  # the most probable first
+    log_likelihood: float = 0.0  # of the last sighting
 
     @property
     def space(self) -> Parameters:
-        """The numbers."""
         return self.branches[0].known.space
 
     def seen(self, row: Row) -> Explanations:
-        """The next sighting taken in."""
         each = [(b, b.known.seen(row)) for b in self.branches]
         logs = np.array([math.log(b.weight) + known.log_likelihood for b, known in each])
         top = float(logs.max())

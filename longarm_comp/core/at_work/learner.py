@@ -66,39 +66,24 @@ class Named(Declared):
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """The model as it was served once a change was sure.
-
-    Attributes:
-        at_s: when.
-        model: with the record of how good it is.
-        named: what had changed.
-    """
+    """The model as it was served once a change was sure."""
 
     at_s: float
-    model: Model
-    named: Named | None
+    model: Model  # with the record of how good it is
+    named: Named | None  # what had changed
 
 
 @dataclass(frozen=True, eq=False)
 class Learner:
-    """The model at work. Frozen: `seen` returns the next one.
+    """The model at work. Frozen: `seen` returns the next one."""
 
-    Attributes:
-        model: that is served.
-        known: what is known; None before the first sighting.
-        versions: of the model, the first as it was given.
-        frozen: whether sightings change nothing.
-        step_m: largest correction of the tip by one sighting.
-        sightings: taken in, and `doubtful`: left out.
-    """
-
-    model: Model
-    known: Explanations | None = None
-    versions: tuple[Version, ...] = ()
-    frozen: bool = False
-    step_m: float = STEP_M
-    sightings: int = 0
-    doubtful: int = 0
+    model: Model  # that is served
+    known: Explanations | None = None  # what is known; None before the first sighting
+    versions: tuple[Version, ...] = ()  # of the model, the first as it was given
+    frozen: bool = False  # whether sightings change nothing
+    step_m: float = STEP_M  # largest correction of the tip by one sighting
+    sightings: int = 0  # taken in
+    doubtful: int = 0  # left out
     pending: tuple[Explanations, Row, float] | None = None
 
     @classmethod
@@ -114,7 +99,6 @@ class Learner:
 
     @property
     def record(self) -> ModelUncertainty:
-        """How good the model is."""
         assert self.model.uncertainty is not None
         return self.model.uncertainty
 

@@ -39,53 +39,31 @@ sighting sees."""
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One sighting, as an equation of all numbers.
-
-    Attributes:
-        t_s: when.
-        columns: (3, q) m per unit.
-        value: (3,) m, the sighting less what the numbers at 0 would give, to first order.
-        noise: (3, 3) m^2.
-        reach: distance from the base, m.
-    """
+    """One sighting, as an equation of all numbers."""
 
     t_s: float
-    columns: np.ndarray
-    value: np.ndarray
-    noise: np.ndarray
-    reach: float
+    columns: np.ndarray  # (3, q) m per unit
+    value: np.ndarray  # (3,) m, the sighting less what the numbers at 0 would give, to first order
+    noise: np.ndarray  # (3, 3) m^2
+    reach: float  # distance from the base, m
 
 
 @dataclass(frozen=True, eq=False)
 class RecursivePosterior:
-    """What is known after some sightings.
+    """What is known after some sightings."""
 
-    Attributes:
-        space: the numbers.
-        mean: (q,) if nothing changed.
-        active: (p,) positions of what is not known exactly.
-        covariance: (p, p) of these.
-        again: (C,) whether an effect has changed before.
-        since: (T,) first sighting's time of each onset.
-        count: (T,) sightings since.
-        response: (T, p, q) of the mean's error to a unit jump.
-        gram: (T, C, k, k), along: (T, C, k), of a jump in ordinary sizes, against the noise.
-        growth: (T,) log Bayes factor of grown errors.
-        log_likelihood: of the last sighting.
-    """
-
-    space: Parameters
-    mean: np.ndarray
-    active: np.ndarray
-    covariance: np.ndarray
-    again: np.ndarray
-    since: np.ndarray
-    count: np.ndarray
-    response: np.ndarray
-    gram: np.ndarray
-    along: np.ndarray
-    growth: np.ndarray
-    log_likelihood: float = 0.0
+    space: Parameters  # the numbers
+    mean: np.ndarray  # (q,) if nothing changed
+    active: np.ndarray  # (p,) positions of what is not known exactly
+    covariance: np.ndarray  # (p, p) of these
+    again: np.ndarray  # (C,) whether an effect has changed before
+    since: np.ndarray  # (T,) first sighting's time of each onset
+    count: np.ndarray  # (T,) sightings since
+    response: np.ndarray  # (T, p, q) of the mean's error to a unit jump
+    gram: np.ndarray  # (T, C, k, k),
+    along: np.ndarray  # (T, C, k), of a jump in ordinary sizes, against the noise
+    growth: np.ndarray  # (T,) log Bayes factor of grown errors
+    log_likelihood: float = 0.0  # of the last sighting
 
     @classmethod
     def begun(
@@ -106,7 +84,6 @@ class RecursivePosterior:
         )  # fmt: skip
 
     def seen(self, row: Row) -> RecursivePosterior:
-        """The next sighting taken in."""
         a = row.columns[:, self.active]
         carried = self.covariance @ a.T
         spread = a @ carried + row.noise
@@ -142,7 +119,6 @@ class RecursivePosterior:
 
     @cached_property
     def hypotheses(self) -> _Hypotheses:
-        """Jumps of every effect at every onset."""
         return _Hypotheses.of(self)
 
     @property
@@ -157,11 +133,6 @@ class RecursivePosterior:
     def probability(self) -> np.ndarray:
         """(T, C) of every change at every onset."""
         return np.asarray(np.exp(self.hypotheses.log_weight - self.total))
-
-    @property
-    def nothing(self) -> float:
-        """Probability that nothing changed."""
-        return math.exp(-self.total)
 
     @property
     def unexplained(self) -> float:
@@ -226,19 +197,12 @@ class RecursivePosterior:
 
 @dataclass(frozen=True, eq=False)
 class _Hypotheses:
-    """The changes of every effect at every onset.
+    """The changes of every effect at every onset."""
 
-    Attributes:
-        log_weight: (T, C) against "nothing changed".
-        mean: (T, C, k) jump in ordinary sizes.
-        spread: (T, C, k, k) its covariance.
-        unnamed: (T,) log weight of a change of no known effect.
-    """
-
-    log_weight: np.ndarray
-    mean: np.ndarray
-    spread: np.ndarray
-    unnamed: np.ndarray
+    log_weight: np.ndarray  # (T, C) against "nothing changed"
+    mean: np.ndarray  # (T, C, k) jump in ordinary sizes
+    spread: np.ndarray  # (T, C, k, k) its covariance
+    unnamed: np.ndarray  # (T,) log weight of a change of no known effect
 
     @classmethod
     def of(cls, known: RecursivePosterior) -> _Hypotheses:

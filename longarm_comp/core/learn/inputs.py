@@ -41,7 +41,6 @@ class Encoding:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the d inputs."""
         raw = raw_names(self.joints, self.context)
         return tuple(raw[i] for i in self.kept)
 
@@ -105,7 +104,6 @@ def _width(name: str, joints: int) -> int:
 
 
 def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
-    """Encoding of a training set."""
     if kind not in INPUT_KINDS:
         raise InputError("train", "inputs", kind, f"one of {sorted(INPUT_KINDS)}")
     used = tuple(name for name in INPUT_KINDS[kind] if context.has(name))

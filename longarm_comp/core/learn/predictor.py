@@ -45,16 +45,11 @@ class Prediction:
 
 @dataclass(frozen=True)
 class LearnedGain:
-    """What a network brought on rows that were left out of its training, lengths in m.
+    """What a network brought on rows that were left out of its training, lengths in m."""
 
-    Attributes:
-        without: mean error that the physics alone leaves. left: with the network.
-        low: lower end of the gain, 95 % one-sided.
-    """
-
-    without: float = math.inf
-    left: float = 0.0
-    low: float = math.inf
+    without: float = math.inf  # mean error that the physics alone leaves
+    left: float = 0.0  # with the network
+    low: float = math.inf  # lower end of the gain, 95 % one-sided
 
     @classmethod
     def of(cls, residual: Array, left: Array) -> LearnedGain:
@@ -124,7 +119,6 @@ class Predictor:
 
     @property
     def shape(self) -> NetworkShape:
-        """Sizes of each network of the ensemble."""
         shape: NetworkShape = self._shape  # type: ignore[attr-defined]
         return shape
 

@@ -42,20 +42,13 @@ class Mass:
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """The slowest modes at a posture, the slowest first; scaled to a modal mass of 1 kg.
+    """The slowest modes at a posture, the slowest first; scaled to a modal mass of 1 kg."""
 
-    Attributes:
-        omega: (k,) rad/s, undamped.
-        tip: (k, 3) motion of the tip, m per unit of the mode.
-        shape: (k, m) motion of all masses along x, y, z. mass: (m,) kg.
-        carried: (m, n) motion of all masses by a unit of each joint, the bend held.
-    """
-
-    omega: np.ndarray
-    tip: np.ndarray
-    shape: np.ndarray
-    mass: np.ndarray
-    carried: np.ndarray
+    omega: np.ndarray  # (k,) rad/s, undamped
+    tip: np.ndarray  # (k, 3) motion of the tip, m per unit of the mode
+    shape: np.ndarray  # (k, m) motion of all masses along x, y, z
+    mass: np.ndarray  # (m,) kg
+    carried: np.ndarray  # (m, n) motion of all masses by a unit of each joint, the bend held
 
     @property
     def hz(self) -> np.ndarray:

@@ -22,17 +22,11 @@ SMALL_M = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class _Ring:
-    """A free vibration of the tip: ``sum_k tip_k Re(amplitude_k exp(rate_k t))``.
+    """A free vibration of the tip: ``sum_k tip_k Re(amplitude_k exp(rate_k t))``."""
 
-    Attributes:
-        rate: (k,) complex, 1/s: ``-damping omega + i omega_d``.
-        tip: (k, 3) m per unit of the mode.
-        amplitude: (k,) complex, at time 0.
-    """
-
-    rate: np.ndarray
-    tip: np.ndarray
-    amplitude: np.ndarray
+    rate: np.ndarray  # (k,) complex, 1/s: ``-damping omega + i omega_d``
+    tip: np.ndarray  # (k, 3) m per unit of the mode
+    amplitude: np.ndarray  # (k,) complex, at time 0
 
     def at(self, times: np.ndarray) -> np.ndarray:
         """(N, 3) m: motion of the tip at times (N,) from 0 on."""
@@ -184,18 +178,13 @@ _LOOKED_AT = 32
 
 @dataclass(frozen=True)
 class MoveRing:
-    """What the model expects of the tip after a move.
+    """What the model expects of the tip after a move."""
 
-    Attributes:
-        hz: of the slowest mode. size_m: at the end of the move. settle_s: time to rest.
-        damping: share of critical damping. declared: whether arm.yaml says it.
-    """
-
-    hz: float
-    size_m: float
-    settle_s: float
-    damping: float
-    declared: bool
+    hz: float  # of the slowest mode
+    size_m: float  # at the end of the move
+    settle_s: float  # time to rest
+    damping: float  # share of critical damping
+    declared: bool  # whether arm.yaml says it
 
     def said(self) -> str:
         """In one line."""

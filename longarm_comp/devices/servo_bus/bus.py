@@ -52,11 +52,7 @@ class SerialServoBus:
     """
 
     def __init__(
-        self,
-        port: SerialPort,
-        dialect: Dialect,
-        models: Mapping[int, ServoModel],
-        retries: int = 2,
+        self, port: SerialPort, dialect: Dialect, models: Mapping[int, ServoModel], retries: int = 2
     ) -> None:
         self._port = port
         self._dialect = dialect

@@ -71,7 +71,6 @@ class DynamixelX(Dialect):
     state = Block(122, 25)
 
     def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:
-        """The instruction frame."""
         body = (bytes((instruction,)) + params).replace(_PLAIN, _STUFFED)
         frame = _HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
         return frame + _crc(frame).to_bytes(2, "little")

@@ -47,7 +47,6 @@ class FeetechSts(Dialect):
     state = Block(56, 11)
 
     def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:
-        """The instruction frame."""
         body = bytes((servo_id, len(params) + 2, instruction)) + params
         return _HEADER + body + bytes((_checksum(body),))
 

@@ -20,7 +20,6 @@ GROUP = "longarm_comp.servo_protocols"
 
 @cache
 def protocols() -> dict[str, type[Dialect]]:
-    """All protocols by name."""
     known: dict[str, type[Dialect]] = {kind.name: kind for kind in (FeetechSts, DynamixelX)}
     for kind, source in protocols_of_other_packages(GROUP, Dialect):
         names = [kind.name, *(model.name for model in kind.models)]

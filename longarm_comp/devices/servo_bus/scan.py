@@ -22,19 +22,13 @@ Tell = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True)
 class FoundServo:
-    """One id that answered.
-
-    Attributes:
-        model: its name; empty where the model number is unknown here.
-        firmware: version, numbers with points.
-        clash: its answers are damaged or doubled, as when two servos have the same id.
-    """
+    """One id that answered."""
 
     servo_id: int
     model_number: int
-    model: str
-    firmware: str
-    clash: bool
+    model: str  # its name; empty where the model number is unknown here
+    firmware: str  # version, numbers with points
+    clash: bool  # its answers are damaged or doubled, as when two servos have the same id
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,25 +20,15 @@ class ServoAlarm(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class ServoState:
-    """One read-back of one servo.
+    """One read-back of one servo."""
 
-    Attributes:
-        position_ticks: encoder position; may be negative or above one turn in multi-turn use.
-        velocity_ticks_s: encoder ticks a second.
-        load: drive effort as a signed share of the servo's maximum, -1 to 1.
-        voltage_v: supply voltage at the servo.
-        temperature_c: inside the case.
-        moving: whether the servo reports that it moves.
-        error_flags: alarms it raises now.
-    """
-
-    position_ticks: int
-    velocity_ticks_s: float
-    load: float
-    voltage_v: float
-    temperature_c: float
-    moving: bool
-    error_flags: ServoAlarm = ServoAlarm.NONE
+    position_ticks: int  # encoder position; may be negative or above one turn in multi-turn use
+    velocity_ticks_s: float  # encoder ticks a second
+    load: float  # drive effort as a signed share of the servo's maximum, -1 to 1
+    voltage_v: float  # supply voltage at the servo
+    temperature_c: float  # inside the case
+    moving: bool  # whether the servo reports that it moves
+    error_flags: ServoAlarm = ServoAlarm.NONE  # alarms it raises now
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,35 +12,26 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.stereo.camera import StereoRig
 from longarm_comp.devices.stereo.target import Corners, Target
 from longarm_comp.devices.stereo.triangulate import triangulate
+from longarm_comp.devices.stereo.views import FEWEST_CORNERS, BoardView, gaps
+from longarm_comp.math.points import kabsch
 
 _FEWEST_PAIRS = 4
 """Zhang's method: a picture gives two equations for five numbers of a camera; one to spare."""
-FEWEST_CORNERS = 8
-"""Seen by both cameras: four fix a plane's picture, as many again average their noise."""
 _ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 300, 1e-10)
 
 
 @dataclass(frozen=True)
 class StereoCalibration:
-    """A calibrated rig and how well it fits.
+    """A calibrated rig and how well it fits."""
 
-    Args:
-        rig: frame = the raw left optical frame; lengths in the unit of the board's points.
-        rms_px: of the boards' reprojection, both cameras.
-        used: indices of the pairs that were fitted.
-        rejected: indices of pairs with too few corners or with outlying residuals.
-    """
-
-    rig: StereoRig
-    rms_px: float
-    used: tuple[int, ...]
-    rejected: tuple[int, ...]
+    rig: StereoRig  # frame = the raw left optical frame; lengths in the unit of the board's points
+    rms_px: float  # of the boards' reprojection, both cameras
+    used: tuple[int, ...]  # indices of the pairs that were fitted
+    rejected: tuple[int, ...]  # indices of pairs with too few corners or with outlying residuals
 
 
 def calibrate_stereo(
-    board: Target,
-    pairs: Sequence[tuple[Corners, Corners]],
-    size: tuple[int, int],
+    board: Target, pairs: Sequence[tuple[Corners, Corners]], size: tuple[int, int]
 ) -> StereoCalibration:
     """Intrinsics with plumb-bob distortion of both cameras and the transform between them.
 
@@ -95,3 +86,60 @@ def calibrate_stereo(
 
 def _flat(points: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(points, dtype=np.float32).reshape(len(points), 1, -1)
+
+
+_HELD_OUT_EVERY = 4
+"""Every fourth view is left out: three quarters calibrate nearly as well as all."""
+
+
+@dataclass(frozen=True)
+class BoardCalibration:
+    """A calibration and what it is worth.
+
+    Attributes:
+        fit: of all views.
+        held_out_mm: rms distance of the board's corners, triangulated with a calibration of the
+            other views, from a board of the declared size.
+        held_out: number of views left out for it.
+        distances_m: nearest and farthest board, as calibrated.
+    """
+
+    fit: StereoCalibration
+    held_out_mm: float
+    held_out: int
+    distances_m: tuple[float, float]
+
+
+def calibrated(
+    board: Target, views: Sequence[BoardView], size: tuple[int, int]
+) -> BoardCalibration:
+    """Calibrate a head from views that cover image, distance and tilt."""
+    lacking = gaps(views, size)
+    if lacking:
+        raise JobError("the views are not enough: " + "; ".join(lacking), views=len(views))
+    pairs = [(view.left, view.right) for view in views]
+    fit = calibrate_stereo(board, pairs, size)
+    kept = [pairs[i] for i in fit.used]
+    rest = [pair for i, pair in enumerate(kept) if i % _HELD_OUT_EVERY]
+    out = kept[::_HELD_OUT_EVERY]
+    other = calibrate_stereo(board, rest, size).rig
+    squares = [_off(board, other, *pair) for pair in out]
+    depths = [_depth(fit.rig, *pair) for pair in kept]
+    rms = 1e3 * float(np.sqrt(np.mean(np.concatenate(squares))))
+    return BoardCalibration(fit, rms, len(out), (min(depths), max(depths)))
+
+
+def _points(rig: StereoRig, left: Corners, right: Corners) -> tuple[np.ndarray, np.ndarray]:
+    ids, in_left, in_right = np.intersect1d(left.ids, right.ids, return_indices=True)
+    return ids, triangulate(rig, left.pixels[in_left], right.pixels[in_right]).points
+
+
+def _off(board: Target, rig: StereoRig, left: Corners, right: Corners) -> np.ndarray:
+    """Squared distances (N,) m^2 of triangulated corners from the declared board."""
+    ids, points = _points(rig, left, right)
+    turn, move = kabsch(board.points(ids), points, np.ones(len(ids)))
+    return np.sum((points - board.points(ids) @ turn.T - move) ** 2, axis=1)
+
+
+def _depth(rig: StereoRig, left: Corners, right: Corners) -> float:
+    return float(np.median(_points(rig, left, right)[1][:, 2]))

@@ -9,16 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
-from longarm_comp.devices.stereo.found import found_corners
-from longarm_comp.devices.stereo.limits import Limits
+from longarm_comp.devices.stereo.found import Limits, found_corners
 from longarm_comp.devices.stereo.marker_pose import MarkerPose, marker_pose
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Target
-from longarm_comp.devices.stereo.triangulate import (
-    PixelNoise,
-    epipolar_px,
-    triangulate,
-)
+from longarm_comp.devices.stereo.triangulate import PixelNoise, epipolar_px, triangulate
 
 _KEPT = 1.0 - 1.0 / 200.0  # of the residuals of sightings: the last 200 count, some 10 s
 
@@ -128,13 +123,7 @@ class StereoEye:
         wrong = abs(size - 1.0) > self.limits.size
         self._require(RefusalReason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
         pose = marker_pose(
-            self.rig,
-            corners,
-            points,
-            left_px,
-            right_px,
-            self.limits.tolerance(left_px),
-            noise,
+            self.rig, corners, points, left_px, right_px, self.limits.tolerance(left_px), noise
         )
         rms = pose.rms_px
         self._require(RefusalReason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))

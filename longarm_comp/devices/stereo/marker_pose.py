@@ -38,7 +38,6 @@ class MarkerPose:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square of the residual components."""
         return float(np.sqrt(np.mean(np.square(self.residuals))))
 
     def at(self, in_marker: Array) -> tuple[Array, Array]:

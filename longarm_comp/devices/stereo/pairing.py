@@ -46,14 +46,10 @@ class StereoPairer(Generic[Image]):
 
     A pair is complete when two stamps are at most `slop_ns` apart and neither has a nearer
     partner already waiting. With a slop below half a frame period no other pairing is possible.
-
-    Args:
-        slop_ns: largest difference of stamps within a pair, in nanoseconds.
-        queue: images kept per side while they wait for a partner.
     """
 
-    slop_ns: int = 5_000_000
-    queue: int = 8
+    slop_ns: int = 5_000_000  # largest difference of stamps within a pair, in nanoseconds
+    queue: int = 8  # images kept per side while they wait for a partner
     drops: Counter[Drop] = field(default_factory=Counter)
     pairs: int = 0
     _waiting: tuple[deque[tuple[int, Image]], deque[tuple[int, Image]]] = field(

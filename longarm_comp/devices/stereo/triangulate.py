@@ -23,14 +23,10 @@ class PixelNoise:
 
     The estimate is ``(weight sigma^2 + sum r^2) / (weight + dof)``: the posterior mean of a
     scaled-inverse-chi-square prior, so that few residuals do not make sigma erratic.
-
-    Args:
-        sigma_px: assumed standard deviation of a corner in u and in v.
-        weight: weight of the assumed sigma, as a number of residuals.
     """
 
-    sigma_px: float = 0.04
-    weight: float = 4.0
+    sigma_px: float = 0.04  # assumed standard deviation of a corner in u and in v
+    weight: float = 4.0  # weight of the assumed sigma, as a number of residuals
 
     def estimate(self, residuals_px: ArrayLike, dof: float) -> float:
         """Sigma (px) given residuals (px) and their degrees of freedom."""
@@ -53,7 +49,6 @@ class Triangulation:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square of the residual components."""
         return float(np.sqrt(np.mean(np.square(self.residuals))))
 
 

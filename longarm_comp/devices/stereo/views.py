@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from longarm_comp.devices.stereo.calibrate import FEWEST_CORNERS
 from longarm_comp.devices.stereo.camera import Array
-from longarm_comp.devices.stereo.found import found_corners
-from longarm_comp.devices.stereo.limits import Limits
+from longarm_comp.devices.stereo.found import Limits, found_corners
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
+FEWEST_CORNERS = 8
+"""Seen by both cameras: four fix a plane's picture, as many again average their noise."""
 FEWEST_VIEWS = 10
 """What OpenCV's guide to calibration asks for at least."""
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")

@@ -29,11 +29,6 @@ def _turning(arm: Arm, rng: np.random.Generator, low: float, high: float) -> Arr
     return _kind(arm, "revolute") * rng.uniform(low, high, arm.n)
 
 
-def _sliding(arm: Arm, rng: np.random.Generator, low: float, high: float) -> Array:
-    """A draw per sliding motor, 0 for turning ones, (n,)."""
-    return _kind(arm, "prismatic") * rng.uniform(low, high, arm.n)
-
-
 def _signs(rng: np.random.Generator, size: int) -> Array:
     return rng.choice([-1.0, 1.0], size)
 
@@ -120,7 +115,7 @@ HIDDEN: dict[str, _Maker] = {
         _turning(arm, rng, 0.01, 0.03) * _signs(rng, arm.n)
     ),
     "prismatic_pitch": lambda arm, rng: drives.PrismaticPitch(
-        _sliding(arm, rng, 0.02, 0.05) * _signs(rng, arm.n)
+        _kind(arm, "prismatic") * rng.uniform(0.02, 0.05, arm.n) * _signs(rng, arm.n)
     ),
     "gear_eccentricity": _eccentricity,
     "servo_quantisation": lambda arm, rng: drives.ServoQuantisation(

@@ -100,16 +100,11 @@ class FrictionMemory(HiddenEffect):
 
 @dataclass(frozen=True)
 class Backlash(HiddenEffect):
-    """Play: the load lies on one flank where |torque| > gate, else the approach decides.
-
-    Attributes:
-        half: half of the play, (n,), rad or m.
-        gate: torque or force above which the weight decides, N m or N.
-    """
+    """Play: the load lies on one flank where |torque| > gate, else the approach decides."""
 
     gated: ClassVar[bool] = True
-    half: Array
-    gate: float
+    half: Array  # half of the play, (n,), rad or m
+    gate: float  # torque or force above which the weight decides, N m or N
 
     def held(self, torques: Array, state: State) -> Array | float:
         loaded = np.abs(torques) > self.gate
@@ -118,19 +113,13 @@ class Backlash(HiddenEffect):
 
 @dataclass(frozen=True)
 class ServoDroop(HiddenEffect):
-    """A proportional servo yields by torque / gain and rests at the edge of its deadband.
-
-    Attributes:
-        yielding: 1 / proportional gain, (n,), rad/(N m), 0 on sliding joints.
-        deadband: half width, (n,), rad.
-        friction: torque below which the approach decides the edge, N m.
-    """
+    """A proportional servo yields by torque / gain and rests at the edge of its deadband."""
 
     doses: ClassVar[tuple[str, ...]] = ("yielding", "deadband")
     gated: ClassVar[bool] = True
-    yielding: Array
-    deadband: Array
-    friction: float
+    yielding: Array  # 1 / proportional gain, (n,), rad/(N m), 0 on sliding joints
+    deadband: Array  # half width, (n,), rad
+    friction: float  # torque below which the approach decides the edge, N m
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
         return wound_up(self.yielding, place, beyond)

@@ -75,16 +75,11 @@ class BaseSettling(HiddenEffect):
 
 @dataclass(frozen=True)
 class TelescopeClearance(HiddenEffect):
-    """Sliding beams droop in their guides by clearance / overlap, towards the load, and give.
-
-    Attributes:
-        clearance: across the guide, m.
-        pads: compression per force of the two pads of a guide, an overlap apart, m/N.
-    """
+    """Sliding beams droop in their guides by clearance / overlap, towards the load, and give."""
 
     doses: ClassVar[tuple[str, ...]] = ("clearance", "pads")
-    clearance: float
-    pads: float = 0.0
+    clearance: float  # across the guide, m
+    pads: float = 0.0  # compression per force of the two pads of a guide, an overlap apart, m/N
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
         if place.kind != "slide" or place.overlap is None:
@@ -162,16 +157,13 @@ class MeasuredTilt(HiddenEffect):
 
     The tilt, a rotation vector (x, y, 0) in that frame, sways with time and leans with the
     first joint; a session records it as `incl_<row>_x` and `incl_<row>_y`.
-
-    Attributes:
-        sway: (2,) rad. period_s: of the sway. lean: (2,) rad at the first joint's limits.
     """
 
     doses: ClassVar[tuple[str, ...]] = ("sway", "lean")
     row: int
-    sway: Array
-    period_s: float
-    lean: Array
+    sway: Array  # (2,) rad
+    period_s: float  # of the sway
+    lean: Array  # (2,) rad at the first joint's limits
 
     def readings(self, state: State) -> dict[str, Array]:
         arm, t = state.arm, state.t_s

@@ -169,7 +169,6 @@ class ServoEmulator:
         return self.each(lambda motor: motor.position)
 
     def torques_on(self) -> dict[int, bool]:
-        """Whether the torque of each servo is on."""
         return self.each(lambda motor: motor.torque_on)
 
     def power_cycle(self, servo_id: int) -> None:
