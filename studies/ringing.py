@@ -2,7 +2,7 @@
 
 The arms are made so soft that they sag by `SAG_M` on average, and hide soft joints and beams.  A
 calibration at rest identifies the stiffness; of it the modes are computed at the end of each move.
-The true arm rings by its own physics (`true_ringing.py`).
+The true arm rings by its own physics (`sim/ringing.py`).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from longarm_comp.core.vibration.seen import corrected, waves
 from longarm_comp.core.vibration.shaper import shaper_of, way_modes
 from longarm_comp.math.shaper import Way
 from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.ringing import Ringing
 from studies.path import ELASTIC, StudiedArm
-from studies.true_ringing import Ringing
 
 SAG_M = 0.02
 DAMPING = 0.01

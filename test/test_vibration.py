@@ -23,12 +23,16 @@ from longarm_comp.core.vibration.ring import along, ring_after, straight
 from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
 from longarm_comp.core.vibration.shaper import shaper_of, shaping, way_modes
 from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.hidden import loads
+from longarm_comp.sim.plant import Plant, PlantConfig
+from longarm_comp.sim.ringing import Ringing, vibration
+from longarm_comp.sim.servo_emulator import read_arm
 from studies.random_arms import random_arm
 from studies.ringing import after
-from studies.true_ringing import Ringing, vibration
 
-ARM = Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+CONFIG = Path(__file__).parents[1] / "config"
+ARM = Arm.load(CONFIG / "arm_demo.yaml")
 SOFT = np.array([4e-3, 3e-3, 0.0, 2e-3, 5e-3, 2e-3, 0.0])
 SOFT_ARM = declared_model(ARM).plus(
     *(JointCompliance(joint=k, compliance=c) for k, c in enumerate(SOFT.tolist(), 1) if c)
@@ -278,3 +282,27 @@ def test_a_ring_tells_what_weight_does_not() -> None:
     found = np.sort(corrected(there, here, seen).hz[:2])
     np.testing.assert_allclose(found, true, rtol=0.06)
     assert corrected(there, here, []) is there
+
+
+def test_the_running_simulation_rings_and_comes_to_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cameras = CameraPair(
+        position_m=(0.75, -1.7, 0.3), optical_axis=(0, 1, 0), baseline_m=0.3, focal_px=640.0,
+        size=(640, 480),
+    )  # fmt: skip
+    servos = read_arm(CONFIG / "servo_driver.yaml")
+    config = PlantConfig(ARM, servos, cameras, tag_plate(0.06, 0.012, 2, 2), np.eye(4), damping=0.1)
+    plant = Plant(config, tmp_path / "bus", np.random.default_rng(0))
+    q, still = plant.joints(), plant.tip_pose(0.0)[:3, 3]
+    moved = q + 1e-3
+
+    def off(t_s: float, now: np.ndarray) -> float:
+        monkeypatch.setattr(plant, "joints", lambda: now)
+        plant.ring(t_s)
+        monkeypatch.setattr(plant, "joints", lambda: q)
+        return float(np.linalg.norm(plant.tip_pose(t_s)[:3, 3] - still))
+
+    assert off(0.0, q) == 0.0
+    assert off(0.01, moved) > 1e-5
+    assert off(20.0, moved) < 1e-7

@@ -48,6 +48,7 @@ PARAMS = (
     Param("wire_faults_hz", 0.0, "servo replies lost, cut or damaged in a second", 0.0, 50.0),
     Param("temperature_c", 22.0, "temperature at the start", -50.0, 100.0),
     Param("warming_k", 0.0, "temperature rise over hours", -50.0, 50.0),
+    Param("damping", 0.0, "share of critical damping; 0: the arm does not ring", 0.0, 0.9),
     Param("payload_kg", 0.25, "mass carried at the tool", 0.0, 1000.0),
     Param("sockets", "", "conical sockets in the base frame, 'name=x,y,z name=x,y,z', m"),
     Param("camera.position", [0.75, -1.7, 0.3], "left camera in the base frame, m"),
@@ -131,6 +132,7 @@ class _SimulatedArm(ArmNode):
             ),
             temperature_c=(p["temperature_c"], p["warming_k"]),
             payload_kg=p["payload_kg"],
+            damping=p["damping"],
             sockets=numbers("sockets", p["sockets"], 3, "name=x,y,z (m)"),
         )
         self._plant = Plant(config, Path(p["port"]), rng)
@@ -158,6 +160,9 @@ class _SimulatedArm(ArmNode):
         if p["wire_faults_hz"]:
             self._chance = np.random.default_rng([p["seed"], 1])
             steady_timer(self, 1.0 / p["wire_faults_hz"], self._spoil)
+        if p["damping"]:
+            # Between two steps of the arm's vibration, s: a small part of the first modes' periods
+            steady_timer(self, 0.01, self._ring)
         self.health.parts["plant"] = self._report
         self._plant.start()
 
@@ -186,6 +191,9 @@ class _SimulatedArm(ArmNode):
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _ring(self) -> None:
+        self._plant.ring(time.monotonic() - self._started)
 
     def _expose(self) -> None:
         if not self._worker.submit(self._frame):

@@ -6,6 +6,7 @@ It is commanded only through the servo bus and observed only through the cameras
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,6 +24,7 @@ from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.hidden.drives import Backlash, ServoDroop
+from longarm_comp.sim.ringing import Ringing
 from longarm_comp.sim.servo_emulator import (
     EmulatedArm,
     EmulatedJoint,
@@ -70,6 +72,7 @@ class PlantConfig:
         cameras, plate, plate_on_tip: cameras, marker and the marker's pose (4, 4) on the tip.
         spec: mechanics of the servos.
         temperature_c: temperature at the start, and its rise over hours (K).
+        damping: share of critical damping that the arm rings with; 0: it does not.
         sockets: places (m, base frame) of conical sockets by name.
     """
 
@@ -82,6 +85,7 @@ class PlantConfig:
     spec: MotorSpec = field(default_factory=MotorSpec)
     temperature_c: tuple[float, float] = (22.0, 0.0)
     payload_kg: float = 0.0
+    damping: float = 0.0
     sockets: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
 
@@ -116,6 +120,14 @@ class Plant:
         self._true = TrueArm(config.arm, self._behind, steps=_STEPS)
         self._last: tuple[Array, Array] | None = None
         self._lit: tuple[Array, tuple[Light, Light]] | None = None
+        self._ringing = Ringing(self._true, config.damping) if config.damping else None
+        self._swing, self._swings = np.zeros(3), threading.Lock()
+
+    def ring(self, t_s: float) -> None:
+        """The arm vibrates on, up to a time; call it often. It does nothing without damping."""
+        if self._ringing is not None:
+            with self._swings:
+                self._swing = self._ringing.moved(t_s, self.joints())
 
     def wear(self, play: Mapping[str, float]) -> None:
         """The play of some joints is so much (rad, m) larger than at the start from now on."""
@@ -173,7 +185,9 @@ class Plant:
             found = self._true.settled(q, context)
             self._last = known, found.pose[0]
             self._loads = self._felt(found.torques[0])
-        return self._last[1]
+        pose = self._last[1].copy()
+        pose[:3, 3] += self._swing
+        return pose
 
     def contact(self, t_s: float) -> str:
         """Name of the socket that the ball at the tip sits in, or blank.
