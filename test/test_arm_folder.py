@@ -334,7 +334,9 @@ def test_the_marker_is_printed_in_true_size(shell: Shell, hobby: Path) -> None:
     np.testing.assert_allclose(drawn - drawn.mean(axis=0), known - known.mean(axis=0), atol=5e-5)
     assert shell("stereo", "marker", hobby, "-o", "marker.pdf") == 0
     width, height = PAPERS[paper]
-    box = re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+)", Path("marker.pdf").read_bytes())
+    printed = Path("marker.pdf").read_bytes()
+    assert max(map(int, re.findall(rb"/Width (\d+)", printed))) >= board.tag_m / 0.0254 * 600
+    box = re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+)", printed)
     assert box is not None
     np.testing.assert_allclose(np.array(box.groups(), float) * 25.4 / 72, [width, height], atol=0.1)
     folder = copied(hobby, shell.folder / "mine")

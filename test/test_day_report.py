@@ -91,6 +91,6 @@ def test_a_bag_without_targets_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_day_on_which_nothing_was_seen_has_a_row() -> None:
-    assert Day(0.0, 1.0, ()).by_hour() == [
+    assert Day(1.0, ()).by_hour() == [
         {"hours": "all", "targets": 0, "seen": 0, "mean_mm": None, "p95_mm": None, "max_mm": None}
     ]

@@ -151,4 +151,4 @@ def test_a_worse_arm_is_told() -> None:
     seen = trial("original", 1e-3)
     lost = Trial("original", target, np.where(np.arange(10)[:, None] < 4, np.nan, seen.seen),
                  seen.true, seen.status)  # fmt: skip
-    assert table.rows([lost])[0]["n"] == 6
+    assert table.table_row(lost)["n"] == 6

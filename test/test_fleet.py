@@ -20,7 +20,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
-from longarm_comp.report.fleet_page import fleet_page
+from longarm_comp.report.pages import fleet_page
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.workflows.fleet import Diagnosed, Finding, compared, fleet, members
 from studies.commands.fleet import command as study

@@ -24,8 +24,8 @@ from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import assemble, cards, record, verdict
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.open_questions import open_questions
 from longarm_comp.report.page import page as rendered
+from longarm_comp.report.verdict import open_questions
 from longarm_comp.report.words import DASH
 
 
@@ -178,14 +178,14 @@ def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]
         before, after = line(page, "before"), line(page, "after")
         first = page.tables["errors"][1]
         assert before and after and first[0].startswith("nominal")
-        assert numbers(gain.commanded) == near(numbers(first[2] + " " + after[2]))
-        seen = gain.seen or gain.commanded
+        assert numbers(gain["commanded"]) == near(numbers(first[2] + " " + after[2]))
+        seen = gain["seen"] or gain["commanded"]
         assert numbers(seen) == near(numbers(first[1] + " " + after[1]))
-        assert bool(gain.between_mm) == (before != first)
-        assert not gain.between_mm or numbers(gain.between_mm)[:1] == near(numbers(before[2]))
+        assert bool(gain["between_mm"]) == (before != first)
+        assert not gain["between_mm"] or numbers(gain["between_mm"])[:1] == near(numbers(before[2]))
         words = page.words()
-        assert gain.commanded in words and (gain.seen in words)
-        assert ("as seen and as a command would have it" in words) == (not gain.seen)
+        assert gain["commanded"] in words and (gain["seen"] in words)
+        assert ("as seen and as a command would have it" in words) == (not gain["seen"])
 
 
 def test_the_sentence_has_the_figures_of_the_table(told: list[Told]) -> None:

@@ -119,8 +119,8 @@ def _still_from(readings: list[float], sighted: dict[float, float]) -> float:
         for t, x in sighted.items()
     ]
     found = settled(seen, times, np.array(readings)[:, None], 0.0)
-    assert found.sighting is not None
-    return float(found.sighting.xyz[0])
+    assert found[0] is not None
+    return float(found[0].xyz[0])
 
 
 def test_a_joint_that_still_creeps_to_its_end_is_not_at_rest() -> None:
@@ -288,7 +288,7 @@ def test_unknown_types_and_topics_are_passed_over(tmp_path: Path) -> None:
     session = read_bag(tmp_path / "bag", ARM)
     assert len(session) == 1
     assert session.payload_kg is None
-    read = {t.topic: t.read for t in bag_info(tmp_path / "bag").topics}
+    read = {t["topic"]: t["read"] for t in bag_info(tmp_path / "bag")["topics"]}
     assert read == {
         "/joint_trajectory": True,
         "/mood": False,

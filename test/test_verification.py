@@ -89,10 +89,10 @@ def test_another_round_pays_while_it_gains_and_more_than_noise_is_left() -> None
     sigma = (1e-4, 1e-4, 1e-4)
     alone = np.linalg.norm(1e-4 * np.random.default_rng(1).normal(size=(200_000, 3)), axis=1).mean()
     gain = (1e-4, 2e-4)
-    assert another_round(gain, 1.05 * NEAR_NOISE * alone, sigma).again
-    assert not another_round(gain, 0.95 * NEAR_NOISE * alone, sigma).again
-    assert not another_round((-1e-6, 2e-4), 10 * alone, sigma).again
-    assert "near the noise" in another_round(gain, alone, sigma).why
+    assert another_round(gain, 1.05 * NEAR_NOISE * alone, sigma)[0]
+    assert not another_round(gain, 0.95 * NEAR_NOISE * alone, sigma)[0]
+    assert not another_round((-1e-6, 2e-4), 10 * alone, sigma)[0]
+    assert "near the noise" in another_round(gain, alone, sigma)[1]
 
 
 def test_a_journal_goes_on_where_it_was_left(rng: np.random.Generator, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from longarm_comp.arm_folder.yaml_edit import edited
+from longarm_comp.arm_folder.parameter_file import edited
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import parse_yaml
 

@@ -33,15 +33,11 @@ LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
 
 
 @dataclass(frozen=True)
-class FolderFinding:
-    """One thing about a folder.
+class _FolderFinding:
+    """One thing about a folder: where (file, and the key in it), what it is, and what to do.
 
-    Attributes:
-        level: missing and implausible must be put right; unmeasured is an assumption; measured
-            is what a command measured and nobody changed since; declared is what arm.yaml says, for
-            people to compare with the arm.
-        where: file, and the key in it.
-        text: what is the matter, and what to do.
+    Level: missing and implausible must be put right; unmeasured is an assumption; measured is what
+    a command measured and nobody changed since; declared is what arm.yaml says, to compare.
     """
 
     level: Level
@@ -54,11 +50,11 @@ class FolderFinding:
         return self.level in ("missing", "implausible")
 
 
-missing = partial(FolderFinding, "missing")
-implausible = partial(FolderFinding, "implausible")
-unmeasured = partial(FolderFinding, "unmeasured")
-measured = partial(FolderFinding, "measured")
-declared = partial(FolderFinding, "declared")
+missing = partial(_FolderFinding, "missing")
+implausible = partial(_FolderFinding, "implausible")
+unmeasured = partial(_FolderFinding, "unmeasured")
+measured = partial(_FolderFinding, "measured")
+declared = partial(_FolderFinding, "declared")
 
 
 def recorded(folder: Path, file: str) -> bool:
@@ -69,7 +65,7 @@ def recorded(folder: Path, file: str) -> bool:
         return False
 
 
-def of_record(folder: Path) -> Iterator[FolderFinding]:
+def of_record(folder: Path) -> Iterator[_FolderFinding]:
     """Findings on every measurement, and on cameras without a calibration."""
     try:
         entries = read_measured(folder)
@@ -85,7 +81,7 @@ def of_record(folder: Path) -> Iterator[FolderFinding]:
         yield unmeasured(CAMERAS, said)
 
 
-def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[FolderFinding]:
+def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
     """A finding a beam, and one on the sag, at the pose of q (N, n) that reaches out farthest."""
     model, rigid = declared_model(arm), declared_model(arm, deflection=False)
     tips = rigid.tip(q)
@@ -154,7 +150,7 @@ _REACH_M = (0.05, 20.0)
 _SESSIONS = ("samples.csv", "session", "session_1")
 
 
-def check_folder(folder: Path) -> list[FolderFinding]:
+def check_folder(folder: Path) -> list[_FolderFinding]:
     """Findings on a folder, what blocks first."""
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")
@@ -169,23 +165,17 @@ def check_folder(folder: Path) -> list[FolderFinding]:
         said = "no servo and camera files: another program drives the arm (longarm init --arm)"
         found.append(unmeasured(ARM, said))
     if not any((folder / name).exists() for name in _SESSIONS):
-        found.append(
-            unmeasured(
-                "samples.csv",
-                "no session yet: longarm up, plan and collect; or longarm import-data",
-            )
-        )  # fmt: skip
+        said = "no session yet: longarm up, plan and collect; or longarm import-data"
+        found.append(unmeasured("samples.csv", said))
     found += of_record(folder)
     return sorted(found, key=lambda finding: LEVELS.index(finding.level))
 
 
-def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[FolderFinding]]:
+def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[_FolderFinding]]:
     """What a file holds, or why it does not."""
     if not path.is_file():
-        text = f"no such file; longarm init DIR --arm {ARM} makes it" if path.name != ARM else (
-            "no such file; longarm init makes it"
-        )  # fmt: skip
-        return None, [missing(path.name, text)]
+        how = "longarm init" if path.name == ARM else f"longarm init DIR --arm {ARM}"
+        return None, [missing(path.name, f"no such file; {how} makes it")]
     try:
         return load(path), []
     except InputError as error:
@@ -193,7 +183,7 @@ def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[FolderFi
         return None, [implausible(f"{path.name}: {error.field}", said)]
 
 
-def _of_arm(arm: Arm) -> Iterator[FolderFinding]:
+def _of_arm(arm: Arm) -> Iterator[_FolderFinding]:
     q = np.vstack([arm.mid, sobol(arm, 64, 0).q])
     rigid = declared_model(arm, deflection=False).tip(q)
     reach = float(np.linalg.norm(rigid - np.array(arm.base.xyz_m), axis=1).max())
@@ -222,7 +212,7 @@ def _of_arm(arm: Arm) -> Iterator[FolderFinding]:
         yield implausible(f"{ARM}: gravity_mps2", "no gravity")
 
 
-def _of_servos(folder: Path, arm: Arm) -> list[FolderFinding]:
+def _of_servos(folder: Path, arm: Arm) -> list[_FolderFinding]:
     path = folder / "servo_driver.yaml"
     servos, found = _loaded(path, ServoConfig.load)
     if servos is None:
@@ -250,7 +240,7 @@ def _of_servos(folder: Path, arm: Arm) -> list[FolderFinding]:
     return found
 
 
-def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[FolderFinding]:
+def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[_FolderFinding]:
     """Findings on cameras and marker; ``look``: also what the cameras see."""
     read, found = {}, []
     for node in NODES[1:]:
@@ -300,7 +290,7 @@ def _mostly(why: list[str]) -> str:
     return next(text for text in why if text.startswith(most))
 
 
-def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[FolderFinding]:
+def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[_FolderFinding]:
     """What stands as `longarm init` writes it; ``placed``: the head's place was measured."""
     from longarm_comp.arm_folder.head import head_for
 

@@ -62,14 +62,10 @@ Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_mimic)]
 
 
 class _Row(BaseModel):
-    """One row.
+    """One row of the modified DH table; deg and m.
 
-    Attributes:
-        alpha, a, d, theta: of the modified DH table; deg and m.
-        limits: deg or m.
-        tube_a, tube_d: outer and inner diameter (m) of a tube along a or d; 0: rigid.
-        servo_kg: mass of the servo that sits at this joint's frame.
-        mimic: the joint that drives it, and the factor.
+    `tube_a`, `tube_d`: outer and inner diameter (m) of a tube along a or d; 0: rigid. `servo_kg`:
+    of the servo at this joint's frame. `mimic`: the joint that drives it, and the factor.
     """
 
     model_config = ConfigDict(allow_inf_nan=False)

@@ -36,7 +36,6 @@ class Head:
 
     Attributes:
         position_m, axis: left camera (m) and where it looks, in the base frame; level.
-        baseline_m: distance to the right camera.
         tag_m: side of a tag; the marker has 2 x 2, a fifth of a tag apart.
         mounting: rotation vector (3,) of the plate on the tip frame, rad; its centre is the tip.
     """

@@ -43,11 +43,7 @@ measuring: tracker"""
 
 
 def _arm_text(data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], arm: Arm) -> str:
-    """The file.
-
-    Args:
-        of_rows: a comment beside a row of `joints`, by id.
-    """
+    """The file; ``of_rows``: a comment beside a row of `joints`, by id."""
     lines = _commented(head)
     for key, value in data.items():
         if value in ([], {}, None):
@@ -116,9 +112,8 @@ def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False)
     """Texts of the parameter files that fit an arm, by node."""
     head = head_for(arm)
     carried = arm.payload.mass_kg if arm.payload else 0.0
-    bus = ros_parameters(parse_yaml(own_text("servo_driver"), "servo_driver"), "servo_driver")[
-        "bus"
-    ]
+    node = "servo_driver"
+    bus = ros_parameters(parse_yaml(own_text(node), node), node)["bus"]
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
             "joints": servo_section(arm, servos, direct),

@@ -1,20 +1,27 @@
-"""ROS parameter files: read flat, and written from the package's own with other values.
+"""ROS parameter files: read flat, and written as the package's own with other values.
 
-A written file keeps the comment of every parameter, because it is the package's with other values.
+Where values are replaced in the text of a YAML file, comments and order stay as they are.
 """
 
 from __future__ import annotations
 
+import io
+import operator
 from collections.abc import Iterator, Mapping
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import yaml
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.util import load_yaml_guess_indent
 
-from longarm_comp.arm_folder.yaml_edit import edited, ros_path
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import parse_yaml, read_yaml
 from longarm_comp.share import folder
+
+Keys = tuple[str, ...]
 
 
 def own_text(node: str) -> str:
@@ -72,18 +79,16 @@ def ros_parameters(data: Any, where: object) -> dict[str, Any]:
 def with_values(node: str, values: Mapping[str, Any], head: str) -> str:
     """The package's own file of a node with other values; comments of parameters are kept.
 
-    Args:
-        values: by dotted name. A mapping replaces a whole section.
-        head: comment on top, instead of the file's own.
+    Values are by dotted name; a mapping replaces a whole section. `head`: the comment on top.
     """
     text = own_text(node)
     first = next(line for line in text.splitlines() if not line.startswith("#"))
     own = text[text.index(first) :]
-    root, known = ros_path(own), own_parameters(node)
+    known = own_parameters(node)
     lacking = [name for name in values if not any(f"{k}.".startswith(f"{name}.") for k in known)]
     if lacking:
         raise ValueError(f"{node}.yaml has no {', '.join(lacking)}")
-    made = edited(own, {(*root, *name.split(".")): v for name, v in values.items()}, node)
+    made = edited(own, {tuple(name.split(".")): v for name, v in values.items()}, node)
     return "".join(f"# {line}".rstrip() + "\n" for line in head.splitlines()) + made
 
 
@@ -99,3 +104,58 @@ def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         name = f"{prefix}{key}"
         flat |= _flat(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
     return flat
+
+
+def edited(text: str, values: Mapping[Keys, Any], where: object) -> str:
+    """The text with other values, by the keys that lead to them, from ``ros__parameters`` on.
+
+    A key that is not there is added behind its neighbours. A mapping becomes a block of lines, a
+    list stands on one line.
+    """
+    root_keys = _ros_path(parse_yaml(text, str(where)))
+    values = {(*root_keys, *path): value for path, value in values.items()}
+    writer = YAML()
+    writer.preserve_quotes, writer.width = True, 10**6
+    root = writer.load(text)
+    _, indent, before_dash = load_yaml_guess_indent(text)
+    if before_dash is None:  # no list in lines
+        writer.indent(mapping=indent or 2)
+    else:
+        writer.indent(mapping=2, sequence=indent, offset=before_dash)
+    for path, value in values.items():
+        node = root
+        for depth, key in enumerate(path[:-1], 1):
+            node = node.get(key)
+            if not isinstance(node, CommentedMap):
+                found = "missing" if node is None else "no mapping"
+                raise InputError(where, ".".join(path[:depth]), found, "a mapping of keys")
+        node[path[-1]] = _laid_out(writer, value)
+    out = io.StringIO()
+    writer.dump(root, out)
+    made = parse_yaml(out.getvalue(), f"{where}, edited")
+    for path, value in values.items():
+        if reduce(operator.getitem, path, made) != value:
+            raise InputError(where, ".".join(path), "cannot be edited", "a plain value")
+    return out.getvalue()
+
+
+def _ros_path(root: Any) -> Keys:
+    """Keys that lead to ``ros__parameters``; none for a plain file."""
+    for key, node in root.items() if isinstance(root, dict) else ():
+        if isinstance(node, dict) and "ros__parameters" in node:
+            return (str(key), "ros__parameters")
+    return ()
+
+
+def _laid_out(writer: YAML, value: Any, *, inner: bool = False) -> Any:
+    """A value as it is written: a mapping in lines, what is in it on one line each."""
+    if isinstance(value, Mapping):
+        made = CommentedMap((k, _laid_out(writer, v, inner=True)) for k, v in value.items())
+        if inner:
+            made.fa.set_flow_style()
+        return made
+    if isinstance(value, list):
+        row = writer.seq(value)
+        row.fa.set_flow_style()
+        return row
+    return value

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from longarm_comp.arm_folder.yaml_edit import edited, ros_path
+from longarm_comp.arm_folder.parameter_file import edited
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
@@ -24,16 +24,14 @@ def with_joints(
     text: str, bus: Mapping[str, Any], joints: Mapping[str, JointConfig], where: object
 ) -> str:
     """Text of a servo file with other values of the bus and of each joint's `KEYS`."""
-    root = ros_path(text)
     old = ServoConfig.parse(parse_yaml(text, str(where)), str(where))
     values: dict[tuple[str, ...], Any] = {
-        (*root, "bus", key): v for key, v in bus.items() if v != getattr(old.bus, key)
+        ("bus", key): v for key, v in bus.items() if v != getattr(old.bus, key)
     }
     for name, joint in joints.items():
         for key in KEYS:
             if getattr(joint, key) != getattr(old.joints[name], key):
-                place = (*root, "joints", name, key)
-                values[place] = getattr(joint, key)
+                values["joints", name, key] = getattr(joint, key)
     made = edited(text, values, where)
     if ServoConfig.parse(parse_yaml(made, str(where)), str(where)).joints != joints:
         raise InputError(where, "joints", "cannot be edited", "a line or a block for each joint")

@@ -40,11 +40,9 @@ class Lens:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Two cameras side by side and a marker on the tip.
+    """Two cameras side by side, the left at (4, 4) in the base frame, and a marker on the tip.
 
     Attributes:
-        left_in_base: (4, 4) left optical frame.
-        lens: of both cameras.
         tags: (T, 4, 3) corners of the tags with their margin on the tip frame, m.
         normal: (3,) out of the paper, on the tip frame.
         tag_m: side of a tag.
@@ -107,22 +105,17 @@ class View:
         why = []
         for k in range(len(tips)):
             if not both[k]:
-                sides = [
-                    side
-                    for side, seen in zip(("left", "right"), found, strict=True)
-                    if seen[k].mean() < self.share
-                ]
-                who = f"the {sides[0]} camera" if len(sides) == 1 else "both cameras"
+                left, right = (seen[k].mean() < self.share for seen in found)
+                who = "the left camera" if left else "the right camera"
+                who = who if left != right else "both cameras"
                 why.append(f"out of view of {who} ({self._where(middle[k])})")
             # A tag that is turned further from a camera is not found
             elif facing[k] < np.cos(np.radians(75.0)):
                 turned = np.degrees(np.arccos(np.clip(facing[k], -1.0, 1.0)))
                 why.append(f"turned away: {turned:.0f} deg")
             elif pixels[k] < _TAG_PX:
-                why.append(
-                    f"too far: {depth[k]:.2f} m, a tag is {pixels[k]:.0f} px, "
-                    f"{np.ceil(_TAG_PX):.0f} needed"
-                )
+                small = f"a tag is {pixels[k]:.0f} px, {np.ceil(_TAG_PX):.0f} needed"
+                why.append(f"too far: {depth[k]:.2f} m, {small}")
             else:
                 why.append("")
         return why

@@ -20,10 +20,9 @@ _RANGES = (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0)
 def narrowed(
     data: Mapping[str, Any], range_deg: float, home_deg: Mapping[str, float]
 ) -> tuple[dict[str, Any], dict[int, str]]:
-    """An arm with narrower limits, and by row what they were.
+    """What arm.yaml holds with narrower limits, and by row what they were.
 
     Args:
-        data: what arm.yaml holds.
         range_deg: largest range of a turning joint; 0 leaves them as they are.
         home_deg: middle of the new range by joint name; default: of the old range.
     """

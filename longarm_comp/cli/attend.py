@@ -20,27 +20,26 @@ def status(namespace: str, as_json: bool) -> None:
     Example:
       longarm status
     """
-    from dataclasses import asdict
-
     from longarm_comp.jobs.attend import Attendant
 
     with on_graph("status", namespace) as client:
         found = Attendant(client).standing()
     if as_json:
-        print_json(asdict(found))
+        print_json(found)
         return
-    why = f": {found.why}" if found.why else ""
-    click.echo(f"The driver is {found.driver}{why}." if found.driver else f"{found.why}.")
-    for trouble in found.troubles:
-        click.echo(f"{trouble.level}: {trouble.node}, {trouble.part}: {trouble.message}")
-    if not found.troubles:
-        click.echo(f"All is well: {', '.join(found.nodes)}.")
-    if found.tip:
-        click.echo(f"{found.tip[0].upper()}{found.tip[1:]}.")
-    if found.learned:
-        click.echo(f"At work: {found.learned}.")
-    if found.next:
-        click.echo(f"Next: {found.next}")
+    driver, reason, tip = (found[key] for key in ("driver", "why", "tip"))
+    why = f": {reason}" if reason else ""
+    click.echo(f"The driver is {driver}{why}." if driver else f"{reason}.")
+    for trouble in found["troubles"]:
+        click.echo("{level}: {node}, {part}: {message}".format_map(trouble))
+    if not found["troubles"]:
+        click.echo(f"All is well: {', '.join(found['nodes'])}.")
+    if tip:
+        click.echo(f"{tip[0].upper()}{tip[1:]}.")
+    if found["learned"]:
+        click.echo(f"At work: {found['learned']}.")
+    if found["next"]:
+        click.echo(f"Next: {found['next']}")
 
 
 def _asked_of_the_driver(name: str, what: str) -> click.Command:
@@ -67,8 +66,7 @@ stop = _asked_of_the_driver(
     "`longarm reset` switches it on again. To keep a heavy arm up: `longarm hold`.",
 )
 reset = _asked_of_the_driver(
-    "reset",
-    "End a hold, a stop, or a fault whose cause is gone. The arm stays where it is.",
+    "reset", "End a hold, a stop, or a fault whose cause is gone. The arm stays where it is."
 )
 
 
@@ -99,9 +97,7 @@ cover = _fault("cover", "covered", "CAMERA", _BLIND, "left")
 
 @click.command()
 @click.argument("node", metavar="NODE")
-@click.option(
-    "--for", "seconds", type=click.FloatRange(0.1), default=10.0, show_default=True, help="s."
-)
+@click.option("--for", "seconds", type=click.FloatRange(0.1), default=10.0, help="s.")
 @options.namespace
 def freeze(node: str, seconds: float, namespace: str) -> None:
     """Rehearse a fault of a simulated arm: NODE hangs for a while, or until Ctrl-C.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import click
@@ -16,7 +15,7 @@ from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_
 @click.option("--images", is_flag=True, help="Also record images and camera calibrations.")
 @click.option("--duration", type=float, help="Stop after this time, s.")
 @click.option("--resume", is_flag=True, help="Add to an existing bag.")
-@click.option("--segment", default=20.0, show_default=True, help="Length of a file, s.")
+@click.option("--segment", default=20.0, help="Length of a file, s.")
 @options.namespace
 @options.as_json
 def record(
@@ -82,10 +81,10 @@ def info(bag: Path, as_json: bool) -> None:
 
     found = bag_info(bag)
     if as_json:
-        print_json(dataclasses.asdict(found))
+        print_json(found)
         return
-    title = f"{found.path}: {found.storage}, {found.duration_s:.1f} s, {found.messages} messages"
-    rows = [(t.topic, t.type, t.count, "yes" if t.read else "") for t in found.topics]
+    title = "{path}: {storage}, {duration_s:.1f} s, {messages} messages".format_map(found)
+    rows = [(t["topic"], t["type"], t["count"], "yes" * t["read"]) for t in found["topics"]]
     print_table(title, ("topic", "type", "messages", "read for a session"), rows)
 
 

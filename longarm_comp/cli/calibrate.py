@@ -8,12 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress, value_cells
+from longarm_comp.cli.output import note, print_effects, print_json, print_rows, progress
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from longarm_comp.core.data.session import Session
     from longarm_comp.workflows.calibrate import Calibration
 
 
@@ -29,9 +26,7 @@ if TYPE_CHECKING:
     help="Also fit this effect, at every joint or beam that may have it; repeat for more.",
 )
 @options.without("deflection", "Treat the declared beams as stiff.")
-@click.option(
-    "--fraction", type=float, default=0.2, show_default=True, help="Share of rows held out."
-)
+@click.option("--fraction", type=float, default=0.2, help="Share of rows held out.")
 @options.kind_of
 @options.seed
 @options.effects
@@ -71,16 +66,12 @@ def command(
     print_rows(
         f"Held-out errors ({calibration.held_out_rows} of {len(calibration.session)} rows)", rows
     )
-    called = declared.called
-    cells = [
-        (p.effect, called.get(p.where, p.where), p.name, *value_cells(p.value, p.ci95, p.unit))
-        for p in calibration.parameters
-        if not p.geometry
-    ]
-    if cells:
-        header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
-        print_table("Effects, fitted to all rows", header, cells)
-    left = ", ".join(map(str, _called(final.session)[final.outliers]))
+    added = [p for p in calibration.parameters if not p.geometry]
+    found = [(p.effect, p.where, p.name, p.value, p.ci95, p.unit) for p in added]
+    print_effects("Effects, fitted to all rows", declared.called, found)
+    # The user's own number of each row, else its index
+    called_rows = final.session.labels.get("point", final.session.index)
+    left = ", ".join(map(str, called_rows[final.outliers]))
     which = f": {left}" if left else ""
     note(f"{len(final.outliers)} rows left out as outliers{which}; model in {output}")
     if not final.converged:
@@ -88,11 +79,6 @@ def command(
             "the fit did not converge: its last step was above a hundredth of the errors after "
             f"{final.iterations}"
         )
-
-
-def _called(session: Session) -> np.ndarray:
-    """The user's own number of each row, else its index."""
-    return session.labels.get("point", session.index)
 
 
 def _facts(calibration: Calibration) -> dict[str, Any]:

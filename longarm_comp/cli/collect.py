@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import (
-    kept_if_broken_off,
-    note,
-    print_json,
-    print_table,
-    progress,
-)
+from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_table, progress
 from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import InputError, JobError
 
@@ -38,12 +32,9 @@ if TYPE_CHECKING:
     "--sides",
     type=click.Choice(["plan", "random", "both"]),
     default="plan",
-    show_default=True,
     help="Sides of arrival: of the plan, random, or both of the plan and opposite.",
 )
-@click.option(
-    "--repeats", default=0, show_default=True, help="Poses that are visited two more times."
-)
+@click.option("--repeats", default=0, help="Poses that are visited two more times.")
 @click.option(
     "--in-order", is_flag=True, help="Drive in the order of the file instead of a random order."
 )
@@ -53,7 +44,6 @@ if TYPE_CHECKING:
     "--give-up",
     type=click.IntRange(min=0),
     default=6,
-    show_default=True,
     help="End if none of this many first poses shows the marker; 0: never.",
 )
 @options.namespace

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 @click.option("--position-only", is_flag=True, help="Leave the orientation free.")
 @click.option("--single-pass", is_flag=True, help="Correct once, as the paper does.")
 @click.option(
-    "--realisable/--no-realisable", default=True, show_default=True,
+    "--realisable/--no-realisable", default=True,
     help="Choose joints together among the servo steps of ARM; off for paths.",
 )  # fmt: skip
 @options.output("commands.csv", "Joint commands to write.", outputs.COMMANDS)
@@ -66,9 +66,6 @@ def command(
     numbers: tuple[str, ...],
     targets: Path | None,
     path: Path | None,
-    max_velocity: float | None,
-    max_acceleration: float | None,
-    max_longer: float | None,
     model: Path | None,
     predictor: Path | None,
     method: str | None,
@@ -98,9 +95,8 @@ def command(
       longarm compensate arm.yaml --path waypoints.csv --model model.yaml --max-velocity 0.4
     """
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.compensation.compensate import Method
     from longarm_comp.sessions.targets import Targets, read_targets
-    from longarm_comp.workflows.compensate import Commands, compensate, fitting
+    from longarm_comp.workflows.compensate import Commands, compensate, method_of
     from longarm_comp.workflows.compensate_path import compensate_path
     from longarm_comp.workflows.inputs import load_predictor, physics
 
@@ -108,11 +104,8 @@ def command(
     if (bool(numbers), targets is not None, path is not None).count(True) != 1:
         allowed = "one of X Y Z, --targets FILE, --path FILE"
         raise InputError("compensate", "target", list(numbers), allowed)
-    along: dict[str, Any] = {
-        "max_velocity": max_velocity, "max_acceleration": max_acceleration,
-        "max_longer": max_longer,
-    }  # fmt: skip
-    along = {name: value for name, value in along.items() if value is not None}
+    of_paths = ("max_velocity", "max_acceleration", "max_longer")
+    along = {name: v for name in of_paths if (v := alike.pop(name)) is not None}
     for name in along if path is None else ():
         flag = "--" + name.replace("_", "-")
         raise InputError("compensate", flag, along[name], "with --path alone")
@@ -121,12 +114,7 @@ def command(
     given = (targets or path, *([form.read] if form else []))
     wanted = read_targets(*given) if targets or path else Targets.one([_number(v) for v in numbers])
     learned = load_predictor(predictor, declared, model) if predictor else None
-    chosen = fitting(learned) if method is None else Method(method)
-    if chosen.learned and learned is None:
-        raise InputError("compensate", "--predictor", "missing", f"a file for --method {method}")
-    if chosen.learned and chosen is not fitting(learned):
-        allowed = f"{fitting(learned).value}: because the predictor was trained so"
-        raise InputError("compensate", "--method", method, allowed)
+    chosen = method_of(method, learned)
     alike |= {"method": chosen, "seed": None if seed_q is None else _joints(seed_q, declared)}
     # more digits are no row's, and no number that Python reads
     alike["locked"] = [int(v) if v.isdecimal() and len(v) <= 9 else v for v in locked]

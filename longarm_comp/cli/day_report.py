@@ -28,7 +28,7 @@ def command(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: 
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.at_work import LEARNED_SAID
     from longarm_comp.core.files import write_text
-    from longarm_comp.report.day_page import day_page
+    from longarm_comp.report.pages import day_page
     from longarm_comp.sessions.day import read_day
 
     declared = Arm.load(arm)

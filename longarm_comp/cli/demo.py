@@ -23,13 +23,11 @@ SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mea
     help="New folder for the session, the model, the predictor and the report.",
 )
 @options.path_option("--arm", "Another arm: arm.yaml or its folder; default: the demonstration's.")
-@click.option("--poses", type=int, default=120, show_default=True, help="Poses to learn from.")
-@click.option("--targets", type=int, default=40, show_default=True, help="New targets.")
+@click.option("--poses", type=int, default=120, help="Poses to learn from.")
+@click.option("--targets", type=int, default=40, help="New targets.")
 @click.option("--hidden", help="Undeclared effects of the arm: 'name=mm name=mm'.")
-@click.option(
-    "--speed", type=float, default=20.0, show_default=True, help="Speed-up of all motion."
-)
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--speed", type=float, default=20.0, help="Speed-up of all motion.")
+@click.option("--seed", type=click.IntRange(min=0), default=1)
 @options.as_json
 def command(out: Path, arm: Path | None, targets: int, as_json: bool, **given: Any) -> None:
     """Run the whole loop over the real ROS graph on a simulated arm.

@@ -8,10 +8,7 @@ from typing import Any
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress, value_cells
-
-STEPS = 6.0
-"""Steps after which the progress bar is half way, since the number of effects is not known."""
+from longarm_comp.cli.output import note, print_effects, print_json, print_rows, progress
 
 
 @click.command()
@@ -43,13 +40,7 @@ def command(arm: Path, session: Path, output: Path, as_json: bool, **how: Any) -
 
     declared = Arm.load(arm)
     with progress("diagnose") as show:
-        done = iter(range(1, 1000))
-
-        def say(text: str) -> None:
-            step = next(done)
-            show(text, step / (step + STEPS))
-
-        found = diagnose_files(declared, session, output, progress=say, **how)
+        found = diagnose_files(declared, session, output, progress=show, **how)
     report = found.report()
     if as_json:
         print_json({"output": str(output), **report})
@@ -66,19 +57,9 @@ def _print(report: dict[str, Any]) -> None:
     absent = {name for name in rows[0] if all(row[name] is None for row in rows)}
     shown = [{k: v for k, v in row.items() if k not in absent} for row in rows]
     print_rows(f"Held-out errors ({report['held_out']['n']} rows)", shown)
-    cells = [
-        (
-            f["effect"],
-            report["called"].get(p["where"], p["where"]),
-            p["name"],
-            *value_cells(p["value"], p["ci95"], p["unit"]),
-        )
-        for f in report["findings"]
-        for p in f["parameters"]
-    ]
-    if cells:
-        header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
-        print_table("Effects added", header, cells)
+    keys = ("where", "name", "value", "ci95", "unit")
+    found = [(f["effect"], *map(p.get, keys)) for f in report["findings"] for p in f["parameters"]]
+    print_effects("Effects added", report["called"], found)
     for duty, held in to_do(checked(report).for_people()).items():
         for card in held:
             size = "; ".join(filter(None, (card.tip, card.sure, f"{card.figure} {card.improves}")))

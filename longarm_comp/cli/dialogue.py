@@ -43,12 +43,7 @@ class Dialogue:
         return str(self._prompted(flag, ", ".join(choices), text, default=default, type=kind))
 
     def go_on(self, text: str) -> None:
-        """Wait until the user says that it may go on.
-
-        Raises:
-            InputError: nobody is there to say so, and ``--yes`` was not given.
-            click.Abort: the user says no.
-        """
+        """Wait until the user says that it may go on; click.Abort: the user says no."""
         if self.yes:
             return
         answer = self._prompted("--yes", "--yes", f"{text} Go on?", default="y", type=bool)

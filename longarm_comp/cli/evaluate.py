@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_rows
-
-if TYPE_CHECKING:
-    from longarm_comp.core.identify.calibrate import Errors
 
 
 @click.command()
@@ -44,7 +40,10 @@ def command(
     if evaluation.fitted:
         note(f"the {' and the '.join(evaluation.fitted)} came from this session: use other poses")
     if as_json:
-        worst = {name: _worst(errors) for name, errors in evaluation.items()}
+        worst = {
+            name: [{"index": row, "error_mm": 1e3 * size} for row, size in errors.worst]
+            for name, errors in evaluation.items()
+        }
         facts = {
             "worst": worst,
             "outside_training_data": evaluation.outside,
@@ -57,7 +56,3 @@ def command(
         print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)
     for text in evaluation.notes:
         note(text)
-
-
-def _worst(errors: Errors) -> list[dict[str, float]]:
-    return [{"index": row, "error_mm": 1e3 * size} for row, size in errors.worst]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     "Folder to write: one diagnosis for each arm, fleet.json, fleet.html.",
     outputs.folder("fleet.json", told_by="fleet.json", schema="longarm/fleet/1"),
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, help="Processes.")
 @click.option(
     "--dask",
     metavar="ADDRESS",
@@ -44,7 +44,7 @@ def command(folder: Path, output: Path, as_json: bool, **how: Any) -> None:
       longarm fleet arms -o fleet
     """
     from longarm_comp.core.files import write_text
-    from longarm_comp.report.fleet_page import fleet_page
+    from longarm_comp.report.pages import fleet_page
     from longarm_comp.workflows.fleet import fleet
 
     with progress("fleet") as show:
@@ -67,12 +67,10 @@ def command(folder: Path, output: Path, as_json: bool, **how: Any) -> None:
 
 
 def _cells(arm: Diagnosed) -> tuple[str, ...]:
-    def said(value: float | None) -> str:
-        return "" if value is None else f"{value:.2f}"
-
     found: dict[str, list[str]] = {}
     for f in arm.findings:
         found.setdefault(f.effect, []).append(f.where + " (of the kind)" * f.of_kind)
     effects = "; ".join(f"{effect} at {', '.join(where)}" for effect, where in found.items())
-    mm = (said(arm.in_use_mm), said(arm.calibrated_mm), said(arm.diagnosed_mm))
-    return (arm.name, str(arm.rows), arm.verdict, *mm, effects)
+    mm = (arm.in_use_mm, arm.calibrated_mm, arm.diagnosed_mm)
+    said = ("" if value is None else f"{value:.2f}" for value in mm)
+    return (arm.name, str(arm.rows), arm.verdict, *said, effects)

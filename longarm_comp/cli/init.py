@@ -44,7 +44,7 @@ _SOURCES = "--urdf FILE, --like demo, --arm FILE, --joint ROW --joint ROW ..."
     help="Largest range of a turning joint, deg; 0: as it is. Default: 45 for a URDF, else 0.",
 )
 @click.option("--home", multiple=True, metavar="JOINT=DEG", help="Middle of that range.")
-@click.option("--servos", default="sts3215", show_default=True, help="Model of the servos.")
+@click.option("--servos", default="sts3215", help="Model of the servos.")
 @click.option(
     "--hobby",
     is_flag=True,

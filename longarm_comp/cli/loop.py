@@ -25,9 +25,9 @@ SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_a
 @options.arm
 @options.output(None, "Folder for sessions, diagnoses and the page.", outputs.left_to_the_command)
 @click.option("--yes", is_flag=True, help="Apply every diagnosis without asking.")
-@click.option("--rounds", default=3, show_default=True, help="Rounds at most.")
-@click.option("--poses", default=180, show_default=True, help="Poses to measure in a round.")
-@click.option("--targets", default=40, show_default=True, help="Fresh targets to measure the gain.")
+@click.option("--rounds", default=3, help="Rounds at most.")
+@click.option("--poses", default=180, help="Poses to measure in a round.")
+@click.option("--targets", default=40, help="Fresh targets to measure the gain.")
 @options.without("network", "Train no predictor.")
 @click.option("--resume", is_flag=True, help="Go on with an interrupted loop.")
 @options.pace
@@ -67,9 +67,8 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.data.plan import sobol
     from longarm_comp.core.model.declared_model import declared_model
-    from longarm_comp.jobs.loop.run import Loop
+    from longarm_comp.jobs.loop.run import Loop, write_loop
     from longarm_comp.jobs.loop.settings import LoopSettings
-    from longarm_comp.jobs.loop.summary import write_loop
 
     declared = Arm.load(arm)
     paced = pace(declared_model(declared), sobol(declared, 16, seed).q)

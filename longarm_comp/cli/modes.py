@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -16,7 +17,7 @@ from longarm_comp.cli.output import note, print_json, print_rows
     "--at", "Poses (poses.csv); default: both ends and the middle of the joints' ranges."
 )
 @options.model
-@click.option("--move", default=0.5, show_default=True, help="Time of a move, s.")
+@click.option("--move", default=0.5, help="Time of a move, s.")
 @click.option(
     "--damping", type=float, metavar="SHARE",
     help="Share of critical damping; default: that of arm.yaml, else 0.01.",
@@ -76,22 +77,20 @@ def command(
         if not seen:
             note(f"{ring}: nothing rings above the noise")
         if heard.of_joints:
-            smallest, largest = (
-                steps(heard.seen),
-                np.max([w.size for w in seen] or np.zeros((1, 1)), axis=0),
-            )
+            smallest = steps(heard.seen)
+            largest = np.max([w.size for w in seen] or np.zeros((1, 1)), axis=0)
             if (largest <= smallest).all():
-                note(f"no joint rings by more than one step of its encoder, {_listed(smallest)}")
+                listed = " ".join(f"{value:.2g}" for value in smallest.tolist())
+                note(f"no joint rings by more than one step of its encoder, {listed} rad or m")
             note("an encoder sees only what bends before it: at a motor it hardly sees a beam ring")
-    rows = [
-        {
+    rows: list[dict[str, Any]] = []
+    for row, (each, left) in enumerate(found):
+        ways = each.tip / np.maximum(np.linalg.norm(each.tip, axis=1, keepdims=True), 1e-30)
+        rows += [{
             "posture": row, "mode": k + 1, "hz": float(hz),
             **{f"tip_{axis}": float(part) for axis, part in zip("xyz", way, strict=True)},
             "ring_mm": 1e3 * left.size_m(), "settle_s": left.settle_s(),
-        }
-        for row, (each, left) in enumerate(found)
-        for k, (hz, way) in enumerate(zip(each.hz, _directions(each.tip), strict=True))
-    ]  # fmt: skip
+        } for k, (hz, way) in enumerate(zip(each.hz, ways, strict=True))]  # fmt: skip
     size = "size_rad_m" if heard is not None and heard.of_joints else "size_mm"
     scale = 1e3 if size == "size_mm" else 1.0
     told = [{"hz": w.hz, "hz_sd": w.hz_sd, "damping": w.damping, "damping_sd": w.damping_sd,
@@ -107,14 +106,3 @@ def command(
         print_rows("Seen after a move", told)
     if damping is None and declared.damping is None and not seen:
         note("the damping is assumed: measure it (--ring) and write `damping` into arm.yaml")
-
-
-def _directions(tip):  # type: ignore[no-untyped-def]
-    """(k, 3) unit vectors of the tip's motion."""
-    import numpy as np
-
-    return tip / np.maximum(np.linalg.norm(tip, axis=1, keepdims=True), 1e-30)
-
-
-def _listed(values):  # type: ignore[no-untyped-def]
-    return " ".join(f"{value:.2g}" for value in values.tolist()) + " rad or m"

@@ -20,10 +20,13 @@ arm = click.argument("arm", type=_PATH, metavar="ARM")
 session = click.argument("session", type=_PATH, metavar="SESSION")
 model = click.option("--model", type=_PATH, help="Calibrated model.yaml.")
 predictor = click.option("--predictor", type=_PATH, help="Trained predictor file.")
-seed = click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed."
-)
+seed = click.option("--seed", type=click.IntRange(min=0), default=0, help="Random seed.")
 as_json = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
+
+
+def several(*added: _Decorator) -> _Decorator:
+    """Options as one decorator, in the order of the help."""
+    return lambda function: functools.reduce(lambda made, add: add(made), added[::-1], function)
 
 
 def kind_of(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -88,21 +91,16 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
 
         return function(pace=pace, **rest)
 
-    made: Callable[..., Any] = command
-    for option in (
-        click.option("--move", default=0.5, show_default=True, help="Least time of a move, s."),
+    return several(
+        click.option("--sightings", default=5, help="Sightings averaged at each pose."),
         click.option(
             "--dwell",
             type=float,
             help="Rest before the first sighting, s; default: computed if arm.yaml has damping, "
             "at least 0.3.",
         ),
-        click.option(
-            "--sightings", default=5, show_default=True, help="Sightings averaged at each pose."
-        ),
-    ):
-        made = option(made)
-    return made
+        click.option("--move", default=0.5, help="Least time of a move, s."),
+    )(command)
 
 
 def _load(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tuple[Path, ...]:
@@ -138,9 +136,7 @@ def output(
 ) -> _Decorator:
     """``-o PATH``; what of it may be overwritten says `outputs`."""
     # To click a default of None is a value, with which nothing is missing
-    given: dict[str, Any] = (
-        {"required": True} if default is None else {"default": default, "show_default": True}
-    )
+    given: dict[str, Any] = {"required": True} if default is None else {"default": default}
     return click.option(
         "-o", "--output", type=_PATH, help=what, cls=Output, kind=kind, beside=beside, **given
     )
@@ -182,15 +178,12 @@ def form_of(like: Path | None, output: Path) -> tuple[Any, Path]:
     return form, form.output(output) if given is ParameterSource.DEFAULT else output
 
 
-def servo_line(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options ``--port``, ``--protocol``, ``--baud``, ``--ids`` of a servo bus."""
-    for option in (
-        click.option("--ids", default="0-252", show_default=True, help="Ids to ask: 1-20 or 1,2."),
-        click.option("--baud", type=click.IntRange(min=1), help="bit/s; default: what answers."),
-        click.option(
-            "--protocol", help="Protocol of the servos; default: the one that a servo answers."
-        ),
-        click.option("--port", help="Serial port of the servo bus, for instance /dev/ttyUSB0."),
-    ):
-        function = option(function)
-    return function
+servo_line = several(
+    click.option("--port", help="Serial port of the servo bus, for instance /dev/ttyUSB0."),
+    click.option(
+        "--protocol", help="Protocol of the servos; default: the one that a servo answers."
+    ),
+    click.option("--baud", type=click.IntRange(min=1), help="bit/s; default: what answers."),
+    click.option("--ids", default="0-252", help="Ids to ask: 1-20 or 1,2."),
+)
+"""Options ``--port``, ``--protocol``, ``--baud``, ``--ids`` of a servo bus."""

@@ -45,10 +45,7 @@ def print_json(data: object) -> None:
 
 
 def print_table(
-    title: str,
-    header: Sequence[str],
-    rows: Sequence[Sequence[object]],
-    on_stderr: bool = False,
+    title: str, header: Sequence[str], rows: Sequence[Sequence[object]], on_stderr: bool = False
 ) -> None:
     """Print results as a table: text in the first column, numbers right-aligned."""
     from rich.console import Console
@@ -65,13 +62,24 @@ def print_table(
     Console(width=width, stderr=on_stderr).print(table)
 
 
-def value_cells(value: float, ci95: Sequence[float] | None, unit: str) -> tuple[str, str, str]:
-    """A value, its interval and its unit, in the unit that people read."""
+def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[Any, ...]]) -> None:
+    """Print parameters in the units that people read; nothing where there are none.
+
+    Args:
+        called: names of places.
+        rows: effect, place, parameter, value, 95 % interval, unit.
+    """
     from longarm_comp.core.effects.units import for_people
 
-    times, name = for_people(unit)
-    span = "at its bound" if ci95 is None else " .. ".join(f"{times * v:.4g}" for v in ci95)
-    return f"{times * value:.4g}", span, name
+    cells = []
+    for effect, where, name, value, ci95, unit in rows:
+        times, shown = for_people(unit)
+        span = "at its bound" if ci95 is None else " .. ".join(f"{times * v:.4g}" for v in ci95)
+        place = called.get(where, where)
+        cells.append((effect, place, name, f"{times * value:.4g}", span, shown))
+    if cells:
+        header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
+        print_table(title, header, cells)
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -83,13 +91,13 @@ def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 @contextmanager
-def progress(label: str, lines: bool = False) -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on stderr, on a terminal. Call it with a text and the share, 0 to 1.
+def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
+    """A progress bar on stderr, on a terminal. Call it with a text and the share, if it is known.
 
     Where stderr is no terminal nothing is said, or with ``lines`` a line now and then.
     """
     if not sys.stderr.isatty():
-        yield _now_and_then(label) if lines else lambda text, share: None
+        yield _now_and_then(label) if lines else lambda *_: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -98,17 +106,19 @@ def progress(label: str, lines: bool = False) -> Iterator[Callable[[str, float],
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(label, total=1.0)
 
-        def update(text: str, share: float) -> None:
-            bar.update(task, description=f"{label}: {text}" if text else label, completed=share)
+        def update(text: str, share: float | None = None) -> None:
+            total = None if share is None else 1.0  # unknown: the bar runs to and fro
+            described = f"{label}: {text}" if text else label
+            bar.update(task, description=described, total=total, completed=share)
 
         yield update
 
 
-def _now_and_then(label: str) -> Callable[[str, float], None]:
+def _now_and_then(label: str) -> Callable[..., None]:
     """A note of what is done, at most one in `_QUIET_S`."""
     said = -math.inf
 
-    def tell(text: str, share: float) -> None:
+    def tell(text: str, share: float | None = None) -> None:
         nonlocal said
         if time.monotonic() - said >= _QUIET_S:
             said = time.monotonic()

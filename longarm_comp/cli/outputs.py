@@ -2,8 +2,7 @@
 
 A file of the kind that is written there (its first and last bytes tell) is replaced. A file that
 people edit, like arm.yaml, and whatever else exists, stays without ``--force``. Links are followed.
-Inputs are regular files or folders: a pipe or a device has no end that a reader could check. And
-numbers are finite.
+Inputs are regular files or folders, and numbers are finite.
 """
 
 from __future__ import annotations
@@ -110,12 +109,7 @@ def _ends(path: Path) -> bytes:
 
 
 class Output(click.Option):
-    """An option that names what is written.
-
-    Args:
-        kind: of the file or folder.
-        beside: files that are written as well.
-    """
+    """An option that names what is written, of a kind; ``beside``: files that are written too."""
 
     def __init__(
         self,
@@ -133,6 +127,9 @@ def guarded(command: click.Command, name: str) -> click.Command:
     run = command.callback
     if run is None:
         return command  # a group: each of its commands keeps the rule
+    for option in command.params:
+        if isinstance(option, click.Option) and option.default == "":
+            option.show_default = False
     outputs = [p for p in command.params if isinstance(p, Output)]
     if any(isinstance(p, click.Option) and "--force" in p.opts for p in command.params):
         return command  # made before
@@ -153,14 +150,14 @@ def _check(name: str, params: list[click.Parameter], given: dict[str, Any], forc
 
     inputs = [p for p in params if not isinstance(p, Output)]
     outputs = [p for p in params if isinstance(p, Output)]
-    read = [path for p in inputs for path in _paths(given.get(p.name or ""))]
+    read = [path for p in inputs for path in _parts(given.get(p.name or ""), Path)]
     for path in read:
         check_regular(path)
     for p in params:
-        for value in _numbers(given.get(p.name or "")):
+        for value in _parts(given.get(p.name or ""), float):
             if not math.isfinite(value):
                 raise InputError(name, p.opts[0], value, "a finite number")
-    named = [(o, path) for o in outputs for path in _paths(given.get(o.name or ""))]
+    named = [(o, path) for o in outputs for path in _parts(given.get(o.name or ""), Path)]
     for _, path in named:
         check_regular(path)
     for option, path in () if force else named:
@@ -175,20 +172,13 @@ def _check(name: str, params: list[click.Parameter], given: dict[str, Any], forc
             raise InputError(name, word, said, "a file that does not exist, or --force")
 
 
-def _paths(value: Any) -> Iterator[Path]:
-    if isinstance(value, Path):
+def _parts(value: Any, kind: type) -> Iterator[Any]:
+    """What is of a kind in a value, or in tuples and lists of it."""
+    if isinstance(value, kind):
         yield value
     elif isinstance(value, tuple | list):
         for part in value:
-            yield from _paths(part)
-
-
-def _numbers(value: Any) -> Iterator[float]:
-    if isinstance(value, float):
-        yield value
-    elif isinstance(value, tuple | list):
-        for part in value:
-            yield from _numbers(part)
+            yield from _parts(part, kind)
 
 
 def _same(one: Path, other: Path) -> bool:

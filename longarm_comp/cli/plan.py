@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     "--measure",
     type=click.Choice(["position", "pose", "distance", "touch"]),
     default="position",
-    show_default=True,
     help="What is measured at each pose; distance: to every anchor in arm.yaml; touch: a --point.",
 )
 @click.option(
@@ -50,7 +49,6 @@ if TYPE_CHECKING:
     "--noise-mm",
     type=click.FloatRange(min=1e-6, max=1e3),  # a nanometre to a metre
     default=0.3,
-    show_default=True,
     help="Noise of a measured length, if no rows are given.",
 )
 @options.floor

@@ -25,7 +25,8 @@ class LazyGroup(click.Group):
         self._folder = folder
         self._entries = {entry.name: entry for entry in entries if " " not in entry.name}
         for first, summary in GROUPS.items():
-            within = [e._replace(name=e.name[len(first) + 1 :]) for e in entries if _in(first, e)]
+            mine = [e for e in entries if e.name.startswith(f"{first} ")]
+            within = [e._replace(name=e.name[len(first) + 1 :]) for e in mine]
             if within:
                 self.add_command(LazyGroup(within, first, summary))
 
@@ -49,11 +50,7 @@ class LazyGroup(click.Group):
             formatter.write_dl(rows)
 
 
-_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-
-
-def _in(first: str, entry: Entry) -> bool:
-    return entry.name.startswith(f"{first} ")
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True}
 
 
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

@@ -21,11 +21,7 @@ if TYPE_CHECKING:
 @click.command()
 @options.servo_line
 @click.option(
-    "--timeout",
-    default=0.02,
-    show_default=True,
-    type=click.FloatRange(0.001, 1.0),
-    help="Patience with one id, s.",
+    "--timeout", default=0.02, type=click.FloatRange(0.001, 1.0), help="Patience with one id, s."
 )
 @options.as_json
 def scan(port: str | None, as_json: bool, **line: Any) -> None:

@@ -150,7 +150,10 @@ def _run(
     dialogue.go_on(f"{file} will be written.")
     write_text(file, text)
     note_measured(folder, SERVOS, "servo setup", {"zero": "pose"})
-    reads = _read_back(ServoConfig.load(file))
+    written = ServoConfig.load(file)  # as the driver will read it
+    with closing(written.open_bus()) as bus_now:
+        states = bus_now.read(list(written.ids.values()))
+    reads = {n: j.to_si(states[j.servo_id].position_ticks) for n, j in written.joints.items()}
     facts = {
         name: {
             **{k: getattr(joint, k) for k in ("servo_id", "model", "direction", "zero_ticks")},
@@ -162,10 +165,15 @@ def _run(
         print_json({"file": str(file), **line_found, "joints": facts})
         return
     rows = [
-        (name, joint.servo_id, "+" if joint.direction > 0 else "-", f"{joint.zero_ticks:g}",
-         shown(joint, reads[name]))
-        for name, joint in joints.items()
-    ]  # fmt: skip
+        (
+            name,
+            j.servo_id,
+            "+" if j.direction > 0 else "-",
+            f"{j.zero_ticks:g}",
+            shown(j, reads[name]),
+        )
+        for name, j in joints.items()
+    ]
     header = ("joint", "id", "direction", "zero_ticks", "now")
     print_table(f"{file}, read back", header, rows)
     note(f"next: longarm check {folder}")
@@ -214,10 +222,3 @@ def _nudged(
             found[name] = grew * _SIGNS[said]
     dialogue.go_on("The torque goes off again: hold or support the arm.")
     return found
-
-
-def _read_back(config: ServoConfig) -> dict[str, float]:
-    """Joint values now, as the driver will read them."""
-    with closing(config.open_bus()) as bus:
-        states = bus.read(list(config.ids.values()))
-    return {n: j.to_si(states[j.servo_id].position_ticks) for n, j in config.joints.items()}

@@ -33,12 +33,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
 @contextmanager
 def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> Iterator[Any]:
-    """A client on the running graph, of an arm where one is given, that signals stop.
-
-    Args:
-        name: of the client's node.
-        how: as for `ArmClient`.
-    """
+    """A client on the running graph, of an arm where one is given, that signals stop."""
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.graph_client import GraphClient
 

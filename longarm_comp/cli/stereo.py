@@ -41,19 +41,15 @@ def _board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., 
             made = None if board is None else _target(board, square_mm, tag_mm, dictionary)
             return function(board=made, **rest)
 
-        made: Callable[..., Any] = command
-        for option in (
-            click.option("--dictionary", default="DICT_5X5_100", show_default=True,
-                         help="Tag family of the board; it must differ from the marker's."),
-            click.option("--tag-mm", type=float, default=None,
-                         help="Side of its tags. Default: 0.72 squares."),
-            click.option("--square-mm", type=float, default=_SQUARE_MM, show_default=True,
+        return options.several(
+            click.option("--board", default=default, metavar="COLUMNSxROWS",
+                         help="ChArUco board: squares across and down."),
+            click.option("--square-mm", type=float, default=_SQUARE_MM,
                          help="Side of its squares, measured on the print."),
-            click.option("--board", default=default, show_default=default is not None,
-                         metavar="COLUMNSxROWS", help="ChArUco board: squares across and down."),
-        ):  # fmt: skip
-            made = option(made)
-        return made
+            click.option("--tag-mm", type=float, help="Side of its tags. Default: 0.72 squares."),
+            click.option("--dictionary", default="DICT_5X5_100",
+                         help="Tag family of the board; it must differ from the marker's."),
+        )(command)  # fmt: skip
 
     return add
 
@@ -84,19 +80,18 @@ def marker(folder: Path | None, board: CharucoTarget | None, output: Path) -> No
       longarm stereo marker --board 7x5 --square-mm 25 -o board.pdf
     """
     from longarm_comp.arm_folder.marker_sheet import write_sheet
+    from longarm_comp.arm_folder.parameter_file import parameters_of
+    from longarm_comp.devices.stereo import TagBoard
 
     if (folder is None) == (board is None):
         given = "neither" if folder is None else "both"
         raise InputError("stereo marker", "DIR, --board", given, "one of the two")
-    paper = write_sheet(board or _marker(folder), output)
+    printed: CharucoTarget | TagBoard | None = board
+    if folder is not None:
+        printed = TagBoard.of(parameters_of("stereo_bridge", folder / "stereo_bridge.yaml"))
+    assert printed is not None
+    paper = write_sheet(printed, output)
     note(f"{output}: {paper}, to be printed at 100 %")
-
-
-def _marker(folder: Any) -> TagBoard:
-    from longarm_comp.arm_folder.parameter_file import parameters_of
-    from longarm_comp.devices.stereo import TagBoard
-
-    return TagBoard.of(parameters_of("stereo_bridge", folder / "stereo_bridge.yaml"))
 
 
 @click.command()
@@ -138,13 +133,7 @@ def webcams(frames: Path | None) -> None:
 )
 @_board("7x5")
 @options.path_option("--save", "Live: folder that the used images are written to.")
-@click.option(
-    "--within",
-    type=float,
-    default=600.0,
-    show_default=True,
-    help="Live: give up after this time, s.",
-)
+@click.option("--within", type=float, default=600.0, help="Live: give up after this time, s.")
 @options.namespace
 @options.as_json
 def calibrate(
@@ -267,7 +256,7 @@ def hand_eye(folder: Path, session: Path, model: Path | None, as_json: bool) -> 
     Example:
       longarm stereo hand-eye my_arm my_arm/session --model my_arm/model.yaml
     """
-    from longarm_comp.arm_folder.head_file import head_at, write_head
+    from longarm_comp.arm_folder.camera_files import head_at, write_head
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.camera_placement import placed_cameras
     from longarm_comp.sessions.read import read_session
@@ -277,7 +266,14 @@ def hand_eye(folder: Path, session: Path, model: Path | None, as_json: bool) -> 
     rows = read_session(session, arm)
     assumed = head_at(folder, rows.hash)
     found = placed_cameras(physics(arm, model), rows, assumed)
-    quality = _place_quality(found)
+    quality = {
+        "rows": found.rows,
+        "outliers": found.outliers,
+        "position_sd_mm": [round(float(v), 3) for v in found.position_sd_mm],
+        "rotation_sd_deg": [round(float(v), 4) for v in found.rotation_sd_deg],
+        "residual_mm": round(found.residual_mm, 3),
+        "held_out_mm": round(found.held_out_mm, 3),
+    }
     written = write_head(folder, found.pose, assumed, rows.hash, quality)
     if as_json:
         print_json({"files": written, "xyz": found.pose[:3, 3], "quaternion": found.quaternion,
@@ -291,17 +287,6 @@ def hand_eye(folder: Path, session: Path, model: Path | None, as_json: bool) -> 
         if off > 0.01:
             note(f"arm.yaml has its camera {1e3 * off:.0f} mm from there: put position_m and "
                  "optical_axis right before the next calibration")  # fmt: skip
-
-
-def _place_quality(found: HeadPlacement) -> dict[str, object]:
-    return {
-        "rows": found.rows,
-        "outliers": found.outliers,
-        "position_sd_mm": [round(float(v), 3) for v in found.position_sd_mm],
-        "rotation_sd_deg": [round(float(v), 4) for v in found.rotation_sd_deg],
-        "residual_mm": round(found.residual_mm, 3),
-        "held_out_mm": round(found.held_out_mm, 3),
-    }
 
 
 def _show_place(found: HeadPlacement) -> None:

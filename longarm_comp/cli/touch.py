@@ -24,11 +24,9 @@ _HELP = "Enter: record a touch; NAME: next point; plane NAME: next plane; undo; 
 @click.command()
 @options.arm
 @options.output(
-    "touches.csv",
-    "Session to write; it is written after every touch.",
-    outputs.left_to_the_command,
+    "touches.csv", "Session to write; it is written after every touch.", outputs.left_to_the_command
 )
-@click.option("--name", default="a", show_default=True, help="Name of the first point.")
+@click.option("--name", default="a", help="Name of the first point.")
 @click.option(
     "--distance",
     "distances",
@@ -41,7 +39,6 @@ _HELP = "Enter: record a touch; NAME: next point; plane NAME: next plane; undo; 
     "--tolerance-mm",
     type=click.FloatRange(min=0, min_open=True),
     default=0.1,
-    show_default=True,
     help="Standard deviation of these distances.",
 )
 @click.option(

@@ -16,20 +16,15 @@ from longarm_comp.cli.output import note, print_json, progress
 @options.session
 @options.model
 @options.output("predictor.npz", "Predictor to write.", outputs.PREDICTOR)
-@click.option("--init", type=click.Choice(["ssa", "xavier"]), default="ssa", show_default=True)
+@click.option("--init", type=click.Choice(["ssa", "xavier"]), default="ssa")
 @click.option(
     "--inputs",
     type=click.Choice(["context", "joints"]),
     default="context",
-    show_default=True,
     help="context: joints, approach, temperature, payload; joints: as in the paper.",
 )
 @click.option(
-    "--ensemble",
-    type=click.IntRange(min=1),
-    default=5,
-    show_default=True,
-    help="Number of networks in the ensemble.",
+    "--ensemble", type=click.IntRange(min=1), default=5, help="Number of networks in the ensemble."
 )
 @click.option(
     "--hidden", type=click.IntRange(min=1), help="Hidden units; default: chosen by evidence."

@@ -33,13 +33,13 @@ _BROKEN_OFF = (
 @click.command()
 @options.arm
 @options.path_option("--targets", "CSV with x, y, z (m); default: random targets.")
-@click.option("-n", "count", type=click.IntRange(min=2), default=40, show_default=True,
+@click.option("-n", "count", type=click.IntRange(min=2), default=40,
               help="Random targets.")  # fmt: skip
 @options.path_option("--model", "Model whose tip gives random targets; default: ARM.")
 @click.option("--method", type=click.Choice(["deflection", "network", "both"]),
               help="Compensation to measure; default: that of the running node.")  # fmt: skip
 @click.option("--by", type=click.Choice(["cameras", "readings"]), default="cameras",
-              show_default=True, help="What measures the tip.")  # fmt: skip
+              help="What measures the tip.")  # fmt: skip
 @options.pace
 @options.namespace
 @options.seed
@@ -108,22 +108,21 @@ def command(
         runner = TargetRunner(client, paced)
         runner.ready(drawn_from.tip(declared.mid), 30.0)
         judged = Method(method) if method else method_at_work(client)
-        chosen = choose(runner, draw, count, (Method.NONE, judged))
-        done = verify(runner, chosen, judged, seed=seed, progress=show)
-    report = done.report()
+        kept, refused = choose(runner, draw, count, (Method.NONE, judged))
+        result, report = verify(runner, kept, refused, judged, seed=seed, progress=show)
     if output is not None:
         write_text(output / "verify.json", as_text(report))
-        done.result.picture(output / "verify.png")
+        result.picture(output / "verify.png")
     if as_json:
         print_json(report)
     else:
-        print_rows(f"tip - target over {report['targets']} targets", done.result.rows)
-        for xyz, why in chosen.refused:
+        print_rows(f"tip - target over {report['targets']} targets", result.rows)
+        for xyz, why in refused:
             note(f"target {xyz.round(4).tolist()} was left out: {why}")
-        counts = ", ".join(f"{name} {n}" for name, n in done.statuses.items())
-        note(f"{len(chosen.refused)} targets refused; with compensation: {counts}")
+        counts = ", ".join(f"{name} {n}" for name, n in report["status"].items())
+        note(f"{len(refused)} targets refused; with compensation: {counts}")
         if output is not None:
             note(f"picture in {output / 'verify.png'}")
-        click.echo(done.result.summary)
-    if not done.result.helps:
-        raise JobError(done.result.summary)
+        click.echo(result.summary)
+    if not result.helps:
+        raise JobError(result.summary)

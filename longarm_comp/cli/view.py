@@ -16,7 +16,6 @@ from longarm_comp.core.errors import JobError
     "--port",
     type=click.IntRange(0, 65535),
     default=8080,
-    show_default=True,
     help="Port of the page; if it is taken, the next free port. 0: any free port.",
 )
 @click.option("--open/--no-open", "show", default=True, help="Open the page in the browser.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from std_srvs.srv import Trigger
 
@@ -13,16 +14,12 @@ from longarm_comp.jobs.graph_client import GraphClient, Interrupted
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.workflows.apply import Applied, apply
 from longarm_comp.workflows.at_work import undo
-from longarm_comp.workflows.inputs import Note, Progress, log_note, silent
+from longarm_comp.workflows.inputs import Note, log_note
 
 
 @dataclass(frozen=True)
 class FilesAtWork:
-    """Files that a running graph reads.
-
-    Attributes:
-        predictor: None where no `error_predictor` runs, or it has no file.
-    """
+    """Files that a running graph reads; no predictor where no `error_predictor` has a file."""
 
     arm: Path
     model: Path
@@ -47,29 +44,19 @@ def files_at_work(client: GraphClient) -> FilesAtWork:
 
 
 def apply_on_graph(
-    client: GraphClient,
-    diagnosis: Path,
-    *,
-    session: Path | None = None,
-    network: bool = True,
-    seed: int = 0,
-    note: Note = log_note,
-    progress: Progress = silent,
+    client: GraphClient, diagnosis: Path, *, network: bool = True, note: Note = log_note, **how: Any
 ) -> Applied:
     """Apply a diagnosis to the files of a running graph and have its nodes read them.
 
-    Args:
-        client: on the graph.
-        diagnosis, session, network, seed, note, progress: as for `workflows.apply.apply`. No
-            predictor is trained where the graph has no file for it.
+    The options are those of `workflows.apply.apply`. No predictor is trained where the graph has no
+    file for it.
     """
     files = files_at_work(client)
     if network and files.predictor is None:
         note("no predictor is trained: error_predictor is not there or was started without a file")
-    done = apply(
-        diagnosis, Arm.load(files.arm), files.model, files.predictor, session=session,
-        network=network and files.predictor is not None, seed=seed, note=note, progress=progress,
-    )  # fmt: skip
+    network = network and files.predictor is not None
+    at_work = Arm.load(files.arm), files.model, files.predictor
+    done = apply(diagnosis, *at_work, network=network, note=note, **how)
     try:
         reload(client, "kinematics")
         if done.predictor is not None:

@@ -6,7 +6,6 @@ import os
 import signal
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -40,38 +39,6 @@ _NEXT = {
 }
 
 
-@dataclass(frozen=True)
-class _Trouble:
-    """A part of a node that is not well, in its own words; level: warning, error or stale."""
-
-    node: str
-    part: str
-    level: str
-    message: str
-
-
-@dataclass(frozen=True)
-class _Standing:
-    """How an arm stands.
-
-    Attributes:
-        driver: state of the driver, and why; empty where none is on the graph.
-        nodes: that have reported on /diagnostics.
-        troubles: of their parts.
-        next: command that leads on; empty where none is needed.
-        tip: where the tip stands by the readings of the joints, in one sentence; empty: unknown.
-        learned: what was learned at work, likewise.
-    """
-
-    driver: str
-    why: str
-    nodes: tuple[str, ...]
-    troubles: tuple[_Trouble, ...]
-    next: str
-    tip: str = ""
-    learned: str = ""
-
-
 class Attendant:
     """Hears an arm's driver and the reports of its nodes."""
 
@@ -84,8 +51,13 @@ class Attendant:
     def _on_state(self, message: DriverState) -> None:
         self._driver = message
 
-    def standing(self) -> _Standing:
-        """How the arm stands, as soon as every node of it that is on the graph has reported."""
+    def standing(self) -> dict[str, Any]:
+        """How the arm stands, as soon as every node of it that is on the graph has reported.
+
+        In words, empty where unknown: `driver` and `why`, the `nodes` that have reported and the
+        `troubles` of their parts, the `next` command that leads on, where the `tip` stands by the
+        readings of the joints, what was `learned` at work.
+        """
         client, where = self._client, self._namespace or "/"
         own = client.node.get_name()
 
@@ -112,23 +84,26 @@ class Attendant:
             )
             for name in there() - set(self._reports.nodes):
                 self._reports.nodes[name] = {"process": silent}
-        return self._standing()
-
-    def _standing(self) -> _Standing:
         driver, reports = self._driver, self._reports
-        troubles = tuple(
-            _Trouble(node, part, _LEVELS[min(ord(said.level), 3)], said.message)
-            for node, parts in sorted(reports.nodes.items())
-            for part, said in parts.items()
-            if ord(said.level)
-        )
         words = STATES.get(driver.state, f"in the unknown state {driver.state}") if driver else ""
-        why = driver.message if driver else f"no {DRIVER} is on the graph"
         step = _NEXT.get(driver.state, "") if driver else "longarm up ARM"
         if step == "longarm reset" and self._namespace:
             step += f" --namespace {self._namespace[1:]}"
-        tip, learned = (reports.said("kinematics", part) for part in (TIP_SAID, LEARNED_SAID))
-        return _Standing(words, why, tuple(sorted(reports.nodes)), troubles, step, tip, learned)
+        return {
+            "driver": words,
+            "why": driver.message if driver else f"no {DRIVER} is on the graph",
+            "nodes": sorted(reports.nodes),
+            "troubles": [
+                {"node": node, "part": part, "level": _LEVELS[min(ord(said.level), 3)],
+                 "message": said.message}
+                for node, parts in sorted(reports.nodes.items())
+                for part, said in parts.items()
+                if ord(said.level)
+            ],
+            "next": step,
+            "tip": reports.said("kinematics", TIP_SAID),
+            "learned": reports.said("kinematics", LEARNED_SAID),
+        }  # fmt: skip
 
     # ------------------------------------------------------------------ asking
 
@@ -143,18 +118,13 @@ class Attendant:
     def reset(self) -> str:
         """Leave an emergency stop, a fault and a hold, whichever there are."""
         said = "nothing to reset"
-        for state, (service, request) in _LEAVE.items():
-            if self._state() == state:
-                said = self._ask(service, request)
-                self._driver = None
-        return said
-
-    def _state(self) -> int:
-        """The driver's state, told anew where something was asked of it."""
-        client = self._client
         missing = f"no {DRIVER} reports its state: does `longarm up` run, in this namespace?"
-        driver = client.until(lambda: self._driver, _PATIENCE_S, missing)
-        return int(driver.state)
+        for state, (service, request) in _LEAVE.items():
+            driver = self._client.until(lambda: self._driver, _PATIENCE_S, missing)
+            if driver.state == state:
+                said = self._ask(service, request)
+                self._driver = None  # it tells its state anew
+        return said
 
     def _ask(self, service: Service, request: Any) -> str:
         answer = self._client.ask(DRIVER, service, request, _PATIENCE_S)
@@ -175,11 +145,7 @@ _HEARD_S = 10.0
 def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
     """Add a joint to those ``unplugged`` or a camera to those ``covered``, or take it ``back``.
 
-    Returns:
-        What has the fault now, in words.
-
-    Raises:
-        JobError: no simulated arm runs, or it knows no such name.
+    Returns what has the fault now, in words. Raises JobError: no such arm or name.
     """
     (told,) = client.parameters(SIMULATED, fault, within_s=_HEARD_S)
     names = [word for word in str(told).split() if word != name] + [name] * (not back)
@@ -189,10 +155,7 @@ def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
 
 @contextmanager
 def frozen(client: GraphClient, node: str) -> Iterator[int]:
-    """A node of a simulated arm's graph stands still, as a process that hangs does.
-
-    Yields:
-        The process.
+    """A node of a simulated arm's graph stands still, as a process that hangs does; its process.
 
     Raises:
         InputError: no such node. JobError: it does not report, or runs on another machine.

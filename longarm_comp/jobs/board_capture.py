@@ -49,11 +49,7 @@ def capture(
 ) -> tuple[list[BoardView], tuple[int, int]]:
     """Take a view whenever the board rests somewhere new, until nothing is missing.
 
-    Args:
-        save: folder for the images that were taken.
-
-    Returns:
-        The views, and (width, height) px of the images.
+    Returns the views, and (width, height) px of the images, which go into the folder ``save``.
     """
     views: list[BoardView] = []
     before: BoardView | None = None

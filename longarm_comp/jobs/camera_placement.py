@@ -20,10 +20,9 @@ _SIGMA_M = 1e-4
 
 @dataclass(frozen=True)
 class HeadPlacement:
-    """Where the left optical frame is in the base frame.
+    """Where the left optical frame is in the base frame (4, 4).
 
     Attributes:
-        pose: (4, 4).
         position_sd_mm, rotation_sd_deg: (3,) each, one standard deviation, base axes.
         residual_mm: rms distance of the sightings that count from the predicted tips.
         held_out_mm: the same for rows that the fit had not seen (five folds).

@@ -131,12 +131,6 @@ class ArmClient(GraphClient):
         driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
         return driver and self._trajectory.get_subscription_count() >= len(ends)
 
-    def _driver_takes(self) -> bool:
-        """Whether the driver tells that it takes trajectories; true of one that never tells."""
-        if self._driver is None:
-            return self.node.count_publishers(self._states.topic_name) == 0
-        return self._driver.state in (DriverState.READY, DriverState.MOVING)
-
     def _on_state(self, message: DriverState) -> None:
         self._driver = message
 
@@ -151,14 +145,16 @@ class ArmClient(GraphClient):
             self._refused = message.message if message.event == Motion.REFUSED else ""
 
     def driver_takes(self) -> bool:
-        """Whether the driver takes trajectories.
+        """Whether the driver tells that it takes trajectories; true of one that never tells.
 
         Raises:
             DriverStopped: it is held, in fault or in emergency stop.
         """
-        if self._driver is not None and self._driver.state in _STOPPED:
+        if self._driver is None:
+            return self.node.count_publishers(self._states.topic_name) == 0
+        if self._driver.state in _STOPPED:
             raise DriverStopped(self._driver)
-        return self._driver_takes()
+        return self._driver.state in (DriverState.READY, DriverState.MOVING)
 
     # ------------------------------------------------------------------ moving
 
@@ -177,19 +173,15 @@ class ArmClient(GraphClient):
     def arrive(
         self, path: np.ndarray, pace: Pace, start: np.ndarray | None = None, more_s: float = 0.0
     ) -> int:
-        """Wait until the joints rest at the end of a path (k, n).
+        """Wait until the joints rest at the end of a path (k, n); the moment (ns) of it.
 
         Servos that give way may stay farther off: then they are there when the driver says so.
-
         If the arm was there already and the path leads away and back, it must have left first.
 
         Args:
-            start: (n,) where the joints stood before the command; where they stand now if not
-                given. A move may be over before this is called.
+            start: (n,) where the joints stood before the command; a move may be over before this
+                is called.
             more_s: patience beside that of the pace.
-
-        Returns:
-            The moment (ns, the graph's clock) from which the arm was at rest.
         """
         q, tolerance = path[-1], pace.tolerance
         inside_since: list[float] = []

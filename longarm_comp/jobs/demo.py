@@ -18,15 +18,15 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.jobs.client import ArmClient, Pace
-from longarm_comp.jobs.loop.run import Loop
+from longarm_comp.jobs.loop.run import Loop, write_loop
 from longarm_comp.jobs.loop.settings import LoopSettings, Names
-from longarm_comp.jobs.loop.summary import write_loop
 from longarm_comp.jobs.targets import Trial
 from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.nodes.simulated_arm import sizes
 from longarm_comp.nodes.stamps import stamp_ns
 from longarm_comp.share import folder
 from longarm_comp.sim.plant import hidden_effects
+from longarm_comp.workflows.diagnosis_files import MODEL, PREDICTOR
 from longarm_comp.workflows.inputs import load_predictor
 from longarm_interfaces.srv import Compensate
 
@@ -41,12 +41,8 @@ _PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 
 """Table I, 300 samples: mean of the absolute error (mm) and its variance (mm^2)."""
 
 
-def rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
-    """One row a trial: what the cameras measured, what really was, what the paper has."""
-    return [_row(trial) for trial in trials]
-
-
-def _row(trial: Trial) -> dict[str, Any]:
+def table_row(trial: Trial) -> dict[str, Any]:
+    """What the cameras measured, what really was, what the paper has."""
     seen, true = Errors.of(trial.error), Errors.of(trial.true_error)
     mean, variance = _PAPER.get(trial.name, (None, None))
     return {
@@ -84,11 +80,8 @@ _PATIENCE_S = 30.0
 class DemoSettings:
     """One demonstration.
 
-    Attributes:
-        poses: to measure, from random sides. targets: fresh ones to judge by.
-        hidden: undeclared effects of the simulated arm, ``name=mm``.
-        speed: motion so many times faster than the servos' file says.
-        seed: of the hidden effects, the plan and the targets.
+    `hidden`: undeclared effects of the simulated arm, ``name=mm``. `speed`: motion so many times
+    faster than the servos' file says.
     """
 
     out: Path
@@ -109,16 +102,6 @@ class DemoSettings:
             self.out, 1, self.poses, self.targets, seed=self.seed, pace=PACE, names=NAMES
         )
 
-    @property
-    def model(self) -> Path:
-        """Calibrated model with the effects that the diagnosis found."""
-        return self.out / "model.yaml"
-
-    @property
-    def predictor(self) -> Path:
-        """Learned residual."""
-        return self.out / "predictor.npz"
-
     def graph(self) -> BringUp:
         """The graph; model and predictor are taken up once they are there."""
         given: dict[str, dict[str, Any]] = {
@@ -129,12 +112,12 @@ class DemoSettings:
             "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": _PATIENCE_S},
         }  # fmt: skip
         return BringUp(
-            arm=self.arm, model=self.model, predictor=self.predictor, sim=True,
+            arm=self.arm, model=self.out / MODEL, predictor=self.out / PREDICTOR, sim=True,
             namespace=NAMESPACE, speed=self.speed, set=given,
         )  # fmt: skip
 
 
-class TrueTip:
+class _TrueTip:
     """Listens to `simulated_arm/true_tip`; a `Witness` of `TargetRunner`."""
 
     def __init__(self, client: ArmClient) -> None:
@@ -178,35 +161,35 @@ def demonstrate(
         stack.callback(ended.set)
         client = stack.enter_context(ArmClient(arm, NAMESPACE, stop, "demo"))
         say("bring up", 0.0)
-        witness = TrueTip(client)
+        witness = _TrueTip(client)
 
         loop = Loop(client, settings.loop, lambda report: True, witness=witness, say=say)
         first = loop.run(120.0)  # five processes start; on a busy machine that takes its time
         write_loop(arm.name, settings.loop, first)
-        inputs: tuple[str, ...] = ()
-        if settings.predictor.is_file():  # nothing is trained where nothing was applied
-            predictor = load_predictor(settings.predictor, arm, settings.model)
-            inputs = tuple(predictor.encoding.names)
+        inputs: list[str] = []
+        model, predictor = settings.out / MODEL, settings.out / PREDICTOR
+        if predictor.is_file():  # nothing is trained where nothing was applied
+            inputs = list(load_predictor(predictor, arm, model).encoding.names)
         for name in ("report.html", "report.json"):
             shutil.copyfile(settings.loop.path("diagnosis", 1) / name, settings.out / name)
     found, seconds = first.rounds[0], {k.removesuffix("_1"): v for k, v in first.seconds.items()}
     return {
-        "rows": rows(first.trials),
+        "rows": [table_row(trial) for trial in first.trials],
         "improved": improved(first.trials),
-        "collected": found.collected,
+        "collected": found["collected"],
         "outside_training_data": first.trials[-1].count(Compensate.Response.OUT_OF_DOMAIN),
-        "verdict": found.report.verdict,
-        "diagnosis": found.report.summary,
-        "effects_found": found.effects_found,
-        "network_inputs": list(inputs),
-        "network_refused": (found.applied or {}).get("network_refused", ""),
+        "verdict": found["verdict"],
+        "diagnosis": found["found"],
+        "effects_found": found["effects_found"],
+        "network_inputs": inputs,
+        "network_refused": (found["applied"] or {}).get("network_refused", ""),
         "hidden": settings.hidden,
         "seed": settings.seed,
         "seconds": {**seconds, "total": sum(seconds.values())},
         "files": {
             "session": str(settings.out / "session"),
-            "model": str(settings.model),
-            "predictor": str(settings.predictor),
+            "model": str(model),
+            "predictor": str(predictor),
             **{name: str(settings.out / f"{name}.html") for name in ("report", "loop")},
         },
     }

@@ -17,7 +17,6 @@ class Visit:
     """One measurement to make.
 
     Attributes:
-        index: its number in the session.
         path: (k, n) commanded joints to stop at, rad and m: where the last approach begins,
             if it has a side, and the pose to measure.
         repeat_id: number of the pose that is visited more than once, else -1.
@@ -42,10 +41,8 @@ def visits(
 
     A joint whose planned side has no room at its limit arrives from the other side.
 
-    Args:
-        repeats: this many poses, drawn, come twice more, anywhere in the session.
-        shuffle: random order, so that time and pose are not confused.
-        seed: of the drawing and the order.
+    ``repeats``: this many poses, drawn, come twice more, anywhere in the session. ``shuffle``:
+    random order, so that time and pose are not confused.
     """
     if not 0 <= repeats <= len(plan):
         raise InputError("collect", "--repeats", repeats, f"0 to {len(plan)} (poses of the plan)")

@@ -16,8 +16,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Topic
 from longarm_comp.sessions.bag import Message
 from longarm_comp.sessions.bag_segments import SegmentedBag
-from longarm_comp.sessions.message_types import offered
-from longarm_comp.sessions.moment import moment, stamp_of_raw
+from longarm_comp.sessions.message_types import moment, offered, stamp_of_raw
 
 SESSION_TOPICS = (
     graph.TARGET_POSE, graph.JOINT_TRAJECTORY, graph.COMPENSATION, graph.JOINT_STATES,
@@ -42,9 +41,6 @@ class Recorder:
 
     Messages wait in memory until `keep` makes them part of the recording; `drop` forgets them,
     but for the last one of each topic of `HELD_TOPICS`.
-
-    Args:
-        segment_s: length of a segment. A killed recorder loses at most one segment.
     """
 
     def __init__(
@@ -67,8 +63,8 @@ class Recorder:
 
     def _subscribe(self, topic: Topic) -> None:
         name = self._node.resolve_topic_name(topic.name)
-        kind = _type_name(topic.type)
         message: Any = topic.type
+        kind = f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
         if "header" in message.get_fields_and_field_types():
             self._stamped.add(name)
         self._bag.offers[name] = offered(topic.depth, latched=topic.latched)
@@ -84,11 +80,9 @@ class Recorder:
         self.newest[topic] = max(self.newest.get(topic, 0), self._moment(topic, received, raw))
 
     def keep(self, *, since_ns: int = 0, finish: bool = False) -> None:
-        """Write the waiting messages.
+        """Write the waiting messages `about` a time (ns) and later.
 
-        Args:
-            since_ns: leave out messages about earlier times, but for those that still hold.
-            finish: finish the segment, so that they are in the readable bag at once.
+        ``finish``: finish the segment, so that they are in the readable bag at once.
         """
         for topic, kind, received, raw in self.about(since_ns):
             self._bag.write(topic, kind, received, raw)
@@ -128,11 +122,6 @@ class Recorder:
                 for found in self._node.get_publishers_info_by_topic(name)
             )
         ]
-
-
-def _type_name(kind: type) -> str:
-    """``std_msgs/msg/String`` of a generated message class."""
-    return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
 
 
 def _drain(executor: SingleThreadedExecutor, recorder: Recorder) -> None:

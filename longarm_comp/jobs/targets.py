@@ -25,13 +25,12 @@ Say = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """Targets that were driven one after another, and where the tip came to rest.
+    """Targets (N, 3) that were driven one after another, and where the tip came to rest, m.
 
     Attributes:
         name: what was compensated, in words.
-        target: (N, 3) m.
-        seen: (N, 3) mean sighting of the cameras, m; NaN where the marker was lost.
-        true: (N, 3) what another instrument saw, m; NaN without one.
+        seen: (N, 3) mean sighting of the cameras; NaN where the marker was lost.
+        true: (N, 3) what another instrument saw; NaN without one.
         status: (N,) of the service, as `core.compensation` numbers them.
     """
 
@@ -68,11 +67,7 @@ class Trial:
 
 
 class TargetRunner:
-    """Drives targets on a graph.
-
-    Args:
-        witness: another instrument that sees the tip, where there is one.
-    """
+    """Drives targets on a graph; ``witness``: another instrument that sees the tip."""
 
     def __init__(self, client: ArmClient, pace: Pace, witness: Witness | None = None) -> None:
         self._client, self._pace, self._witness = client, pace, witness
@@ -117,13 +112,7 @@ class TargetRunner:
                         why[k] = why[k] or f"{method.value}: {answer.message}"
         return why
 
-    def run(
-        self,
-        name: str,
-        targets: np.ndarray,
-        method: Method,
-        progress: Say = lambda text, share: None,
-    ) -> Trial:
+    def run(self, name: str, targets: np.ndarray, method: Method, progress: Say) -> Trial:
         """Send every target (N, 3), m, and measure where the tip comes to rest.
 
         A target that is refused counts as one where the marker was lost.

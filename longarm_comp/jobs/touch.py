@@ -33,12 +33,7 @@ ENOUGH = 8
 
 @dataclass
 class TouchLog:
-    """TouchLog of one arm, as they are taken.
-
-    Attributes:
-        distances: known ones between the points.
-        rows: joints (n,), the text column and the name of each.
-    """
+    """Touches of one arm, as they are taken: joints (n,), the text column and the name of each."""
 
     arm: Arm
     distances: tuple[KnownDistance, ...] = ()
@@ -113,13 +108,7 @@ def _seated(client: ArmClient) -> bool:
 @contextmanager
 def limp(client: GraphClient) -> Iterator[str]:
     """The servos' torque is off meanwhile, so that a hand can guide the arm; it comes back on where
-    the arm stands then.
-
-    Yields:
-        What the driver said.
-
-    Raises:
-        JobError: no driver answers, or it cannot switch the torque.
+    the arm stands then. Yields what the driver said.
     """
     attendant = Attendant(client)
     try:

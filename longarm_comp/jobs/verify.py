@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,69 +12,25 @@ import numpy as np
 from longarm_comp.core.compensation.compensate import Method, Status
 from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.graph_client import GraphClient
-from longarm_comp.jobs.targets import Say, TargetRunner, Trial
+from longarm_comp.jobs.targets import Say, TargetRunner
 from longarm_comp.workflows.verification import Verification, verification
 
 Draw = Callable[[int], np.ndarray]
 """Draws so many further targets, (n, 3) m; fewer where there are no more."""
+Refused = tuple[np.ndarray, str]
+"""A target (3,), m, that the graph refuses, and why."""
 
 WITHOUT, COMPENSATED = "without compensation", "with compensation"
 
 
-@dataclass(frozen=True, eq=False)
-class _Chosen:
-    """Targets that the graph accepts, and those that it refused.
-
-    Attributes:
-        xyz: (N, 3) m.
-        refused: (target (3,) m, why) of each that was left out.
+def choose(
+    runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]
+) -> tuple[np.ndarray, list[Refused]]:
+    """Up to n targets (N, 3), m, that the graph accepts with every method, and those that it
+    refused; nothing moves.
     """
-
-    xyz: np.ndarray
-    refused: tuple[tuple[np.ndarray, str], ...]
-
-
-@dataclass(frozen=True, eq=False)
-class _Verified:
-    """What came of it: the targets, both runs, and the comparison."""
-
-    chosen: _Chosen
-    method: Method
-    trials: tuple[Trial, Trial]
-    result: Verification
-
-    @property
-    def statuses(self) -> Mapping[str, int]:
-        """How often each status came with compensation, by its name."""
-        return Counter(str(Status(int(s))) for s in self.trials[1].status)
-
-    def report(self) -> dict[str, Any]:
-        """Everything as plain data, for --json and the file."""
-        without, compensated = self.trials
-        return {
-            "rows": self.result.rows,
-            "helps": self.result.helps,
-            "summary": self.result.summary,
-            "gain_mm": 1e3 * self.result.gain_m,
-            "gain_ci95_mm": [1e3 * g for g in self.result.gain_ci95_m],
-            "method": self.method.value,
-            "targets": len(self.chosen.xyz),
-            "seen_in_both": len(self.result.without),
-            "status": dict(self.statuses),
-            "refused": [{"target": xyz, "why": why} for xyz, why in self.chosen.refused],
-            "errors": [
-                {"target": xyz, "without_mm": 1e3 * before, "compensated_mm": 1e3 * after}
-                for xyz, before, after in zip(
-                    self.chosen.xyz, without.off, compensated.off, strict=True
-                )
-            ],
-        }
-
-
-def choose(runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]) -> _Chosen:
-    """Up to n targets that the graph accepts with every method; nothing moves."""
     kept: list[np.ndarray] = []
-    refused: list[tuple[np.ndarray, str]] = []
+    refused: list[Refused] = []
     # Random targets are drawn at most so many times as often as they are wanted
     while len(kept) < n and len(kept) + len(refused) < 4 * n:
         drawn = draw(n - len(kept))
@@ -89,7 +44,7 @@ def choose(runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]
     if len(kept) < 2:
         why = f": {refused[0][1]}" if refused else ""
         raise JobError(f"fewer than two targets are reachable{why}", refused=len(refused))
-    return _Chosen(np.array(kept), tuple(refused))
+    return np.array(kept), refused
 
 
 def one_by_one(targets: np.ndarray) -> Draw:
@@ -106,14 +61,35 @@ def method_at_work(client: GraphClient) -> Method:
 
 def verify(
     runner: TargetRunner,
-    chosen: _Chosen,
+    xyz: np.ndarray,
+    refused: Sequence[Refused],
     method: Method,
     *,
     seed: int = 0,
     progress: Say = lambda text, share: None,
-) -> _Verified:
-    """Drive the targets without compensation, then with a method, and compare."""
-    without = runner.run(WITHOUT, chosen.xyz, Method.NONE, progress)
-    compensated = runner.run(COMPENSATED, chosen.xyz, method, progress)
+) -> tuple[Verification, dict[str, Any]]:
+    """Drive targets (N, 3), m, without compensation, then with a method.
+
+    Returns:
+        The comparison, and everything as plain data, for --json and the file.
+    """
+    without = runner.run(WITHOUT, xyz, Method.NONE, progress)
+    compensated = runner.run(COMPENSATED, xyz, method, progress)
     result = verification((WITHOUT, COMPENSATED), without.off, compensated.off, seed)
-    return _Verified(chosen, method, (without, compensated), result)
+    errors = zip(xyz, without.off, compensated.off, strict=True)
+    return result, {
+        "rows": result.rows,
+        "helps": result.helps,
+        "summary": result.summary,
+        "gain_mm": 1e3 * result.gain_m,
+        "gain_ci95_mm": [1e3 * g for g in result.gain_ci95_m],
+        "method": method.value,
+        "targets": len(xyz),
+        "seen_in_both": len(result.without),
+        "status": dict(Counter(str(Status(int(s))) for s in compensated.status)),
+        "refused": [{"target": target, "why": why} for target, why in refused],
+        "errors": [
+            {"target": target, "without_mm": 1e3 * before, "compensated_mm": 1e3 * after}
+            for target, before, after in errors
+        ],
+    }

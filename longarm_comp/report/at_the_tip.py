@@ -23,11 +23,8 @@ def at_the_tip(
 ) -> Figure:
     """Share of rows below an error, and the error along each axis.
 
-    Args:
-        errors: by name of the run, (N, 3) m, without lost markers.
-        looks: of the runs, in their order.
-        rows, error: what they are called.
-        sigma_mm: noise along each axis, drawn as a floor.
+    Errors are (N, 3) m by name of the run, without lost markers. ``rows``, ``error``: what they are
+    called; ``sigma_mm``: noise along each axis, drawn as a floor.
     """
     drawn = Figure(figsize=(9, 3.8))
     left, right = drawn.subplots(1, 2, width_ratios=(1.15, 1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from longarm_comp.core.identify.candidates import Candidate
@@ -62,7 +62,8 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
         single = Candidate(term.name, (term,))
         rest = columns.without({term.key})
         gain = float(evidence_of_each(result.fit, rest, columns, [single])[0])
-        form = f", {_form(single)}" if single.form else ""
+        facts = (f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in single.form)
+        form = f", {', '.join(facts)}" if single.form else ""
         state, why = "accepted", f"log Bayes factor {gain:.1f} on top of the rest{form}"
         if term.key not in {t.key for t in diagnosis.model.terms}:
             state, why = "rejected", f"{why}; a command is expected to err less without it"
@@ -90,8 +91,3 @@ def _unseen(one: Smallest) -> str:
         f"would show above {1e3 * one.shift_m:.1f} mm at the tip only, {one.size:.0f} times its "
         f"typical size (believed up to {INCREDIBLE:.0f})"
     )
-
-
-def _form(candidate: Candidate) -> str:
-    form: Mapping[str, object] = dict(candidate.form)
-    return ", ".join(f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in form.items())

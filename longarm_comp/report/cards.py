@@ -138,7 +138,7 @@ def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
 
 def _card(finding: ReportFinding, report: DiagnosisReport) -> _Card:
     sure, because = _sure(finding)
-    title, where = finding.title or finding.effect.replace("_", " "), places(finding.where)
+    title, where = finding.title or finding.effect.replace("_", " "), _places(finding.where)
     before, after = finding.seen_mm or (0.0, 0.0)
     duty, why = _duty(before - after, _first(finding, report), report)
     return _Card(
@@ -160,7 +160,7 @@ def _card(finding: ReportFinding, report: DiagnosisReport) -> _Card:
     )
 
 
-def places(where: list[str]) -> str:
+def _places(where: list[str]) -> str:
     """``joints 1, 3 and 4`` for ``joint 1``, ``joint 3``, ``joint 4``; others one by one."""
     split = [place.rsplit(" ", 1) for place in where]
     kinds = {parts[0] for parts in split}
@@ -235,9 +235,9 @@ def _improves(finding: ReportFinding) -> str:
     told = change(finding.commanded_mm)
     seen = change(finding.seen_mm)
     text = told if told == seen else f"{told} as commanded; {seen} as seen"
-    return text if helps(finding.commanded_mm) else f"{text}: no gain for commands on these rows"
+    return text if _helps(finding.commanded_mm) else f"{text}: no gain for commands on these rows"
 
 
-def helps(pair: tuple[float, float]) -> bool:
+def _helps(pair: tuple[float, float]) -> bool:
     """Whether an error falls by a share worth a word."""
     return pair[1] < (1 - FEW) * pair[0]

@@ -77,11 +77,8 @@ class Detectable:
 class SetSplit:
     """Effects that these data cannot distinguish, and poses (M, n) that would.
 
-    Attributes:
-        members: the names in the set, as the finding lists them.
-        reason: why they look alike in these data.
-        sides: (M,) from below (+1), above (-1) or anywhere (0).
-        expected_log_bayes_factor: between the two closest members after measuring the poses.
+    `sides`: (M,) from below (+1), above (-1) or anywhere (0). `expected_log_bayes_factor`: between
+    the two closest members after measuring the poses.
     """
 
     members: tuple[str, ...]

@@ -22,7 +22,7 @@ Figures = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class NoiseFloor:
+class _NoiseFloor:
     """What noise alone would show.
 
     Attributes:
@@ -36,7 +36,7 @@ class NoiseFloor:
     figures: Figures
 
 
-def floor_of(report: DiagnosisReport) -> NoiseFloor | None:
+def floor_of(report: DiagnosisReport) -> _NoiseFloor | None:
     """The floor of a report; None where no noise is known, or the errors leave no room for it."""
     held, left = report.held_out, report.structure_left
     if report.noise.sigma_mm is None or not held.n:
@@ -49,14 +49,12 @@ def floor_of(report: DiagnosisReport) -> NoiseFloor | None:
 
 def noise_floor(
     sigma_mm: Sequence[float], n: int, rows: Mapping[str, Figures], written: str, structure: float
-) -> NoiseFloor | None:
+) -> _NoiseFloor | None:
     """The floor; None where the errors leave no room for noise of that kind.
 
     Args:
-        sigma_mm: (3,) estimated noise per axis.
-        n: number of held-out rows.
-        rows: figures of every model on them, by its name.
-        written: name of the model in use.
+        sigma_mm: (3,) estimated noise per axis of n held-out rows.
+        rows: figures of every model on them, by its name; `written`: of the model in use.
         structure: RMS of the structure that it leaves, mm; 0 where it leaves none.
     """
     whole = _gaussian(sigma_mm, n)
@@ -77,10 +75,10 @@ def noise_floor(
         return None
     x, y, z = (share * s for s in sigma_mm)
     figures = _gaussian((x, y, z), n, min((row["max_mm"] for row in rows.values()), default=np.inf))
-    return NoiseFloor((x, y, z), share < 1.0, figures)
+    return _NoiseFloor((x, y, z), share < 1.0, figures)
 
 
-def excess(rms_mm: float, floor: NoiseFloor | None) -> float:
+def excess(rms_mm: float, floor: _NoiseFloor | None) -> float:
     """RMS beyond the noise, mm."""
     return sqrt(max(0.0, rms_mm**2 - (0.0 if floor is None else floor.figures["rms_mm"] ** 2)))
 

@@ -8,14 +8,13 @@ from collections.abc import Mapping
 from plotly.offline import get_plotlyjs
 
 from longarm_comp.core.identify.structure import SIGNIFICANT
-from longarm_comp.report import cards, tables, verdict, words
+from longarm_comp.report import cards, verdict, words
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.open_questions import open_questions
+from longarm_comp.report.pages import beside, data_uri, template
 from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.report.scene import MOST, exaggeration, scene_json, stages_of
 from longarm_comp.report.style import FLOOR, LOOKS
-from longarm_comp.report.template import beside, data_uri, template
 
 _FEW = 20
 """Number of candidates shown; the others are folded."""
@@ -25,7 +24,7 @@ def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) ->
     """The page as text, joints by their names; ``plots``: SVG of the still figures by name."""
     report = report.for_people()
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
-    candidates = tables.best_first(report)
+    candidates = words.best_first(report)
     stages = stages_of(rows) if rows else ()
     shown = detail.before if detail.before in stages else next(iter(stages), "")
     return template("report.html.j2").render(
@@ -33,8 +32,6 @@ def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) ->
         detail=detail,
         cards=cards,
         verdict=verdict,
-        open_questions=open_questions,
-        tables=tables,
         words=words,
         picture=place_name,
         significant=SIGNIFICANT,

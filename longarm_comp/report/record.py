@@ -63,10 +63,10 @@ class TipSize(_Record):
 class ReportFinding(_Record):
     """An effect that was added, or the set of effects that it cannot be distinguished from.
 
-    `probability` is that it is there; `set_probability` that each name of the set is its cause.
-    `unnamed` is why a cause without a name may be there instead.
-    `seen_mm` and `commanded_mm` are mean held-out errors without it, the rest fitted again, and
-    with it: as measured, and as a command would have it.
+    `probability` is that it is there; `set_probability` that each name of the set is its cause;
+    `unnamed` is why a cause without a name may be there instead. `seen_mm` and `commanded_mm` are
+    mean held-out errors without it, the rest fitted again, and with it: as measured, and as a
+    command would have it.
     """
 
     effect: str

@@ -71,6 +71,7 @@ SIGNED: Any = {
 """Files that a command may overwrite tell that it wrote them."""
 
 
+# An SVG turns light on dark, hues kept, where the reader's pages are dark
 _DARK = (b"@media screen and (prefers-color-scheme: dark)"
          b"{svg{filter:invert(.9) hue-rotate(180deg)}}")  # fmt: skip
 
@@ -85,12 +86,7 @@ def svg(drawn: Figure) -> bytes:
     held = io.BytesIO()
     _lay_out(drawn)
     drawn.savefig(held, format="svg", dpi=150, metadata={"Date": None, "Creator": None})
-    return on_dark_pages(held.getvalue())
-
-
-def on_dark_pages(drawn: bytes) -> bytes:
-    """An SVG that turns light on dark, hues kept, where the reader's pages are dark."""
-    return drawn.replace(b"</style>", _DARK + b"</style>", 1)
+    return held.getvalue().replace(b"</style>", _DARK + b"</style>", 1)
 
 
 def save(drawn: Figure, path: Path) -> None:

@@ -1,12 +1,14 @@
-"""The verdict in words: what was found in a sentence, and what it changed."""
+"""The verdict in words: what was found, what it changed, and what the data could not tell."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 from longarm_comp.core.data.commanded import MEASURING_SIDE
+from longarm_comp.core.identify.candidates import NO_PLACE
+from longarm_comp.report.detail import Detail, SetSplit
 from longarm_comp.report.record import DiagnosisReport, ErrorRow
-from longarm_comp.report.words import change, interval, millimetres
+from longarm_comp.report.words import change, interval, listed, millimetres, odds
 
 STAGES = {
     "nominal": "the arm as declared",
@@ -27,6 +29,9 @@ def meaning(report: DiagnosisReport) -> str:
     none = none.replace("cause", "causes").replace("was", "were") if unnamed > 1 else none
     added = none if unnamed else "none was added"
     gives = report.written is not None and report.written.model == "with_effects"
+    of = f"{_count(open_).lower()} of them"
+    if open_ == n:
+        of = "it" if n == 1 else "each of them"
     noise = "Nothing beyond the noise was found; nothing was added."
     if gives and not n:
         noise = "Every joint, seat and link yields a little, which was added; only noise is left."
@@ -35,7 +40,7 @@ def meaning(report: DiagnosisReport) -> str:
         "named": f"{_count(n)} {_explain(n)} what the model lacked.",
         "set": (
             f"{_count(n)} {_explain(n)} what the model lacked; "
-            f"{_of(open_, n)} may have another name, and more poses may tell."
+            f"{of} may have another name, and more poses may tell."
         ),
         "partly": (
             f"{_partly(n, unnamed)} a part of what the model lacked; "
@@ -69,36 +74,14 @@ def _explain(n: int) -> str:
     return "physical effect explains" if n == 1 else "physical effects explain"
 
 
-def _of(part: int, n: int) -> str:
-    if part == n:
-        return "it" if n == 1 else "each of them"
-    return f"{COUNTS[part] if part < len(COUNTS) else part} of them"
+def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
+    """Mean held-out errors from the arm as declared to the stage that the verdict ends with.
 
-
-@dataclass(frozen=True)
-class _Improvement:
-    """What changed on the held-out rows, from the first of `stages` to the last; mean errors.
-
-    Attributes:
-        commanded: as a command would have it; `between`: what a command leaves out, where it
-            differs from `seen`, which is else empty.
-        between_mm: the error of the stage from which what was found is counted, and its name;
-            empty where there is none.
-        proof: what the interval says; empty where nothing was added.
-        camera: whether a finding is on the measuring side.
+    `commanded`: as a command would have it; `between`: what a command leaves out, where it differs
+    from `seen`, which is else empty. `between_mm`: the error of the stage from which what was found
+    is counted, and its name. `proof`: what the interval says. `camera`: a finding is on the
+    measuring side. None: there are no rows.
     """
-
-    stages: tuple[str, str]
-    commanded: str
-    seen: str
-    between_mm: str
-    proof: str
-    between: tuple[str, ...]
-    camera: bool
-
-
-def improvement(report: DiagnosisReport) -> _Improvement | None:
-    """From the arm as declared to the stage that the verdict ends with; None where nothing is."""
     held = report.held_out
     rows = {row.model: row for row in held.rows}
     if held.before not in rows or held.after not in rows:
@@ -113,15 +96,16 @@ def improvement(report: DiagnosisReport) -> _Improvement | None:
     commanded = change((as_commanded(first), as_commanded(after)))
     between = f"{millimetres(as_commanded(before))} with {STAGES[before.model]}"
     differs = commanded != seen
-    return _Improvement(
-        (STAGES[first.model], STAGES[after.model]),
-        commanded,
-        seen if differs else "",
-        "" if before is first else between,
-        _proof(held.commanded_ci95_mm or held.before_after_ci95_mm),
-        tuple(held.not_commanded) if differs else (),
-        any(said.endswith(MEASURING_SIDE) for said in held.not_commanded) and bool(report.findings),
-    )
+    camera = any(said.endswith(MEASURING_SIDE) for said in held.not_commanded)
+    return {
+        "stages": (STAGES[first.model], STAGES[after.model]),
+        "commanded": commanded,
+        "seen": seen if differs else "",
+        "between_mm": "" if before is first else between,
+        "proof": _proof(held.commanded_ci95_mm or held.before_after_ci95_mm),
+        "between": held.not_commanded if differs else [],
+        "camera": camera and bool(report.findings),
+    }
 
 
 def _proof(pair: tuple[float, float] | None) -> str:
@@ -132,3 +116,38 @@ def _proof(pair: tuple[float, float] | None) -> str:
     if pair[1] < 0:
         return f"The mean grows by {interval((-pair[1], -pair[0]), 3)} mm (95 %)."
     return f"The change of the mean, {interval((-pair[1], -pair[0]), 3)} mm (95 %), is not proven."
+
+
+def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, tuple[str, ...]]]:
+    """What these data cannot tell, and the effects that it is about."""
+    made: list[tuple[str, tuple[str, ...]]] = [(_split_by(split), ()) for split in detail.splits]
+    split = {tuple(split.members) for split in detail.splits}
+    made += [
+        (f"Whether it is {listed(f.set)}. No poses to decide it were looked for.", ())
+        for f in report.findings
+        if len(f.set) > 1 and tuple(f.set) not in split
+    ]
+    doubts = dict.fromkeys(d for found in report.discovered if found.kept for d in found.doubts)
+    more = len(report.next_poses) - sum(len(split.q) for split in detail.splits)
+    if doubts:
+        poses = f": {more} poses in next_poses.csv would tell" if more > 0 else ""
+        made.append((f"The function without a name is in doubt{poses}:", tuple(doubts)))
+    rows = report.candidates
+    untested = tuple(
+        f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable" and c.why != NO_PLACE
+    )
+    if untested:
+        made.append(("Not testable with this session:", untested))
+    unseen = tuple(f"{c.effect}, {c.where}: {c.why}" for c in rows if c.state == "invisible")
+    if unseen:
+        made.append(("May exist, but would not show at its usual size:", unseen))
+    return made
+
+
+def _split_by(split: SetSplit) -> str:
+    said = f"Whether it is {listed(list(split.members))}"
+    if not len(split.q):
+        return f"{said}. {split.reason or 'No pose of this arm tells them apart.'}"
+    expected = split.expected_log_bayes_factor
+    figure = "" if expected is None else f" (expected odds {odds(expected)})"
+    return f"{said}: {len(split.q)} poses in next_poses.csv would tell{figure}."

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,47 +24,25 @@ from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.rows import Rows
 
 
-@dataclass(frozen=True)
-class _TopicInfo:
-    """One topic; `read`: whether it is used for a session."""
-
-    topic: str
-    type: str
-    count: int
-    read: bool
-
-
-@dataclass(frozen=True)
-class _BagInfo:
-    """Summary of a bag; times in s (start since the epoch of its clock)."""
-
-    path: str
-    storage: str
-    start_s: float
-    duration_s: float
-    messages: int
-    topics: tuple[_TopicInfo, ...]
-
-
-def bag_info(path: str | Path) -> _BagInfo:
-    """Summarise a bag."""
+def bag_info(path: str | Path) -> dict[str, Any]:
+    """Summary of a bag; times in s. A topic's `read`: whether it is used for a session."""
     with open_bag(path) as reader:
-        topics = tuple(
-            _TopicInfo(c.topic, c.msgtype, c.msgcount, TYPES.get(_last(c.topic)) == c.msgtype)
+        topics = [
+            {"topic": c.topic, "type": c.msgtype, "count": c.msgcount,
+             "read": TYPES.get(_last(c.topic)) == c.msgtype}
             for c in sorted(reader.connections, key=lambda c: c.topic)
-        )
+        ]  # fmt: skip
         folder = Path(path)
         files = folder.iterdir() if folder.is_dir() else [folder]
-        storage = "mcap" if any(f.suffix == ".mcap" for f in files) else "sqlite3"
         empty = reader.message_count == 0
-        return _BagInfo(
-            path=str(path),
-            storage=storage,
-            start_s=0.0 if empty else reader.start_time * 1e-9,
-            duration_s=0.0 if empty else reader.duration * 1e-9,
-            messages=reader.message_count,
-            topics=topics,
-        )
+        return {
+            "path": str(path),
+            "storage": "mcap" if any(f.suffix == ".mcap" for f in files) else "sqlite3",
+            "start_s": 0.0 if empty else reader.start_time * 1e-9,
+            "duration_s": 0.0 if empty else reader.duration * 1e-9,
+            "messages": reader.message_count,
+            "topics": topics,
+        }
 
 
 def _last(topic: str) -> str:
@@ -77,12 +54,7 @@ Message = tuple[str, str, int, bytes]
 
 
 def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Session:
-    """Read a session from a bag.
-
-    Args:
-        path: the bag's folder, or one of its files.
-        namespace: namespace of the arm, when the bag holds several.
-    """
+    """Read a session from a bag: its folder or a file; ``namespace``: of one arm of several."""
     where = str(path)
     with open_bag(path) as reader:
         chosen = _of_one_arm(reader, namespace, where)

@@ -46,15 +46,6 @@ def _check_measured(table: Table) -> None:
         check_header(table.where, table.header, XYZ)
 
 
-def _read_xyz(table: Table) -> np.ndarray:
-    """(N, 3) coordinates in m, NaN where blank."""
-    made = [
-        table.lengths(name, blanks=True) if name in table.cells else np.full(len(table), np.nan)
-        for name in XYZ
-    ]
-    return np.stack(made, axis=-1)
-
-
 def _read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Readings of the other kinds, and their standard deviations, by kind."""
     readings, sigmas = {}, {}
@@ -117,7 +108,11 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
     """
     table = read_table(path)
     joints = tuple(joint_columns or joint_names(arm.n))
-    known = (*joints, *_known(arm.n))
+    per_joint = (f"{w}_{q}" for w in ("approach", "run_up", "read") for q in joint_names(arm.n))
+    other = (*READ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS)
+    known = (*joints, *XYZ, *other, *per_joint)
+    # Names that follow a pattern and so are never misspelt ones
+    free = re.compile(rf"{INCLINATION.pattern}{'' if joint_columns is None else '|q[0-9]+$'}")
     check_header(table.where, table.header, joints)
     _check_measured(table)
     if joint_columns is None:
@@ -125,12 +120,14 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
             if re.fullmatch(r"[qQ]_?\d+", name) and name not in joints:
                 allowed = f"q1..q{arm.n} of arm {arm.name}"
                 raise InputError(table.where, f"column {name}", "unknown", allowed)
-    check_unknown(table.where, table.header, known, kept=_free(table.header, joint_columns))
+    check_unknown(table.where, table.header, known, kept=set(filter(free.match, table.header)))
     columns, labels = recorded_besides(table, set(known))
     readings, sigmas = _read_readings(table)
+    blank = np.full(len(table), np.nan)
+    xyz = [table.lengths(k, blanks=True) if k in table.cells else blank for k in XYZ]
     return Session.record(
         q=np.stack([table.lengths(name, "rad or m") for name in joints], axis=-1),
-        xyz=_read_xyz(table),
+        xyz=np.stack(xyz, axis=-1),
         index=table.integers("index") if "index" in table.cells else None,
         approach=read_approach(table, arm.n),
         run_up=_run_up(table, arm.n),
@@ -150,7 +147,8 @@ def write_csv(session: Session, path: str | Path) -> None:
     columns: dict[str, Sequence[object] | np.ndarray] = {"index": session.index}
     columns.update({name: session.columns[name] for name in UNITS if name in session.columns})
     columns.update(written_approach(session.told))
-    columns.update(_written_run_up(session))
+    if not np.isnan(session.run_up).all():
+        columns.update({f"run_up_{name}": session.run_up[:, j] for j, name in enumerate(joints)})
     columns.update({name: session.q[:, j] for j, name in enumerate(joints)})
     columns.update({name: session.xyz[:, j] for j, name in enumerate(XYZ)})
     columns.update(_written_readings(session))
@@ -198,21 +196,6 @@ def _circumstance(table: Table, name: str) -> np.ndarray:
 def approach_names(n: int) -> tuple[str, ...]:
     """``approach_q1..qn``."""
     return tuple(f"approach_{name}" for name in joint_names(n))
-
-
-def _known(n: int) -> tuple[str, ...]:
-    per_joint = [
-        f"{what}_{name}" for what in ("approach", "run_up", "read") for name in joint_names(n)
-    ]
-    return (*XYZ, *READ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *per_joint)
-
-
-def _free(header: Sequence[str], joint_columns: Sequence[str] | None) -> set[str]:
-    """Names that follow a pattern and so are never misspelt ones."""
-    made = {name for name in header if INCLINATION.match(name)}
-    if joint_columns is not None:
-        made |= {name for name in header if re.fullmatch(r"q\d+", name)}
-    return made
 
 
 def read_approach(table: Table, n: int) -> np.ndarray | None:
@@ -277,10 +260,3 @@ def written_approach(sides: np.ndarray) -> dict[str, Sequence[object] | np.ndarr
     if (sides == sides[:, :1]).all():
         return {"approach": [None if side == 0 else int(side) for side in sides[:, 0]]}
     return dict(zip(approach_names(sides.shape[1]), sides.T, strict=True))
-
-
-def _written_run_up(session: Session) -> dict[str, Sequence[object] | np.ndarray]:
-    if np.isnan(session.run_up).all():
-        return {}
-    names = (f"run_up_{name}" for name in joint_names(session.n))
-    return dict(zip(names, session.run_up.T, strict=True))

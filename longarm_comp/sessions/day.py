@@ -20,18 +20,12 @@ _ASKED, _SAID = "compensation", "diagnostics"
 
 
 @dataclass(frozen=True, eq=False)
-class Served:
-    """A target that the arm was sent to.
-
-    Attributes:
-        t_s: when it was asked for, since the bag began.
-        q: (n,) joints that were sent, rad and m.
-        target: (3,) m, base frame.
-        tip: (3,) m where the tip came to rest; NaN where it was not seen.
+class _Served:
+    """A target (3,), m, base frame, asked for at `t_s` since the bag began, and where the tip came
+    to rest (3,), m; NaN where it was not seen.
     """
 
     t_s: float
-    q: np.ndarray
     target: np.ndarray
     tip: np.ndarray
 
@@ -54,19 +48,14 @@ class Notice:
 
 @dataclass(frozen=True)
 class Day:
-    """A bag of work.
+    """A bag of work that lasts some hours.
 
-    Attributes:
-        start_s: since the epoch of its clock.
-        hours: that it lasts.
-        served: targets, in order.
-        refused: how often, by reason; of reasons that differ in numbers alone the last.
-        said: warnings, faults and what was learned, in the order of their beginning.
+    `refused`: how often, by reason; of reasons that differ in numbers alone the last. `said`:
+    warnings, faults and what was learned, in the order of their beginning.
     """
 
-    start_s: float
     hours: float
-    served: tuple[Served, ...]
+    served: tuple[_Served, ...]
     refused: Counter[str] = field(default_factory=Counter)
     said: tuple[Notice, ...] = ()
 
@@ -80,13 +69,11 @@ class Day:
 
 def _row(name: str, error: np.ndarray) -> dict[str, Any]:
     seen = error[np.isfinite(error)]
+    figures: list[Any] = [None, None, None]
+    if len(seen):
+        figures = [float(seen.mean()), float(np.percentile(seen, 95)), float(seen.max())]
     made = {"hours": name, "targets": len(error), "seen": len(seen)}
-    if not len(seen):
-        return {**made, "mean_mm": None, "p95_mm": None, "max_mm": None}
-    return {
-        **made, "mean_mm": float(seen.mean()), "p95_mm": float(np.percentile(seen, 95)),
-        "max_mm": float(seen.max()),
-    }  # fmt: skip
+    return made | dict(zip(("mean_mm", "p95_mm", "max_mm"), figures, strict=True))
 
 
 def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str, ...]) -> Day:
@@ -121,7 +108,7 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
     if not asked:
         raise InputError(path, _ASKED, "no message", "a bag of `longarm record` while targets came")
     rows = list(zip(session.columns["t_s"].tolist(), session.q, session.xyz, strict=True))
-    served: list[Served] = []
+    served: list[_Served] = []
     sent = [(t, m) for t, m in asked if m.accepted]
     for k, (t, message) in enumerate(sent):
         until = sent[k + 1][0] if k + 1 < len(sent) else math.inf
@@ -129,11 +116,11 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
         at = message.target.pose.position
         seen = (xyz for s, row, xyz in rows if t <= s < until and np.abs(row - q).max() < SAME_POSE)
         tip = next(seen, np.full(3, np.nan))
-        served.append(Served(t, q, np.array([at.x, at.y, at.z]), tip))
+        served.append(_Served(t, np.array([at.x, at.y, at.z]), tip))
     reasons = {_without_numbers(m.message): m.message for _, m in asked if not m.accepted}
     refused = Counter(reasons[_without_numbers(m.message)] for _, m in asked if not m.accepted)
     said = tuple(sorted(told.values(), key=lambda s: s.first_s))
-    return Day(start * 1e-9, hours, tuple(served), refused, said)
+    return Day(hours, tuple(served), refused, said)
 
 
 def _is_of(topic: str, name: str, namespace: str | None) -> bool:
@@ -144,7 +131,6 @@ def _is_of(topic: str, name: str, namespace: str | None) -> bool:
 def _tell(
     told: dict[tuple[str, str], Notice], t: float, status: Any, parts: tuple[str, ...]
 ) -> None:
-    """Note a warning, or what one of the parts says; the same words are one."""
     part = status.name.rpartition(": ")[2]
     level = int(status.level)
     if level == 0 and part not in parts:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rosbags.typesys.store import Typestore
 
-from longarm_comp.sessions.moment import stamp_of_raw
+from longarm_comp.sessions.message_types import stamp_of_raw
 
 KIND = "sensor_msgs/msg/JointState"
 _ENCODING, _STAMP = slice(0, 4), 12  # the header's stamp ends here

@@ -21,7 +21,7 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.moment import moment
+from longarm_comp.sessions.message_types import moment
 from longarm_comp.sessions.settled import Sighting
 
 TYPES = {
@@ -50,7 +50,7 @@ class SessionRow(BaseModel):
     sigmas: dict[str, float] = {}
 
 
-class Held:
+class _Held:
     """A quantity that keeps its value until the next message."""
 
     def __init__(self, first: float) -> None:
@@ -81,15 +81,14 @@ class MessageBuffer:
     `take` stores a message of a topic in `TYPES`, or raises `InputError`.
 
     Attributes:
-        arm, where, start_ns: arm, name of the bag for error messages, time of its start.
+        where: name of the bag for error messages.
         every_command: whether a repeated command counts. Otherwise it is the same command while
             the arm is at it or on its way.
         commands: time and points (k, n), oldest first.
         sightings: by the time they were taken.
         rows: contents of `session_row` messages, by time.
         columns: temperature, payload, inclinations.
-        frames: frames of the sightings.
-        commanded, sighted: whether there was any command, any sighting.
+        frames: of the sightings.
     """
 
     arm: Arm
@@ -99,7 +98,7 @@ class MessageBuffer:
     commands: deque[tuple[float, np.ndarray]] = field(default_factory=deque)
     sightings: list[Sighting] = field(default_factory=list)
     rows: list[tuple[float, SessionRow]] = field(default_factory=list)
-    columns: dict[str, Held] = field(default_factory=dict)
+    columns: dict[str, _Held] = field(default_factory=dict)
     frames: set[str] = field(default_factory=set)
     commanded: bool = False
     sighted: bool = False
@@ -230,7 +229,7 @@ class MessageBuffer:
     def _hold(self, name: str, t: float, value: float) -> None:
         if not math.isfinite(value):
             raise self._error(name, t, value, "a finite number")
-        self.columns.setdefault(name, Held(value)).tell(t, value)
+        self.columns.setdefault(name, _Held(value)).tell(t, value)
 
     def _error(self, what: str, t: float, value: object, allowed: str) -> InputError:
         return InputError(self.where, f"{what} at {t:.3f} s", value, allowed)

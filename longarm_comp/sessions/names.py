@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
+from difflib import get_close_matches
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.foreign.units import split_name
@@ -24,11 +25,11 @@ def check_header(where: str, header: Sequence[str], required: Collection[str]) -
             hint = f" (is it {near}?)" if near else ""
             allowed = " ".join(required)
             if "q1" in (*required, *header):  # a session, which it converts
-                allowed += conversion(where, header)
+                allowed += _conversion(where, header)
             raise InputError(where, f"column {name}", f"missing{hint}", allowed)
 
 
-def conversion(where: str, header: Sequence[str]) -> str:
+def _conversion(where: str, header: Sequence[str]) -> str:
     """The call that converts a table of another program, where its names look like one's."""
     split = [split_name(name) for name in header]
     suffixed = [unit for name, unit in split if unit is not None and _FOREIGN.fullmatch(name)]
@@ -45,9 +46,8 @@ def check_unknown(
 ) -> None:
     """Raise `InputError` for an unknown name that comes close to a known one.
 
-    Close: the same but for case, blanks and punctuation; without its unit (`temperature`);
-    one edit away, or two in a name of eight letters or more.  A column with any other name is
-    kept as context.
+    Close: the same but for case, blanks and punctuation; without its unit (`temperature`); one
+    letter wrong, or two of eight or more.  A column with any other name is kept as context.
     """
     for name in names:
         if name in known or name in kept:
@@ -65,25 +65,12 @@ def nearest(name: str, known: Collection[str]) -> str | None:
     for candidate in known:
         if plain in (_plain(candidate), _plain(re.sub(r"_(c|kg|s|id|m|rad)$", "", candidate))):
             return candidate
-    within = {candidate: _edits(plain, _plain(candidate)) for candidate in known}
-    allowed = 2 if len(plain) >= 8 else 1 if len(plain) >= 4 else 0
-    best = min(within, key=within.__getitem__, default=None)
-    return best if best is not None and within[best] <= allowed else None
+    wrong = 2 if len(plain) >= 8 else 1
+    spelt = {_plain(candidate): candidate for candidate in known}
+    alike = [text for text in spelt if abs(len(text) - len(plain)) <= wrong and len(plain) >= 4]
+    close = get_close_matches(plain, alike, 1, 1 - (wrong + 1e-9) / max(len(plain), 4))
+    return spelt[close[0]] if close else None
 
 
 def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
-
-
-def _edits(a: str, b: str) -> int:
-    """Edits (insert, delete, replace, swap of neighbours) from a to b."""
-    rows = [list(range(len(b) + 1))]
-    for i, x in enumerate(a, 1):
-        row = [i]
-        for j, y in enumerate(b, 1):
-            best = min(rows[-1][j] + 1, row[-1] + 1, rows[-1][j - 1] + (x != y))
-            if i > 1 and j > 1 and x == b[j - 2] and a[i - 2] == y:
-                best = min(best, rows[-2][j - 2] + 1)
-            row.append(best)
-        rows.append(row)
-    return rows[-1][-1]

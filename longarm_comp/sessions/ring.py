@@ -19,7 +19,7 @@ from longarm_comp.sessions.table import read_table
 
 
 @dataclass(frozen=True, eq=False)
-class RecordedRing:
+class _RecordedRing:
     """What was seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m.
 
     Attributes:
@@ -32,7 +32,7 @@ class RecordedRing:
     at: np.ndarray | None = None
 
 
-def read_ring(path: str | Path, arm: Arm) -> RecordedRing:
+def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:
     """Read it; rows with a blank are left out."""
     path = Path(path)
     if path.is_dir() or path.suffix in (".mcap", ".db3"):
@@ -46,10 +46,10 @@ def read_ring(path: str | Path, arm: Arm) -> RecordedRing:
     unit = "rad or m" if of_joints else "m"
     seen = np.stack([table.numbers(name, unit, blanks=True) for name in names], axis=-1)
     kept = np.isfinite(seen).all(axis=1)
-    return RecordedRing(times[kept], seen[kept], of_joints)
+    return _RecordedRing(times[kept], seen[kept], of_joints)
 
 
-def _of_bag(path: Path, arm: Arm) -> RecordedRing:
+def _of_bag(path: Path, arm: Arm) -> _RecordedRing:
     from longarm_comp.sessions.bag import read_last  # a CSV needs none of its libraries
     from longarm_comp.sessions.settled import still_since
 
@@ -63,6 +63,6 @@ def _of_bag(path: Path, arm: Arm) -> RecordedRing:
     seen = [s for s in buffer.sightings_between(since, np.inf) if np.isfinite(s.xyz).all()]
     if len(seen) >= LEAST:
         at, xyz = np.array([s.t for s in seen]), np.array([s.xyz for s in seen])
-        return RecordedRing(at, xyz, False, points[-1])
+        return _RecordedRing(at, xyz, False, points[-1])
     stands = times > since
-    return RecordedRing(times[stands], joints[stands], True, points[-1])
+    return _RecordedRing(times[stands], joints[stands], True, points[-1])

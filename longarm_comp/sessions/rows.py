@@ -13,13 +13,11 @@ from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_buffer import MessageBuffer, SessionRow
-from longarm_comp.sessions.moment import CLOCKS_APART
+from longarm_comp.sessions.message_types import CLOCKS_APART
 from longarm_comp.sessions.settled import Sighting, nowhere, settled, stood
 
 
 class _Row(NamedTuple):
-    """A command, what was seen at it, and what was told of it."""
-
     number: int
     q: np.ndarray
     history: History
@@ -75,9 +73,8 @@ class Rows:
         self._passed = passed
         if seen is not None:
             held = {name: held.at(seen.t) for name, held in buffer.columns.items()}
-            came, read = self._history, stood(*states, begin)
-            sides = _sides(row, buffer)
-            self._rows.append(_Row(number, self._at, came, sides, seen, read, row, held))
+            told, read = _sides(row, buffer), stood(*states, begin)
+            self._rows.append(_Row(number, self._at, self._history, told, seen, read, row, held))
             if why:
                 self._lost[number] = why
         buffer.forget(end)

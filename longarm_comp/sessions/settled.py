@@ -16,34 +16,13 @@ _LAST = 5
 
 
 class Sighting(NamedTuple):
-    """One measured tip.
-
-    Attributes:
-        t: time, s.
-        xyz: (3,) m; NaN where not measured.
-        variance: (3,) m^2, or 0.
-        quaternion: (4,) x, y, z, w; NaN where no orientation was measured.
-        turn_variance: of the orientation, rad^2 about an axis.
-    """
+    """One measured tip at t (s): (3,) m and m^2, (4,) x, y, z, w and rad^2; NaN: not measured."""
 
     t: float
     xyz: np.ndarray
     variance: np.ndarray
     quaternion: np.ndarray
     turn_variance: float
-
-
-class Settled(NamedTuple):
-    """What was seen of the arm after a command.
-
-    Attributes:
-        sighting: of the arm at rest, its position NaN where the marker was lost; None: the arm
-            only passed.
-        why: why there is no position; empty where there is one.
-    """
-
-    sighting: Sighting | None
-    why: str = ""
 
 
 def nowhere(t: float) -> Sighting:
@@ -53,7 +32,7 @@ def nowhere(t: float) -> Sighting:
 
 def settled(
     sightings: Sequence[Sighting], times: np.ndarray, joints: np.ndarray, begin: float
-) -> Settled:
+) -> tuple[Sighting | None, str]:
     """The mean of the settled sightings between a command at `begin` (s) and the next one.
 
     The arm is at rest once the measured joints stay at their final values (`JOINT_REST`) and the
@@ -64,27 +43,26 @@ def settled(
     Args:
         sightings: in the order of time.
         times, joints: (m,) s and (m, n) measured joints, rad and m; m may be 0.
-        begin: time of the command, s.
 
     Returns:
-        Mean time, position and orientation, and the variances of the mean. The position is NaN
-        if the marker was lost in all of those at rest. No sighting at all where there was none,
-        or the joints did not come to rest.
+        Mean time, position and orientation, and the variances of the mean; the position is NaN
+        if the marker was lost in all of those at rest. None where no sighting came, or the arm only
+        passed. And why there is no position; empty where there is one.
     """
     if not sightings:
-        return Settled(None, "no sighting came")
+        return None, "no sighting came"
     seen = [s for s in sightings if not np.isnan(s.xyz).any()]
     if not seen:
-        return Settled(sightings[-1], "marker lost")
+        return sightings[-1], "marker lost"
     if len(times):
         rest, arrived = _rest(times, joints, begin)
         if max(times[-1], sightings[-1].t) - rest < REST_S:
-            return Settled(None, NO_REST)
+            return None, NO_REST
         still = _still(times, joints, rest)
         since = ([s for s in seen if s.t >= t] for t in (still + AFTER_S, still, arrived))
         seen = next(filter(None, since), [])
         if not seen:  # it was seen on the way only
-            return Settled(nowhere(sightings[-1].t), "marker seen on the way only")
+            return nowhere(sightings[-1].t), "marker seen on the way only"
     last = np.median([s.xyz for s in seen[-_LAST:]], axis=0)
     kept: list[Sighting] = []
     for s in reversed(seen):
@@ -101,7 +79,7 @@ def settled(
         _mean_turn([s.quaternion for s in kept]),
         sum(s.turn_variance for s in kept) / n**2,
     )
-    return Settled(mean)
+    return mean, ""
 
 
 def still_since(times: np.ndarray, joints: np.ndarray, begin: float) -> float:
@@ -110,12 +88,7 @@ def still_since(times: np.ndarray, joints: np.ndarray, begin: float) -> float:
 
 
 def stood(times: np.ndarray, joints: np.ndarray, begin: float) -> np.ndarray:
-    """(n,) mean of the measured joints at rest after a command at `begin` (s); NaN: no rest.
-
-    Args:
-        times, joints: as in `settled`.
-        begin: time of the command, s.
-    """
+    """(n,) mean of the measured joints at rest, as in `settled`; NaN: no rest."""
     rest = _rest(times, joints, begin)[0] if len(times) else begin
     if not len(times) or times[-1] - rest < REST_S:
         return np.full(joints.shape[1], np.nan)

@@ -22,14 +22,7 @@ FARTHEST = 1e6
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of a CSV file as text.
-
-    Attributes:
-        where: the file.
-        header: column names.
-        lines: line number of every row in the file.
-        cells: columns by name, blanks stripped.
-    """
+    """Cells of a CSV file as text, by column; `lines`: number of every row in the file."""
 
     where: str
     header: tuple[str, ...]

@@ -25,7 +25,6 @@ class Targets:
     """N points or poses to reach.
 
     Attributes:
-        index: (N,) number of each target.
         xyz: (N, 3), m.
         quaternion: (N, 4) x, y, z, w of unit length; NaN rows leave the orientation free.
         approach: (N,) side that all joints are to arrive from, 0 for any.

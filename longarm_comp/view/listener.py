@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -23,14 +23,7 @@ from longarm_comp.nodes.driver_messages import STATES
 from longarm_comp.nodes.health import RING_SAID
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
-from longarm_comp.view.state import (
-    CollectProgress,
-    LastAnswer,
-    PageState,
-    Part,
-    Picture,
-    SeenTip,
-)
+from longarm_comp.view.state import CollectProgress, LastAnswer, PageState, Part, Picture, SeenTip
 from longarm_interfaces.msg import Compensation, DriverState
 
 
@@ -57,7 +50,10 @@ class Listener:
 
     def _on_markers(self, message: MarkerArray) -> None:
         lines = {marker.ns: marker for marker in message.markers}
-        points = {name: _points(marker.points) for name, marker in lines.items()}
+        points = {
+            name: np.array([[p.x, p.y, p.z] for p in marker.points]).reshape(-1, 3)
+            for name, marker in lines.items()
+        }
         declared, drawn = points.get("declared", _NONE), points.get("hanging", _NONE)
         factor = _number(lines["hanging"].text) if "hanging" in lines else math.nan
         if declared.shape != drawn.shape or not len(drawn) or not factor > 0.0:
@@ -122,10 +118,6 @@ class Listener:
 
 
 _NONE = np.empty((0, 3))
-
-
-def _points(points: Iterable[Any]) -> np.ndarray:
-    return np.array([[p.x, p.y, p.z] for p in points]).reshape(-1, 3)
 
 
 def _number(text: str) -> float:

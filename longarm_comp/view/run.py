@@ -13,9 +13,8 @@ from longarm_comp.view import words
 from longarm_comp.view.commands import RELEASES, STOPS, Buttons
 from longarm_comp.view.listener import Listener
 from longarm_comp.view.panel import Panel
-from longarm_comp.view.plain import PlainPage
 from longarm_comp.view.scene import Scene
-from longarm_comp.view.server import Gate, serving
+from longarm_comp.view.server import Gate, PlainPage, serving
 
 _DRAWN_S = 0.2
 """Between two pictures."""

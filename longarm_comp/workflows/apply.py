@@ -6,22 +6,59 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import AS_DECLARED, read_stored, restore, save_model, store
 from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.workflows.at_work import finish, put_to_work
-from longarm_comp.workflows.changes import Change, changes
 from longarm_comp.workflows.diagnosis_files import MODEL, MODEL_BEFORE, PREDICTOR, SESSION
-from longarm_comp.workflows.inputs import Note, Progress, admitted, file_hash, log_note, silent
+from longarm_comp.workflows.inputs import Note, Telling, admitted, file_hash, log_note
 from longarm_comp.workflows.train import TrainedPredictor, train
+
+Term = Effect | Bias
+Key = tuple[str, str]
+Value = tuple[str, str, float, float]
+GEOMETRY, CAMERA = "geometry", "camera"
 
 WORTH = 0.9
 """Without an effect or a network, a calibration is worth applying where the held-out mean error
 falls below this share of what it was."""
+
+
+@dataclass(frozen=True)
+class _Change:
+    """One effect of the new version that the old one lacks, or has with other values.
+
+    Attributes:
+        what, where: canonical name of the effect, and its place; `geometry` and `camera`, without a
+            place, stand for all of their terms.
+        kind: ``added``, ``changed`` or ``removed``.
+        values: (parameter, unit, before, after), NaN where it was or is not there.
+        tip_mm: RMS of what it moves the seen tip by, 3-D, over the poses given.
+    """
+
+    what: str
+    where: str
+    kind: str
+    values: tuple[Value, ...]
+    tip_mm: float
+
+    def __str__(self) -> str:
+        """In one line."""
+        place = f" at {self.where}" if self.where else ""
+        shown = [
+            f"{name} {_number(before)} -> {_number(after)} {unit}".rstrip()
+            for name, unit, before, after in self.values
+        ]
+        listed = f" ({', '.join(shown)})" if shown else ""
+        return f"{self.what}{place} {self.kind}: {self.tip_mm:.3f} mm at the tip{listed}"
 
 
 @dataclass(frozen=True)
@@ -40,7 +77,7 @@ class Applied:
 
     model: Path
     version: int
-    changes: tuple[Change, ...]
+    changes: tuple[_Change, ...]
     predictor: Path | None
     refused: str
     set_aside: Path | None
@@ -63,19 +100,17 @@ def apply(
     network: bool = True,
     seed: int = 0,
     note: Note = log_note,
-    progress: Progress = silent,
+    progress: Telling = False,
 ) -> Applied:
     """Put a diagnosis to work.
 
     Args:
-        diagnosis: folder that a diagnosis wrote.
-        arm: as declared, of the graph.
+        diagnosis: its folder.
         model: file at work; it may not exist yet, then the declared arm is at work.
         predictor: file at work; ``predictor.npz`` beside the model by default.
         session: that was diagnosed; by default the one that the diagnosis names.
         network: train a predictor on what the model leaves of the session.
-        seed: of the training.
-        note, progress: as for `train`.
+        seed, note, progress: as for `train`.
 
     Raises:
         InputError: no diagnosis; of another arm; not made with the model at work; the session is
@@ -179,3 +214,61 @@ def _session(
         wanted = f"the session diagnosed, {str(provenance.get('session_hash'))[:12]}"
         raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
     return rows
+
+
+def changes(before: Model, after: Model, q: np.ndarray, context: Context | None) -> list[_Change]:
+    """What changed from one model to another of the same arm, largest at the tip first.
+
+    Each change is judged by itself at joints q (N, n), rad and m: the new model against the new
+    model without this change. One that does not move the tip is left out.
+    """
+    old, new = ({(t.name, t.place): t for t in model.terms} for model in (before, after))
+    seen = after.measured(q, context)
+    found = []
+    for group in _groups(old, new):
+        terms = {key: new[key] for key in new if key not in group}
+        terms |= {key: old[key] for key in group if key in old}
+        moved = after.with_terms(list(terms.values())).measured(q, context) - seen
+        first = new.get(group[0]) or old[group[0]]
+        single = len(group) == 1 and _name(first) == first.name
+        values: tuple[Value, ...] = ()
+        where, kind = "", "changed"
+        if single:
+            where, values = first.where, _values(old.get(group[0]), new.get(group[0]), after)
+            kind = "added" if group[0] not in old else "changed" if group[0] in new else "removed"
+        tip_mm = 1e3 * float(np.sqrt((moved**2).sum(axis=1).mean()))
+        found.append(_Change(_name(first), where, kind, values, tip_mm))
+    # A change that moves the tip by less than this is not reported
+    felt = (change for change in found if change.tip_mm >= 5e-4)
+    return sorted(felt, key=lambda change: -change.tip_mm)
+
+
+def _groups(old: dict[Key, Term], new: dict[Key, Term]) -> list[list[Key]]:
+    """Keys of the terms that differ; geometry and camera together, every effect by itself."""
+    together: dict[str, list[Key]] = {}
+    for key in dict.fromkeys((*new, *old)):
+        if old.get(key) != new.get(key):
+            name = _name(new.get(key) or old[key])
+            whole = name in (GEOMETRY, CAMERA)
+            together.setdefault(name if whole else "/".join(key), []).append(key)
+    return list(together.values())
+
+
+def _name(term: Term) -> str:
+    if isinstance(term, Bias):
+        return CAMERA
+    return GEOMETRY if term.geometry else term.name
+
+
+def _values(old: Term | None, new: Term | None, model: Model) -> tuple[Value, ...]:
+    rows = []
+    for p in (new or old).parameters(model.arm):  # type: ignore[union-attr]
+        was, now = (np.nan if t is None else float(getattr(t, p.name)) for t in (old, new))
+        # Relative difference of two values that counts as none
+        if not np.isclose(was, now, rtol=1e-9, atol=0.0):
+            rows.append((p.name, p.unit, was, now))
+    return tuple(rows)
+
+
+def _number(value: float) -> str:
+    return "none" if np.isnan(value) else f"{value:.4g}"

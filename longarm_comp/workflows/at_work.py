@@ -12,7 +12,7 @@ import hashlib
 import os
 import re
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
@@ -20,19 +20,15 @@ from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.model import file_versions, model_file
 from longarm_comp.workflows.inputs import file_hash
 
+if TYPE_CHECKING:
+    from longarm_comp.workflows.train import TrainedPredictor
+
 _HASH = 12
 _KEPT = re.compile(rf"\.of_[0-9a-f]{{{_HASH}}}$")
 
 
-class Saved(Protocol):
-    """A predictor that can be written."""
-
-    def save(self, path: Path) -> None:
-        """Write it, whole or not at all."""
-
-
 def put_to_work(
-    model: Path, content: bytes, predictor: Path, trained: Saved | None = None
+    model: Path, content: bytes, predictor: Path, trained: TrainedPredictor | None = None
 ) -> Path | None:
     """Replace the model at work by a new version's content, and the predictor by its `trained` one.
 

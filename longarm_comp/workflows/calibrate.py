@@ -89,7 +89,7 @@ IDLE = 1e-5
 
 
 @dataclass(frozen=True)
-class FittedParameter:
+class _FittedParameter:
     """One fitted parameter with its 95 % interval; `geometry`: not of another effect."""
 
     effect: str
@@ -151,14 +151,14 @@ class Calibration:
         return tuple(b.name for a, b in pairwise(last) if b.held_out.rms >= a.held_out.rms)
 
     @property
-    def parameters(self) -> tuple[FittedParameter, ...]:
+    def parameters(self) -> tuple[_FittedParameter, ...]:
         """Every fitted parameter with its interval."""
         fitted, made = self.fit, []
         rows = zip(fitted.slots, fitted.model.values, fitted.standard_errors, strict=True)
         for slot, value, se in rows:
             of, p, ci95 = slot.owner, slot.parameter, (value - 1.96 * se, value + 1.96 * se)
             made.append(
-                FittedParameter(of.name, of.where, p.name, value, p.unit, ci95, of.geometry)
+                _FittedParameter(of.name, of.where, p.name, value, p.unit, ci95, of.geometry)
             )
         return tuple(made)
 

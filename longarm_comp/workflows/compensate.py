@@ -194,10 +194,7 @@ def compensate(
     """
     if predictor is not None:
         check_predictor(predictor, model, "compensate")
-    chosen = fitting(predictor) if method is None else method_of(method)
-    if predictor is not None and chosen.learned and chosen is not fitting(predictor):
-        allowed = f"{fitting(predictor).value}: because the predictor was trained so"
-        raise InputError("compensate", "method", chosen.value, allowed)
+    chosen = method_of(method, predictor)
     goals, contexts, numbers = goals_of(model, targets, context)
     placements = placements_of(model, targets, goals, contexts, frame or "")
     starts = None if seed is None else np.asarray(seed, dtype=float)
@@ -271,20 +268,25 @@ def last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
     return session.q[-1], History(**{name: getattr(session, name)[-1] for name in PER_JOINT})
 
 
-def fitting(predictor: Predictor | None) -> Method:
-    """The method for a predictor: it uses the physics that the predictor was trained with."""
-    if predictor is None:
-        return Method.DEFLECTION
-    return Method.learned_beside(deflection=predictor.provenance.beside_deflection)
+def method_of(given: Method | str | None, predictor: Predictor | None) -> Method:
+    """A method by its name; by default with all that was given.
 
-
-def method_of(given: Method | str) -> Method:
-    """A method by its name. Raises InputError."""
+    A learned one uses the physics that the predictor was trained with. Raises InputError.
+    """
+    usual = Method.DEFLECTION
+    if predictor is not None:
+        usual = Method.learned_beside(deflection=predictor.provenance.beside_deflection)
     try:
-        return Method(given)
+        chosen = usual if given is None else Method(given)
     except ValueError:
         allowed = ", ".join(each.value for each in Method)
         raise InputError("compensate", "method", given, allowed) from None
+    if chosen.learned and chosen is not usual:
+        allowed = f"{usual.value}: because the predictor was trained so"
+        if predictor is None:
+            allowed = f"{usual.value}; or with --predictor, a predictor"
+        raise InputError("compensate", "method", chosen.value, allowed)
+    return chosen
 
 
 def goals_of(

@@ -93,7 +93,7 @@ def compensate_path(
     """
     if predictor is not None:
         check_predictor(predictor, model, "compensate")
-    chosen = points.fitting(predictor) if method is None else points.method_of(method)
+    chosen = points.method_of(method, predictor)
     goals, contexts, numbers = points.goals_of(model, path, context)
     placements = points.placements_of(model, path, goals, contexts, frame or "")
     if len({goal.ndim for goal in goals}) > 1:

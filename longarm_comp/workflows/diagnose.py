@@ -49,11 +49,8 @@ if TYPE_CHECKING:
 class DiagnosisResult:
     """Result of a diagnosis; `save` writes all files of the command.
 
-    Attributes:
-        diagnosis: results of all steps: search, intervals, structure, proof.
-        session_hash: hash of the diagnosed rows.
-        facts: further provenance for the report's page.
-        model_before, session_file: of the given model and of the session, if they came from files.
+    `diagnosis`: results of all steps. `session_hash`: of the diagnosed rows. `facts`: further
+    provenance for the page. `model_before`, `session_file`: where they came from files.
     """
 
     diagnosis: Diagnosis

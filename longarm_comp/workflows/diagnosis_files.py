@@ -32,11 +32,8 @@ def write_model(
 ) -> None:  # fmt: skip
     """Write the model that a diagnosis found. `undo` restores the version before, if one was given.
 
-    Args:
-        model: with the record of how good it is.
-        session_hash: hash of the diagnosed session.
-        before: file of the version that it replaces.
-        session: file of the session, if it came from one.
+    ``model``: with the record of how good it is; ``before``: file of the version that it replaces;
+    ``session``: file of the session, if it came from one.
     """
     origin = {
         MODEL_BEFORE: "" if before is None else file_hash(before),

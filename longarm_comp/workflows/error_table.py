@@ -39,11 +39,9 @@ SPREAD = "spread_mm"
 
 @dataclass(frozen=True, repr=False)
 class ErrorTable(Mapping[str, Errors]):
-    """Errors (m) by model name, in the order of the ladder: ``table["calibrated"].mean``.
+    """Errors (m) as seen by model name, in the order of the ladder: ``table["calibrated"].mean``.
 
-    Attributes:
-        errors: by model name, as seen.
-        commanded: the same as a command would have them (`core/data/commanded.py`).
+    `commanded`: the same as a command would have them (`core/data/commanded.py`).
     """
 
     errors: Mapping[str, Errors]

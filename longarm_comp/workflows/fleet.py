@@ -20,7 +20,6 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import write_text
-from longarm_comp.core.identify.findings import EffectFinding
 from longarm_comp.core.identify.kind_of_arm import table
 from longarm_comp.report.record import read_report
 from longarm_comp.version import __version__
@@ -38,7 +37,7 @@ _MEASURED = {(*kind.cells, kind.label)[0] for kind in KINDS.values()}
 
 
 @dataclass(frozen=True)
-class Member:
+class _Member:
     """One arm of a fleet: its name, its arm.yaml, its newest session, the model in use if any."""
 
     name: str
@@ -109,10 +108,10 @@ class Diagnosed:
         return {**asdict(self), "drifted": self.drifted}
 
 
-def members(folder: Path) -> list[Member]:
+def members(folder: Path) -> list[_Member]:
     """The arms of a folder: a subfolder each with arm.yaml, or one arm.yaml and a session each."""
     if (folder / ARM).is_file():
-        found = [Member(s.stem, folder / ARM, s, None) for s in sessions(folder)]
+        found = [_Member(s.stem, folder / ARM, s, None) for s in sessions(folder)]
     else:
         found = []
         for each in sorted(folder.iterdir()) if folder.is_dir() else ():
@@ -122,7 +121,7 @@ def members(folder: Path) -> list[Member]:
                     raise InputError(str(each), "session", "none", "a CSV or bag that measures")
                 newest = max(held, key=lambda path: (path.stat().st_mtime, path.name))
                 model = each / MODEL if (each / MODEL).is_file() else None
-                found.append(Member(each.name, each / ARM, newest, model))
+                found.append(_Member(each.name, each / ARM, newest, model))
     if not found:
         allowed = f"folders with {ARM} and a session each, or one {ARM} and a session an arm"
         raise InputError(str(folder), "fleet", "no arm", allowed)
@@ -201,7 +200,7 @@ def _write(arms: Iterable[Diagnosed], output: Path) -> None:
 
 
 def _worked(
-    look: Callable[..., Diagnosed], left: Sequence[tuple[Member, int, str]], jobs: int,
+    look: Callable[..., Diagnosed], left: Sequence[tuple[_Member, int, str]], jobs: int,
     dask: str | None,
 ) -> Iterator[Diagnosed]:  # fmt: skip
     """Each arm as it is done; nothing else of it is kept."""
@@ -235,7 +234,7 @@ def _pool(jobs: int, dask: str | None) -> Iterator[Executor]:
 
 
 def _diagnosed(
-    member: Member, kind: int, made_of: str, *, output: Path, network: bool, seed: int
+    member: _Member, kind: int, made_of: str, *, output: Path, network: bool, seed: int
 ) -> Diagnosed:
     arm, where = Arm.load(member.arm), str(member.session)
     try:
@@ -250,7 +249,9 @@ def _diagnosed(
     left, reported = found.held_out, read_report(output / member.name).findings
     sizes = [f.tip_mm.median if f.tip_mm else 0.0 for f in reported]
     findings = tuple(
-        Finding(_names(f), place, size)
+        Finding(
+            " or ".join(sorted({f.name, *(r.candidate.name for r in f.alternatives)})), place, size
+        )
         for f, size in zip(found.findings, sizes, strict=True)
         for place in f.where
     )
@@ -263,10 +264,6 @@ def _diagnosed(
     del found
     gc.collect()  # fits and postures refer to each other: a fleet would hold those of many arms
     return made
-
-
-def _names(finding: EffectFinding) -> str:
-    return " or ".join(sorted({finding.name, *(r.candidate.name for r in finding.alternatives)}))
 
 
 def compared(arms: Sequence[Diagnosed]) -> list[Diagnosed]:

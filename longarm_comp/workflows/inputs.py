@@ -31,8 +31,6 @@ SessionLike = Session | FilePath
 ModelLike = Model | FilePath
 """A model, or the model.yaml that it is read from."""
 Note = Callable[[str], None]
-Progress = Callable[[str, float], None]
-"""Called with the present step and the share of the work that is done, 0 to 1."""
 
 DIGEST = "model_digest"
 """Key in a predictor's settings: digest of a model in memory that it was trained with."""
@@ -62,10 +60,6 @@ def teller(progress: Telling) -> Callable[..., None]:
         last = step
 
     return tell
-
-
-def silent(text: str, share: float) -> None:
-    """Show no progress."""
 
 
 def admitted(

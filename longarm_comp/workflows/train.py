@@ -24,13 +24,13 @@ from longarm_comp.workflows.inputs import (
     FilePath,
     ModelLike,
     Note,
-    Progress,
     SessionLike,
+    Telling,
     admitted,
     log_note,
     physics,
     physics_mark,
-    silent,
+    teller,
 )
 
 
@@ -91,7 +91,7 @@ def train(
     weights: ArrayLike | None = None,
     seed: int = 0,
     note: Note = log_note,
-    progress: Progress = silent,
+    progress: Telling = False,
 ) -> TrainedPredictor:
     """Train SSA-BP on the residual that the physics of an arm leaves in a session.
 
@@ -106,14 +106,15 @@ def train(
         hidden: number of hidden units; chosen by evidence if not given.
         weights: (N,) factors of the precision of the session's rows; 0 leaves a row out.
         note: called with each finding of the admission.
-        progress: called with the number of the network being trained.
+        progress: True: print each step; or a function, called with the network being trained and
+            the share done.
 
     Raises:
         InputError: the session was refused, has fewer than 20 rows with a marker or only one
             pose; the model is for another arm; an option is not allowed.
         JobError: the arm does not stand where the model says.
     """
-    base = physics(arm, model, deflection)
+    base, tell = physics(arm, model, deflection), teller(progress)
     whole = admitted(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
     located = whole.take(whole.located)
@@ -128,7 +129,7 @@ def train(
     predictor = networks.train(
         *rows, inputs=inputs, init=init, seed=seed, ensemble=ensemble, hidden=hidden,
         weights=None if factors is None else factors[whole.located], provenance=origin,
-        progress=lambda k, of: progress(f"{k} of {of} networks", k / of),
+        progress=lambda k, of: tell(f"{k} of {of} networks", k / of),
     )  # fmt: skip
     residual = rows[1]
     left = residual - expected(predictor, located).error

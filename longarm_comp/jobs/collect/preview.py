@@ -25,11 +25,9 @@ _SLACK = 1e-6
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """One question asked of every visit.
+    """One question asked of every visit: why it does not pass, or "".
 
-    Attributes:
-        faults: for each visit, why it does not pass, or "".
-        blocks: whether a visit that does not pass is not driven.
+    `blocks`: whether a visit that does not pass is not driven.
     """
 
     question: str
@@ -57,7 +55,8 @@ def plan_checks(
     """Questions to the visits of a plan: those that can be asked with what is known."""
     model = declared_model(arm)
     q = np.array([visit.q for visit in visits])
-    checks = [PlanCheck("inside the limits of arm.yaml", _limits(arm, visits), True)]
+    outside = tuple(_outside(arm.joint_names, v.path, arm.lower, arm.upper) for v in visits)
+    checks = [PlanCheck("inside the limits of arm.yaml", outside, True)]
     if servos is not None:
         checks.append(PlanCheck("inside the servos' limits", _servo_limits(arm, servos, q), True))
     if arm.keep_out:
@@ -102,10 +101,6 @@ def in_words(faults: Iterable[str]) -> str:
     """How many faults of each kind, the most frequent first."""
     kinds = Counter(fault.partition(": ")[0] for fault in faults)  # without their figures
     return ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
-
-
-def _limits(arm: Arm, visits: Sequence[Visit]) -> tuple[str, ...]:
-    return tuple(_outside(arm.joint_names, visit.path, arm.lower, arm.upper) for visit in visits)
 
 
 def _servo_limits(arm: Arm, servos: ServoConfig, q: np.ndarray) -> tuple[str, ...]:

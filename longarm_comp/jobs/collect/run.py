@@ -24,8 +24,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
-from longarm_comp.jobs.collect.causes import Causes
-from longarm_comp.jobs.collect.progress import Progress, progress_message
+from longarm_comp.jobs.collect.progress import Causes, Progress, progress_message
 from longarm_comp.jobs.measurement_schedule import Visit
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.nodes import interfaces as graph
@@ -80,12 +79,10 @@ _HINT = "longarm plan --seen leaves such poses out; --give-up 0 never ends early
 
 @dataclass(frozen=True)
 class Collected:
-    """What came of it.
+    """How many visits were made now and before, of all that are planned.
 
-    Attributes:
-        made, before, planned: visits made now, made before, of all.
-        unseen: visits without a sighting, by index, and why.
-        blocked: visits that were not made, because every way to them enters a box; and where.
+    `unseen`: those without a sighting, by index, and why; `blocked`: those that were not made,
+    because every way to them enters a box.
     """
 
     made: int
@@ -116,11 +113,8 @@ def collect(
         give_up: end when none of so many first visits saw the marker; 0: never.
         view: what the cameras see by the files, to say why a marker is lost.
     """
-    done = (
-        visited(path, todo, client.arm.n)
-        if resume and (path / "metadata.yaml").is_file()
-        else set()
-    )
+    begun = resume and (path / "metadata.yaml").is_file()
+    done = visited(path, todo, client.arm.n) if begun else set()
     with SegmentedBag(path, resume=resume) as bag:
         run = _Run(client, Recorder(client.node, bag), pace or Pace(), progress,
                    Causes(client, client.arm, view), len(done), len(todo))  # fmt: skip
@@ -160,7 +154,11 @@ class _Run:
     def drive(self, left: list[Visit], give_up: int) -> None:
         """Make the visits that are left."""
         self._client.ready()
-        _hear_circumstances(self._client, self._recorder)
+        end = time.monotonic() + _CIRCUMSTANCES_S
+        self._client.until(
+            lambda: not self._recorder.waits_for() or time.monotonic() > end,
+            _CIRCUMSTANCES_S + 60.0, "circumstances",
+        )  # fmt: skip
         half = max(5, len(left) // 2)
         while left:
             visit = self._next(left)
@@ -211,8 +209,14 @@ class _Run:
         it is waited for.
         """
         client, pace, recorder = self._client, self._pace, self._recorder
-        begun, tips = _visit(client, visit, pace)
-        _tell_visit(client, recorder, visit)
+        client.driver_takes()
+        start = client.joints
+        begun = client.send(visit.path, pace.move_s)
+        _, tips = client.look(visit.path, pace, start)
+        # Into the bag alone: what no topic of the robot says
+        told = json.dumps({"index": visit.index, "repeat_id": visit.repeat_id})
+        topic = client.node.resolve_topic_name(ROW_TOPIC)
+        recorder.put(topic, ROW_TYPE, serialize_message(String(data=told)))
         topics = "joint_trajectory", "tip_measured", "joint_states"
         names = [client.node.resolve_topic_name(topic) for topic in topics]
         last = client.sightings[-1][0] if tips else 0
@@ -275,27 +279,3 @@ class _Run:
         now = self._now(state, why)
         self._show(now)
         self._publisher.publish(progress_message(now, self._client.node.get_namespace()))
-
-
-def _hear_circumstances(client: ArmClient, recorder: Recorder) -> None:
-    """Wait a little for the first temperature, payload and tilt, where they are published."""
-    end = time.monotonic() + _CIRCUMSTANCES_S
-    client.until(
-        lambda: not recorder.waits_for() or time.monotonic() > end,
-        _CIRCUMSTANCES_S + 60.0, "circumstances",
-    )  # fmt: skip
-
-
-def _visit(client: ArmClient, visit: Visit, pace: Pace) -> tuple[int, list[np.ndarray]]:
-    """Drive to one pose and look; when it was sent there (ns), and the sightings (3,), m."""
-    client.driver_takes()
-    start = client.joints
-    begun = client.send(visit.path, pace.move_s)
-    return begun, client.look(visit.path, pace, start)[1]
-
-
-def _tell_visit(client: ArmClient, recorder: Recorder, visit: Visit) -> None:
-    """Into the bag alone: what no topic of the robot says."""
-    row = {"index": visit.index, "repeat_id": visit.repeat_id}
-    topic = client.node.resolve_topic_name(ROW_TOPIC)
-    recorder.put(topic, ROW_TYPE, serialize_message(String(data=json.dumps(row))))

@@ -20,16 +20,17 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.collect.run import collect
-from longarm_comp.jobs.loop.settings import Decision, LoopSettings, another_round
+from longarm_comp.jobs.loop.settings import RULE, LoopSettings, another_round
 from longarm_comp.jobs.measurement_schedule import visits
 from longarm_comp.jobs.targets import Say, TargetRunner, Trial, Witness
 from longarm_comp.jobs.verify import choose, method_at_work
+from longarm_comp.report.pages import loop_page
 from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.sessions.poses import FILE as NEXT_POSES
 from longarm_comp.sessions.poses import read_poses, write_poses
 from longarm_comp.workflows.apply import nothing_to_apply
-from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose_files
-from longarm_comp.workflows.verification import Verification, verification
+from longarm_comp.workflows.diagnose import diagnose_files
+from longarm_comp.workflows.verification import Verification, error_row, verification
 
 _TRIAL = ("target", "seen", "true", "status")
 
@@ -70,15 +71,13 @@ class Journal:
 
     def trial(self, step: str, make: Callable[[], Trial]) -> Trial:
         """The same for a run over targets."""
-        return _trial(self.once(step, lambda: _plain(make())))
 
+        def plain() -> dict[str, Any]:
+            trial = make()
+            return {"name": trial.name, **{k: getattr(trial, k).tolist() for k in _TRIAL}}
 
-def _plain(trial: Trial) -> dict[str, Any]:
-    return {"name": trial.name, **{name: getattr(trial, name).tolist() for name in _TRIAL}}
-
-
-def _trial(data: dict[str, Any]) -> Trial:
-    return Trial(data["name"], *(np.array(data[name]) for name in _TRIAL))
+        data = self.once(step, plain)
+        return Trial(data["name"], *(np.array(data[name]) for name in _TRIAL))
 
 
 _Agree = Callable[[DiagnosisReport], bool]
@@ -86,56 +85,24 @@ _Agree = Callable[[DiagnosisReport], bool]
 
 
 @dataclass(frozen=True, eq=False)
-class Round:
-    """One turn of the cycle.
-
-    Attributes:
-        number: from 1.
-        collected: rows of its session.
-        report: of its diagnosis.
-        effects_found: names of each finding, with those that cannot be told from it.
-        applied: what `apply` did, as plain data; None where it was not applied.
-        trials: over the targets afterwards; the last one with all that was learned.
-        gain: of the last trial against the last one before this round.
-        decision: whether another round was expected to pay.
-    """
-
-    number: int
-    collected: int
-    report: DiagnosisReport
-    effects_found: list[list[str]]
-    applied: dict[str, Any] | None
-    trials: tuple[Trial, ...]
-    gain: Verification | None
-    decision: Decision
-
-
-@dataclass(frozen=True, eq=False)
-class LoopResult:
+class _LoopResult:
     """What came of it.
 
     Attributes:
         files: at work on the graph.
         refused: targets that were left out, and why.
-        first: the trials before the first round: not compensated, and as it was.
+        trials: all runs over the targets in their order; the first is not compensated.
+        rounds: as loop.json has them.
+        left: what the last diagnosis could not explain, in one sentence.
         seconds: of each step done now.
     """
 
     files: FilesAtWork
     refused: list[dict[str, Any]]
-    first: tuple[Trial, Trial]
-    rounds: tuple[Round, ...]
+    trials: list[Trial]
+    rounds: list[dict[str, Any]]
+    left: str
     seconds: dict[str, float]
-
-    @property
-    def trials(self) -> list[Trial]:
-        """All runs over the targets in their order."""
-        return [*self.first, *(t for r in self.rounds for t in r.trials)]
-
-    @property
-    def against_none(self) -> Verification:
-        """The last run against the one without compensation."""
-        return compared(self.first[0], self.trials[-1])
 
 
 def compared(before: Trial, after: Trial) -> Verification:
@@ -144,12 +111,7 @@ def compared(before: Trial, after: Trial) -> Verification:
 
 
 class Loop:
-    """A loop on a running graph.
-
-    Args:
-        agree: asked before a diagnosis is applied.
-        witness: another instrument that sees the tip, where there is one.
-    """
+    """A loop on a running graph; ``agree`` is asked before a diagnosis is applied."""
 
     def __init__(
         self,
@@ -167,7 +129,7 @@ class Loop:
         self._seconds: dict[str, float] = {}
         self._begun = time.monotonic()
 
-    def run(self, ready_s: float = 30.0) -> LoopResult:
+    def run(self, ready_s: float = 30.0) -> _LoopResult:
         """Go round; see `rule` for when another round follows.
 
         Raises:
@@ -191,13 +153,16 @@ class Loop:
             self._drive(names.without, targets, Method.NONE),
             self._drive(names.before, targets, now),
         )
-        last, rounds = first[1], list[Round]()
+        trials, rounds = list(first), list[dict[str, Any]]()
         for k in range(1, self._settings.rounds + 1):
-            rounds.append(self._round(k, files, targets, method, last))
-            if not rounds[-1].decision.again:
+            rounds.append(self._round(k, files, targets, method, trials))
+            if not rounds[-1]["again"]:
                 break
-            last = rounds[-1].trials[-1]
-        return LoopResult(files, chosen["refused"], first, tuple(rounds), self._seconds)
+        structure = read_report(Path(rounds[-1]["diagnosis"])).structure_left
+        left = "The last diagnosis found no structure in the residual of its session."
+        if structure.flag:
+            left = f"Of the last diagnosis: {structure.text}; no effect of the library explains it."
+        return _LoopResult(files, chosen["refused"], trials, rounds, left, self._seconds)
 
     # ------------------------------------------------------------------ steps
 
@@ -205,9 +170,9 @@ class Loop:
         settings = self._settings
         rng = np.random.default_rng(settings.seed + 1)
         draw = partial(random_targets, declared_model(self._client.arm), rng=rng)
-        chosen = choose(self._runner, draw, settings.targets, (Method.NONE, method))
-        refused = [{"target": xyz.tolist(), "why": why} for xyz, why in chosen.refused]
-        return {"xyz": chosen.xyz.tolist(), "refused": refused}
+        kept, left = choose(self._runner, draw, settings.targets, (Method.NONE, method))
+        refused = [{"target": xyz.tolist(), "why": why} for xyz, why in left]
+        return {"xyz": kept.tolist(), "refused": refused}
 
     def _drive(self, name: str, targets: np.ndarray, method: Method) -> Trial:
         run = partial(self._runner.run, name, targets, method, self._say)
@@ -216,8 +181,9 @@ class Loop:
         return trial
 
     def _round(
-        self, k: int, files: FilesAtWork, targets: np.ndarray, method: Method, last: Trial
-    ) -> Round:
+        self, k: int, files: FilesAtWork, targets: np.ndarray, method: Method, trials: list[Trial]
+    ) -> dict[str, Any]:
+        """One turn of the cycle, number k from 1; its runs are added to the trials."""
         names = self._settings.names
         collected = self._journal.once(f"collected {k}", partial(self._collect, k))
         self._done(f"collect_{k}")
@@ -226,24 +192,36 @@ class Loop:
         folder = self._settings.path("diagnosis", k)
         report = read_report(folder)
 
-        def ended(why: str) -> Round:
-            return Round(k, collected, report, found, None, (), None, Decision(False, why))
-
-        nothing = nothing_to_apply(folder, report)
-        if nothing:
-            return ended(f"nothing to apply: {report.summary}")
+        made = {
+            "number": k,
+            "collected": collected,
+            "verdict": report.verdict,
+            "found": report.summary,
+            "effects_found": found,
+            "changes": [],
+            "applied": None,
+            "gain": None,
+            "again": False,
+            "session": str(self._settings.path("session", k)),
+            "diagnosis": str(folder),
+            "report": str(Path(folder.name) / "report.html"),
+        }
+        if nothing_to_apply(folder, report):
+            return {**made, "why": f"nothing to apply: {report.summary}"}
         if f"applied {k}" not in self._journal and not self._agree(report):
-            return ended("not applied: there was no answer yes")
+            return {**made, "why": "not applied: there was no answer yes"}
         applied = self._journal.once(f"applied {k}", partial(self._apply, k))
         self._done(f"train_{k}")
-        trials = [self._drive(names.found.format(k=k), targets, Method.DEFLECTION)]
+        before = trials[-1]
+        trials.append(self._drive(names.found.format(k=k), targets, Method.DEFLECTION))
         if applied["predictor"] is not None:
             trials.append(self._drive(names.learned.format(k=k), targets, method))
-        gain = compared(last, trials[-1])
+        gain = compared(before, trials[-1])
         x, y, z = (1e-3 * s for s in report.noise.sigma_mm or (0.0, 0.0, 0.0))
         mean = float(np.linalg.norm(trials[-1].error, axis=1).mean())
-        decision = another_round(gain.gain_ci95_m, mean, (x, y, z))
-        return Round(k, collected, report, found, applied, tuple(trials), gain, decision)
+        again, why = another_round(gain.gain_ci95_m, mean, (x, y, z))
+        told = {"changes": applied["changes"], "applied": applied, "gain": gain.summary}
+        return {**made, **told, "again": again, "why": why}
 
     def _collect(self, k: int) -> int:
         settings, arm = self._settings, self._client.arm
@@ -274,12 +252,14 @@ class Loop:
 
     def _diagnose(self, k: int, files: FilesAtWork) -> list[list[str]]:
         model = files.model if files.model.is_file() else None
-        found = diagnose_files(
+        result = diagnose_files(
             self._client.arm, self._settings.path("session", k),
             self._settings.path("diagnosis", k), model=model, network=False,
             seed=self._settings.seed, progress=lambda step: self._say(f"diagnose: {step}", 0.3),
         )  # fmt: skip
-        return _names(found)
+        # Each effect, what cannot be told from it, and what could stand for a part of it
+        each = ((*f.names, *(a.name for a in f.partial_aliases)) for f in result.findings)
+        return [list(dict.fromkeys(names)) for names in each]
 
     def _apply(self, k: int) -> dict[str, Any]:
         settings = self._settings
@@ -303,9 +283,41 @@ class Loop:
         self._seconds[step], self._begun = now - self._begun, now
 
 
-def _names(found: DiagnosisResult) -> list[list[str]]:
-    """Each effect, what cannot be told from it, and what could stand for a part of it."""
-    return [
-        list(dict.fromkeys((*f.names, *(a.name for a in f.partial_aliases))))
-        for f in found.findings
-    ]
+def write_loop(arm: str, settings: LoopSettings, result: _LoopResult) -> dict[str, Any]:
+    """Write ``loop.json`` and ``loop.html``; the contents of the former."""
+    page = settings.out / "loop.html"
+    applied = [r["applied"] for r in result.rounds if r["applied"] is not None]
+    predictor = result.files.predictor
+    against_none = compared(result.trials[0], result.trials[-1])
+    data = {
+        "arm": arm,
+        "rows": _rows(result.trials),
+        "helps": against_none.helps,
+        "summary": against_none.summary,
+        "rule": RULE,
+        "ended": result.rounds[-1]["why"],
+        "rounds": result.rounds,
+        "left": result.left,
+        "refused": result.refused,
+        "files": {
+            "model": str(result.files.model),
+            "predictor": None if predictor is None else str(predictor),
+            "page": str(page),
+        },
+        "undo": applied[-1]["undo"] if applied else None,
+        "seconds": {**result.seconds, "total": sum(result.seconds.values())},
+    }
+    write_text(settings.out / "loop.json", json.dumps(data, indent=2))
+    write_text(page, loop_page(data, {t.name: t.error for t in result.trials}))
+    return data
+
+
+def _rows(trials: list[Trial]) -> list[dict[str, Any]]:
+    """A row a run; ``refused``, and the gain against the first run with its interval."""
+    rows = []
+    for trial in trials:
+        low, high = (1e3 * g for g in compared(trials[0], trial).gain_ci95_m)
+        against = [None, None] if trial is trials[0] else [low, high]
+        row = {**error_row(trial.name, trial.error), "gain_ci95_mm": against}
+        rows.append({**row, "refused": trial.refused})
+    return rows

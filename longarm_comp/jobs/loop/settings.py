@@ -19,34 +19,22 @@ RULE = (
 )
 
 
-@dataclass(frozen=True)
-class Decision:
-    """Whether to go on, and why."""
-
-    again: bool
-    why: str
-
-
 def another_round(
     gain_ci95_m: tuple[float, float], mean_m: float, sigma_m: tuple[float, float, float]
-) -> Decision:
-    """The rule.
+) -> tuple[bool, str]:
+    """The rule: whether to go on, and why.
 
-    Args:
-        gain_ci95_m: 95 % interval of what the round took off the mean error at the tip.
-        mean_m: mean 3-D error at the tip after it.
-        sigma_m: noise of a measurement along each axis.
+    It has the 95 % interval of what the round took off the mean error at the tip, the mean after
+    it, and the noise of a measurement along each axis, all in m.
     """
     rms = math.sqrt(sum(s * s for s in sigma_m) / 3.0)
     alone = math.sqrt(8.0 / math.pi) * rms  # mean length of a normal vector in three dimensions
     shown = f"the mean error is {1e3 * mean_m:.3f} mm, the noise alone shows {1e3 * alone:.3f} mm"
     if gain_ci95_m[0] <= 0.0:
-        return Decision(
-            False, f"this round did not bring the tip nearer by more than chance; {shown}"
-        )
+        return False, f"this round did not bring the tip nearer by more than chance; {shown}"
     if mean_m <= NEAR_NOISE * alone:
-        return Decision(False, f"the error that is left is near the noise: {shown}")
-    return Decision(True, f"the error that is left is more than noise: {shown}")
+        return False, f"the error that is left is near the noise: {shown}"
+    return True, f"the error that is left is more than noise: {shown}"
 
 
 @dataclass(frozen=True)
@@ -61,12 +49,9 @@ class Names:
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """One loop.
+    """One loop: poses to measure in a round, from random sides, and fresh targets to judge by.
 
-    Attributes:
-        poses: to measure in a round, from random sides. targets: fresh ones to judge by.
-        network: train a predictor after every round.
-        seed: of plans, targets, diagnosis and training.
+    `network`: train a predictor after every round.
     """
 
     out: Path

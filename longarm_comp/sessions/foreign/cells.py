@@ -32,7 +32,6 @@ class Cells:
     """A table of another program.
 
     Attributes:
-        where: the file, or several.
         names: columns; header lines are joined, a line of units is put behind the names.
         rows: (line in the file, cells) of each row.
         separator: between cells; empty for a sheet.
@@ -90,12 +89,7 @@ Lines = list[tuple[int, list[str]]]
 
 
 def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None) -> Cells:
-    """Read a table.
-
-    Args:
-        sheet: name of the sheet; by default the only one.
-        decimal: ``.`` or ``,``; by default as the cells show it.
-    """
+    """Read a table; by default of the only sheet, with the decimal sign that the cells show."""
     where, separator = str(path), ""
     if path.suffix.lower() in (".xlsx", ".xlsm"):
         lines, sign, decimal = _sheet(path, sheet), ".", None  # its numbers are no text

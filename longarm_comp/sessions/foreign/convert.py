@@ -49,11 +49,10 @@ class Options:
     """What the user says of a file.
 
     Attributes:
-        units: units of columns that name none, such as ``mm`` and ``deg``.
-        given: see `understand`.
+        units: of columns that name none, such as ``mm`` and ``deg``.
+        given, arm: see `understand`.
         rotation: ``CONVENTION:COLUMNS``, ``none`` to leave an orientation out, or nothing.
         sheet, decimal: see `read_cells`.
-        arm: names the joints and says which slide.
         join: column that says which rows of several files belong together; None: they follow.
         sort: column in whose order the rows were measured; None: in the file's.
     """
@@ -96,11 +95,9 @@ class _Imported:
     """A converted table.
 
     Attributes:
-        columns: session columns by name, (N,) numbers or texts.
-        sources: how each was read.
+        columns: session columns by name, (N,) numbers or texts; `sources`: how each was read.
         left_out: columns of the file that were not read.
         assumed: joints that were taken to turn, as no arm says it.
-        rotation: the convention of the orientation.
         units: of columns that name none.
         lonely: rows of joined files without a partner, in words.
         markers: that stood side by side.
@@ -123,17 +120,14 @@ class _Imported:
         for column in self.sources:
             values = self.columns[column.name]
             numeric = values.dtype.kind == "f" and not np.isnan(values).all()
-            rows.append(
-                {
-                    "column": column.name,
-                    "from": column.source,
-                    "unit": column.unit.name if column.unit else "",
-                    "first": values[0] if numeric else str(values[0]),
-                    "min": float(np.nanmin(values)) if numeric else None,
-                    "max": float(np.nanmax(values)) if numeric else None,
-                    "blank": int(np.isnan(values).sum()) if values.dtype.kind == "f" else 0,
-                }
+            unit = column.unit.name if column.unit else ""
+            row: dict[str, Any] = {"column": column.name, "from": column.source, "unit": unit}
+            row["first"] = values[0] if numeric else str(values[0])
+            row["min"], row["max"] = (
+                float(end(values)) if numeric else None for end in (np.nanmin, np.nanmax)
             )
+            row["blank"] = int(np.isnan(values).sum()) if values.dtype.kind == "f" else 0
+            rows.append(row)
         return rows
 
     def save(self, path: Path) -> Path:
@@ -159,20 +153,15 @@ class _Imported:
             "left_out": list(self.left_out),
         }
         if self.rotation is not None:
-            sign = "-" if self.rotation.inverse else ""
-            mapping["rotation"] = (
-                f"{sign}{self.rotation.convention}:{','.join(self.rotation.columns)}"
-            )
+            sign, columns = "-" if self.rotation.inverse else "", ",".join(self.rotation.columns)
+            mapping["rotation"] = f"{sign}{self.rotation.convention}:{columns}"
         text = yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=100)
         write_text(beside, f"# How longarm import-data read {names}.\n{text}")
         return beside
 
 
-def import_table(
-    path: str | Path | Sequence[str | Path], options: Options | None = None
-) -> _Imported:
+def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _Imported:
     """Read a table of another program, or several that make one session."""
-    options = options or Options()
     files = tuple(map(Path, [path] if isinstance(path, str | Path) else path))
     cells, lonely = _together(files, options)
     where = cells.where
@@ -251,15 +240,11 @@ def _rotation(where: str, cells: Cells, options: Options) -> Rotation | None:
         return Rotation(rotation.convention, named, rotation.inverse)
     told = {*options.given, *(name for name in QUATERNION if set(QUATERNION) <= set(cells.names))}
     known = _unit_quaternion(cells)
-    looks = [
-        n
-        for n in cells.names
-        if (turned(n) or n in known) and n not in told and split_name(n)[0] not in told
-    ]
+    looks = [n for n in cells.names if turned(n) or n in known]
+    looks = [n for n in looks if n not in told and split_name(n)[0] not in told]
     if len(looks) >= 3 and options.rotation is None:
-        raise InputError(
-            where, "--rotation", f"missing for {', '.join(looks)}", f"{ALLOWED}; or none"
-        )
+        missing = f"missing for {', '.join(looks)}"
+        raise InputError(where, "--rotation", missing, f"{ALLOWED}; or none")
     return None
 
 
@@ -314,9 +299,8 @@ def _orientation(
         if rotation.angles:
             unit = split_name(name)[1] or defaults.get(ANGLE)
             if unit is None or unit.kind != ANGLE:
-                raise InputError(
-                    cells.where, f"column {name}", "no angle's unit", "--units deg or rad"
-                )
+                field = f"column {name}"
+                raise InputError(cells.where, field, "no angle's unit", "--units deg or rad")
             values = values * unit.factor
         read.append(values)
     try:

@@ -56,11 +56,8 @@ UNIT_LENGTH = 1e-2
 class Rotation:
     """A convention and the columns that are in it: ``wxyz:q0,q1,q2,q3``, ``ZYX:A,B,C``.
 
-    Attributes:
-        convention: a key of `_QUATERNIONS`, `_ROTATION_VECTOR`, or Euler axes as scipy names them
-            (lower case fixed, upper case turned).
-        columns: names in the file.
-        inverse: the columns hold the base's orientation in the tool's frame.
+    It is a key of `_QUATERNIONS`, `_ROTATION_VECTOR`, or Euler axes as scipy names them (lower case
+    fixed, upper case turned). `inverse`: the columns hold the base in the tool's frame.
     """
 
     convention: str
@@ -73,10 +70,7 @@ class Rotation:
         convention, colon, names = text.partition(":")
         inverse, convention = convention.startswith("-"), convention.removeprefix("-")
         columns = tuple(name.strip() for name in names.split(","))
-        euler = _EULER.fullmatch(convention) and convention in (
-            convention.lower(),
-            convention.upper(),
-        )
+        euler = _EULER.fullmatch(convention) and (convention.islower() or convention.isupper())
         count = 4 if convention in _QUATERNIONS else 3
         known = convention in _QUATERNIONS or convention == _ROTATION_VECTOR or euler
         if not colon or not known or len(columns) != count or not all(columns):

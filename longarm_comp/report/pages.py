@@ -1,0 +1,145 @@
+"""Pages from templates, each one self-contained file: of a loop, of many arms, of a day."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+from longarm_comp.report.at_the_tip import at_the_tip
+from longarm_comp.report.style import BLUE, GREEN, ORANGE, VERMILLION, rc, svg
+
+if TYPE_CHECKING:
+    from longarm_comp.sessions.day import Day, Notice
+
+
+@cache
+def template(name: str) -> jinja2.Template:
+    """A template of this package, compiled once."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("longarm_comp.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(name)
+
+
+def beside(name: str) -> str:
+    """Text of a style or script that lies beside the templates."""
+    return files("longarm_comp.report").joinpath(f"templates/{name}").read_text("utf-8")
+
+
+def data_uri(svg: bytes) -> str:
+    """A picture as an address that holds it."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
+
+
+def _rendered(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
+    """A page with one picture."""
+    with rc():
+        picture = data_uri(svg(draw()))
+    return template(f"{page}.html.j2").render(picture=picture, style=beside("report.css"), **told)
+
+
+def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
+    """The page of a loop (loop.json) with the errors (N, 3) tip - target, m, by name of the run."""
+    return _rendered("loop", lambda: at_the_tip(errors), loop=data)
+
+
+_MODELS = {
+    "in_use_mm": ("model in use", ORANGE, "s"),
+    "calibrated_mm": ("calibrated anew", BLUE, "^"),
+    "diagnosed_mm": ("diagnosed", GREEN, "o"),
+}
+_ROW_IN = 0.22
+
+
+def fleet_page(name: str, arms: Sequence[Mapping[str, Any]]) -> str:
+    """The page of a folder as text, with links to the diagnosis of each arm (row of fleet.json)."""
+    return _rendered(
+        "fleet", lambda: _errors_of_arms(arms), name=name, arms=arms, kinds=_kinds(arms),
+        drifted=[arm for arm in arms if arm["drifted"]],
+        failed=[arm for arm in arms if arm["verdict"] == "failed"],
+        compared=sum(arm["in_use_mm"] is not None for arm in arms),
+    )  # fmt: skip
+
+
+def _kinds(arms: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A kind of several arms each: its arms, and what is found at half of them."""
+    made = []
+    for kind in dict.fromkeys(arm["kind"] for arm in arms):
+        mine = [arm for arm in arms if arm["kind"] == kind]
+        shared: dict[tuple[str, str], list[float]] = {}
+        for arm in mine:
+            for f in arm["findings"]:
+                if f["of_kind"]:
+                    shared.setdefault((f["effect"], f["where"]), []).append(f["tip_mm"])
+        rows = [
+            (*key, len(sizes), float(np.median(sizes)), min(sizes), max(sizes))
+            for key, sizes in sorted(shared.items(), key=lambda item: -len(item[1]))
+        ]
+        if len(mine) > 1:
+            made.append({"arms": [arm["name"] for arm in mine], "rows": rows})
+    return made
+
+
+def _errors_of_arms(arms: Sequence[Mapping[str, Any]]) -> Figure:
+    """A line an arm, a mark a model that is known of any."""
+    figure = Figure(figsize=(7.6, 1.2 + _ROW_IN * len(arms)), layout="constrained")
+    axes = figure.subplots()
+    place = np.arange(len(arms))
+    for key, (label, color, marker) in _MODELS.items():
+        known = [np.nan if arm[key] is None else arm[key] for arm in arms]
+        if not np.isnan(known).all():
+            axes.plot(known, place, color=color, marker=marker, linestyle="", label=label)
+            axes.legend(loc="best")
+    axes.set_yticks(place, [arm["name"] for arm in arms])
+    axes.set_ylim(len(arms) - 0.5, -0.5)
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel("mean error, mm")
+    return figure
+
+
+def day_page(arm: str, bag: str, day: Day) -> str:
+    """The page as text, self-contained; ``arm``, ``bag``: what they are called."""
+    changes = [s for s in day.said if s.level == 0]
+    troubles = [s for s in day.said if s.level > 0]
+    return _rendered(
+        "day", lambda: _errors_of_day(day, changes), arm=arm, bag=bag, hours=day.hours,
+        rows=day.by_hour(), refused=day.refused.most_common(),
+        changes=[(_clock(s.first_s), s.message) for s in changes],
+        troubles=[(_clock(s.first_s), _clock(s.last_s), s.part, s.message) for s in troubles],
+    )  # fmt: skip
+
+
+def _errors_of_day(day: Day, changes: list[Notice]) -> Figure:
+    drawn = Figure(figsize=(9, 3.4), layout="constrained")
+    axes = drawn.subplots()
+    hour = np.array([s.t_s / 3600.0 for s in day.served])
+    axes.plot(
+        hour, [s.error_mm for s in day.served], color=BLUE, marker="o", markersize=3, linestyle="",
+        label="a target",
+    )  # fmt: skip
+    for k, said in enumerate(changes[1:]):
+        axes.axvline(
+            said.first_s / 3600.0, color=VERMILLION, linestyle="--", linewidth=0.9,
+            label=None if k else "something learned",
+        )  # fmt: skip
+    axes.set_xlabel("hours since the recording began")
+    axes.set_ylabel("tip − target, mm")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(loc="upper left")
+    return drawn
+
+
+def _clock(t_s: float) -> str:
+    minutes = int(t_s // 60)
+    return f"{minutes // 60}:{minutes % 60:02d}"
