@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.spatial import Scalar, Vec
+from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.errors import InputError
 
 _KIND = "kind"
@@ -67,10 +67,6 @@ class Context:
             known = ", ".join(sorted(self.columns)) or "none"
             raise InputError("context", name, "missing", f"a recorded column (there are: {known})")
         return default
-
-    def vector(self, names: tuple[str, str, str]) -> Vec:
-        """Three recorded quantities."""
-        return (self.column(names[0]), self.column(names[1]), self.column(names[2]))
 
     def payload_kg(self, declared: float) -> Scalar:
         """Carried mass: recorded, else as declared."""

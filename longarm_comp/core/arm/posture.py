@@ -29,7 +29,6 @@ _Made = TypeVar("_Made")
 LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
 BASE, PLACEMENT = 0, 1
 """Stations of the base and, before it in the chain, of where it stands: that twist may be large."""
-_UNIT: tuple[Vec, Vec, Vec] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -63,12 +62,7 @@ class Lumped:
 
 
 class Chain:
-    """The order of an arm's stations.
-
-    Args:
-        elements_per_beam: pieces that each beam is cut in (1 leaves 0.008 mm at
-            18 mm of sag; see docs/physics.md).
-    """
+    """The order of an arm's stations, each beam cut in a number of elements."""
 
     def __init__(self, arm: Arm, elements_per_beam: int = 2) -> None:
         self.arm = arm
@@ -224,7 +218,10 @@ class Posture:
         arm, chain, context = self.arm, self.chain, self.context
         masses: dict[int, list[tuple[Scalar, Vec]]] = {}
         for m in arm.point_masses:
-            at = m.position_m if m.position_columns is None else context.vector(m.position_columns)
+            at: Vec = m.position_m
+            if m.position_columns is not None:
+                x, y, z = (context.column(name) for name in m.position_columns)
+                at = (x, y, z)
             masses.setdefault(chain.frame_station(m.frame), []).append((m.mass_kg, at))
         if arm.payload is not None:
             mass = context.payload_kg(arm.payload.mass_kg)
@@ -356,9 +353,7 @@ def loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Ve
     """Gravity, and weight and moment about the origin of what a frame carries, in its axes.
 
     Args:
-        frame: of the base.
-        mass: carried (kg).
-        first: its first moment in the base frame (kg m).
+        mass, first: carried (kg), and its first moment in the base frame (kg m).
         gravity: in the base frame (m/s^2).
     """
     felt = frame.unrotate(gravity)
@@ -380,8 +375,3 @@ def clip(x: Scalar, upper: Scalar) -> Scalar:
     if type(x) is float and type(upper) is float:
         return min(max(x, 0.0), upper)
     return np.minimum(np.maximum(x, 0.0), upper)
-
-
-def unit(axis: int) -> Vec:
-    """Unit vector of an axis."""
-    return _UNIT[axis]

@@ -28,14 +28,8 @@ def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], 
         # Numbers in an array of several items: what a processor keeps near
         count = max(1, 32768 // size)
         for some in (keys[n : n + count] for n in range(0, len(keys), count)):
-            rows = [items[key] for key in some]
-            yield (
-                some,
-                tuple(
-                    0.0 if zero else _stacked([row[k] for row in rows])
-                    for k, zero in enumerate(zeros)
-                ),
-            )
+            columns = zip(zeros, zip(*(items[key] for key in some), strict=True), strict=True)
+            yield some, tuple([0.0 if zero else _stacked(column) for zero, column in columns])
 
 
 def _stacked(scalars: Sequence[Scalar]) -> np.ndarray:
@@ -48,13 +42,11 @@ def _stacked(scalars: Sequence[Scalar]) -> np.ndarray:
 
 def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
     """The scalars of one of several items that `alike` stacked, or of one that came alone."""
-    return tuple(
-        [
-            x if not isinstance(x, np.ndarray) or x.ndim < 2 else x[row] if x.shape[1] > 1
-            else float(x[row, 0])
-            for x in scalars
-        ]
-    )  # fmt: skip
+    return tuple([
+        x if not isinstance(x, np.ndarray) or x.ndim < 2 else x[row] if x.shape[1] > 1
+        else float(x[row, 0])
+        for x in scalars
+    ])  # fmt: skip
 
 
 def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:

@@ -22,19 +22,16 @@ _SHIFT = 1.0
 """Shift along an axis that is looked for, standard deviations."""
 _GROWTH = 1.6
 """Growth of the standard deviation that is looked for."""
-AXES = ("x", "y", "z")
-_TESTS = 2 * len(AXES) + 1
+_AXES = ("x", "y", "z")
+_TESTS = 2 * len(_AXES) + 1
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the test says after a sample.
+    """What the test says after a number of samples: in one sentence, with size and onset, once
+    some cumulative sum has passed the threshold.
 
-    Attributes:
-        drifted: some cumulative sum has passed the threshold.
-        finding: in one sentence, with size and onset; empty while nothing has.
-        samples: seen so far.
-        evidence: largest cumulative sum over the threshold; 1 is an alarm.
+    `evidence` is the largest sum over the threshold; 1 is an alarm.
     """
 
     drifted: bool
@@ -92,13 +89,9 @@ class Monitor:
         started = np.where(fresh, self.samples, self.onset)
         before = np.where(fresh[:, None], 0.0, self.total)
         return replace(
-            self,
-            samples=self.samples + 1,
-            sums=np.where(alive, raised, 0.0),
-            onset=started,
-            total=before + r,
-            squares=np.where(fresh, 0.0, self.squares) + square,
-        )
+            self, samples=self.samples + 1, sums=np.where(alive, raised, 0.0), onset=started,
+            total=before + r, squares=np.where(fresh, 0.0, self.squares) + square,
+        )  # fmt: skip
 
     def verdict(self) -> Verdict:
         """The verdict at present."""
@@ -113,5 +106,5 @@ class Monitor:
             finding = f"errors are {grown:.1f} times what the model promised {since}"
         else:
             shift = 1e3 * self.total[k, k // 2] / count
-            finding = f"the tip is off by {shift:+.2f} mm in {AXES[k // 2]} {since}"
+            finding = f"the tip is off by {shift:+.2f} mm in {_AXES[k // 2]} {since}"
         return Verdict(True, finding, self.samples, evidence)

@@ -100,12 +100,6 @@ def expected_miss(
     return ExpectedMiss(mean, _diagonal(np.maximum(seen, least)))
 
 
-def inside_data(model: Model, miss: ExpectedMiss) -> np.ndarray:
-    """(...) whether a model's own error is one that its fitted rows have too."""
-    known = model.uncertainty
-    return miss.sizes[0] <= (-np.inf if known is None else known.largest_m)
-
-
 def of_tolerances(model: Model) -> ModelUncertainty | None:
     """What is not known of an arm as declared: its geometry, to the tolerances.
 
@@ -133,8 +127,7 @@ def geometry_of(arm: Arm) -> list[Effect]:
 
 def _carried(known: ModelUncertainty, model: Model, at: Posture) -> np.ndarray:
     """(N, 3, 3) m^2 that the parameters bring to the tip at N postures."""
-    names = set(known.slots)
     terms = model.effects if model.uncertainty is known else geometry_of(model.arm)
-    slots = [slot for slot in slots_of(model.arm, terms) if slot.identity in names]
+    slots = [slot for slot in slots_of(model.arm, terms) if slot.identity in known.slots]
     columns = model.columns(at, slots)[1].reshape(-1, 3, len(slots))
     return known.carried(columns, [slot.identity for slot in slots])

@@ -29,13 +29,9 @@ def missing_column(model: Model, context: Context) -> str:
 
 
 def outside_data(model: Model, q: np.ndarray, context: Context) -> list[str]:
-    """Which effects stand outside the data that they were found in, and in what; or "".
+    """Which effects stand outside the data that they were found in at joints (M, n), in words.
 
     They count there as at the end of the data.
-
-    Args:
-        q: (M, n) commanded joints, rad and m.
-        context: circumstances at them.
     """
     beyond: list[set[str]] = [set() for _ in q]
     if bounded := [e for e in model.effects if e.bounded]:
@@ -64,7 +60,6 @@ def unknown_history(
 
     Args:
         q: (M, n) commanded joints, rad and m.
-        context: circumstances at them.
         doubtful: (n,) joints whose side of arrival is told but not certain.
 
     Returns:

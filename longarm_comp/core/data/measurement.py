@@ -96,15 +96,9 @@ def spreads(model: Model, session: Session) -> np.ndarray:
     labels = {k: v for k, v in rows.labels.items() if k not in ("plane", "sensor")}
     blank = np.full(rows.xyz.shape, np.nan)
     alone = dataclasses.replace(
-        rows,
-        xyz=blank,
-        sigma=None,
-        readings={},
-        sigmas={},
-        labels=labels,
-        touch_distances=(),
+        rows, xyz=blank, sigma=None, readings={}, sigmas={}, labels=labels, touch_distances=(),
         blocks=(),
-    )
+    )  # fmt: skip
     return np.asarray(np.linalg.norm(errors(model.lasting(), alone), axis=1))
 
 

@@ -26,7 +26,7 @@ from longarm_comp.core.html_table import html_table
 INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
 """Names of the columns of an inclinometer; NaN where it gave no reading."""
 
-Rows = np.ndarray | Sequence[int] | slice
+_Rows = np.ndarray | Sequence[int] | slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,21 +148,10 @@ class Session(MeasuredRows):
         check_shape(source, "run_up", begun, q.shape)
         history = recorded(q, index, approach, begun)
         return cls(
-            index,
-            q,
-            xyz,
-            history.approach,
-            repeat_id,
-            sigma,
-            columns or {},
-            labels or {},
-            source,
-            history.legs,
-            sides_told(q, approach, begun),
-            readings or {},
-            sigmas or {},
+            index, q, xyz, history.approach, repeat_id, sigma, columns or {}, labels or {}, source,
+            history.legs, sides_told(q, approach, begun), readings or {}, sigmas or {},
             tuple(touch_distances),
-        )
+        )  # fmt: skip
 
     def taken(self, lengths: np.ndarray) -> Session:
         """The whole session, with this length for run-ups of unknown length."""
@@ -266,12 +255,12 @@ class Session(MeasuredRows):
             digest.update("\0".join([name, *self.labels[name]]).encode())
         return digest.hexdigest()
 
-    def context(self, rows: Rows | None = None) -> Context:
+    def context(self, rows: _Rows | None = None) -> Context:
         """Circumstances of some rows, or all, for the effects. Scalars are (N,) arrays.
 
         The history of the joints is absent when no side of arrival is known in the whole session.
         """
-        at: Rows = slice(None) if rows is None else rows
+        at: _Rows = slice(None) if rows is None else rows
         names = PER_JOINT if self.approach.any() else ()
         held = {name: getattr(self, name)[at].astype(float) for name in names}
         history = {name: tuple(v.reshape(len(v), -1).T) for name, v in held.items()}
@@ -281,7 +270,7 @@ class Session(MeasuredRows):
             labels={name: values[at] for name, values in self.labels.items()},
         )
 
-    def take(self, rows: Rows) -> Session:
+    def take(self, rows: _Rows) -> Session:
         """Some of the rows: a mask (N,), indices or a slice."""
         arrays = ("index", "q", "xyz", "approach", "legs", "told", "repeat_id")
         taken: dict[str, Any] = {name: getattr(self, name)[rows] for name in arrays}

@@ -24,7 +24,7 @@ from longarm_comp.core.entry_points import check_name, of_other_packages
 from longarm_comp.core.errors import InputError
 
 Kind = type[Effect] | type[Bias]
-K = TypeVar("K", bound=Kind)
+_K = TypeVar("_K", bound=Kind)
 
 GROUP = "longarm_comp.effects"
 """Group of the entry points of effects from other packages."""
@@ -50,11 +50,8 @@ def _effects_in(module: ModuleType) -> tuple[Kind, ...]:
 
 
 def _is_kind(value: object) -> bool:
-    return (
-        isinstance(value, type)
-        and issubclass(value, (Effect, Bias))
-        and not inspect.isabstract(value)
-    )
+    of_ours = isinstance(value, type) and issubclass(value, (Effect, Bias))
+    return of_ours and not inspect.isabstract(value)
 
 
 _OURS: tuple[Kind, ...] = tuple(
@@ -84,11 +81,7 @@ def searched() -> tuple[Kind, ...]:
 
 
 def effect_class(name: str, where: str, known_from: str = "") -> Kind:
-    """The effect of a canonical name.
-
-    Args:
-        known_from: origin of the effect when the source was written (see `origin`).
-    """
+    """The effect of a canonical name; `known_from`: its `origin` when the source was written."""
     found = BUILT_IN.get(name) or registered().get(name)
     if found is None:
         outside = f"a file (--effects FILE) or a package (entry points {GROUP})"
@@ -105,7 +98,7 @@ def origin(kind: Kind) -> str:
     return _origins.get(kind.name, "")
 
 
-def register(kind: K, source: str = "") -> K:
+def register(kind: _K, source: str = "") -> _K:
     """Register an effect. It can be used as a decorator."""
     source = source or f"module {getattr(kind, '__module__', '?')}"
     _check(kind, source)
@@ -165,9 +158,8 @@ def _check(kind: Kind, source: str) -> None:
     if not frozen:
         raise InputError(source, name, kind.__name__, "a frozen dataclass, @dataclass(frozen=True)")
     for missing in kind.undeclared():
-        raise InputError(
-            source, f"{name}.{missing}", "undeclared", "place(), form() or parameter()"
-        )
+        allowed = "place(), form() or parameter()"
+        raise InputError(source, f"{name}.{missing}", "undeclared", allowed)
     for field in dataclasses.fields(kind):
         where = f"{name}.{field.name}"
         if hasattr(Effect, field.name) or hasattr(Bias, field.name):

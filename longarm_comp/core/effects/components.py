@@ -26,24 +26,14 @@ def stations(arm: Arm) -> list[str]:
 
     The axes are those of what the joint carries: they turn with it.
     """
-    rows = [joint.id for joint in arm.joints]
-    return [
-        BASE_PLACE,
-        *(f"joint {row}" for row in rows),
-        *(f"frame {row}" for row in rows),
-        TIP_PLACE,
-    ]
+    each = (f"{kind} {joint.id}" for kind in ("joint", "frame") for joint in arm.joints)
+    return [BASE_PLACE, *each, TIP_PLACE]
 
 
 @dataclass(frozen=True)
 class Acting:
-    """A place at a posture.
-
-    Attributes:
-        station: the station that a twist acts at.
-        frame: pose of the place in the base frame: axes of the station; a wrench acts at its
-            origin.
-    """
+    """A place at a posture: the station that a twist acts at; the pose at whose origin, in the
+    base frame, a wrench acts."""
 
     station: int
     frame: Frame
@@ -56,18 +46,14 @@ class Acting:
             frame = posture.frames[station]
             return cls(station, frame._replace(p=frame.transform(tip.position_m)))
         kind, _, row = place.partition(" ")
-        stand = {"joint": posture.bearing, "frame": posture.frame}
-        station = stand[kind](int(row)) if row else BASE
+        stand = posture.bearing if kind == "joint" else posture.frame
+        station = stand(int(row)) if row else BASE
         return cls(station, posture.frames[station])
 
 
 @dataclass(frozen=True)
 class _Component(ABC):
-    """What acts at a place.
-
-    Attributes:
-        axis: 0, 1, 2; None where the posture says which way.
-    """
+    """What acts at a place, along axis 0, 1, 2; None where the posture says which way."""
 
     word: ClassVar[str]
     unit: ClassVar[str]
@@ -141,9 +127,8 @@ class Wrench(_Component):
                 end = posture.frames[element.station]
                 lever = spatial.sub(at.frame.p, end.p)
                 moment = spatial.add(turned, spatial.cross(lever, pushed))
-                made[element.station] = bent(
-                    posture, element, end.unrotate(pushed), end.unrotate(moment)
-                )
+                here = end.unrotate(pushed), end.unrotate(moment)
+                made[element.station] = bent(posture, element, *here)
         return made
 
 

@@ -16,11 +16,8 @@ _TIMES_S = (900.0, 3600.0, 14400.0)
 
 @dataclass(frozen=True)
 class Creep(Effect):
-    """The declared sag grows by ``amount (1 - exp(-t/time))`` (one Kelvin-Voigt element).
-
-    Attributes:
-        time: time constant (s), counted from the start of the session.
-    """
+    """The declared sag grows by ``amount (1 - exp(-t/time))`` (one Kelvin-Voigt element); the
+    time constant (s) counts from the start of the session."""
 
     name = "creep"
     title = "creep"

@@ -13,11 +13,7 @@ from longarm_comp.core.effects.joint_term import BLEND, GATES, JointTerm
 
 @dataclass(frozen=True)
 class CylinderPlay(JointTerm):
-    """As `backlash`, but worn pins shift the cylinder: the joint turns by the play over its lever.
-
-    Attributes:
-        gate, blend: as in `Backlash`.
-    """
+    """As `Backlash`, but worn pins shift the cylinder: the joint turns by play over lever."""
 
     name = "cylinder_play"
     title = "play in the cylinder's pins"

@@ -13,7 +13,7 @@ from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.effects.sites import rows
 from longarm_comp.core.errors import InputError
 
-MOST_OF_REACH = 0.25
+_MOST_OF_REACH = 0.25
 """A length that is wrong by more, as a share of the arm's reach, is of another arm: calibration
 refuses rows that see the arm as far off."""
 
@@ -61,7 +61,7 @@ class DhError(Effect):
 
     def check(self, arm: Arm, where: str) -> None:
         """No length is wrong by a quarter of the arm's reach."""
-        most = MOST_OF_REACH * reach(arm)
+        most = _MOST_OF_REACH * reach(arm)
         for p in self.declared():
             value = getattr(self, p.name)
             if p.unit == "m" and abs(value) > most:

@@ -14,11 +14,7 @@ from longarm_comp.core.effects.joint_term import JointTerm
 
 @dataclass(frozen=True)
 class GearEccentricity(JointTerm):
-    """``cosine cos(order q) + sine sin(order q)``.
-
-    Attributes:
-        order: periods per turn of the joint.
-    """
+    """``cosine cos(order q) + sine sin(order q)``, with so many periods per turn of the joint."""
 
     name = "gear_eccentricity"
     title = "eccentric gear"

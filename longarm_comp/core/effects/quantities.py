@@ -18,10 +18,9 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -35,19 +34,11 @@ from longarm_comp.core.effects.joint_term import joint_load
 AXES = ("x", "y", "z")
 
 
-@dataclass(frozen=True)
-class SeenPoint:
+class SeenPoint(NamedTuple):
     """What a measuring-side function may depend on: the point and the circumstances."""
 
     point: Vec
     context: Context
-
-
-class Circumstances(Protocol):
-    """Whatever holds the recorded circumstances: a posture, a seen point."""
-
-    @property
-    def context(self) -> Context: ...
 
 
 @dataclass(frozen=True)
@@ -55,15 +46,15 @@ class Quantity(ABC):
     """A quantity of a posture (or of a seen point), by its name.
 
     Attributes:
+        si: its SI unit, where it has one on every arm.
+        plain: whether a cause is likely to depend on it as it is.
         numbers: numbers in its name: joints, rows.
         axis: 0, 1, 2, where its name has one.
     """
 
     pattern: ClassVar[str]
     si = "1"
-    """Its SI unit, where it has one on every arm."""
     plain = True
-    """Whether a cause is likely to depend on it as it is."""
 
     numbers: tuple[int, ...] = ()
     axis: int = 0
@@ -91,8 +82,7 @@ class Quantity(ABC):
 class OfPosture(Quantity):
     """A quantity of the arm at a posture.
 
-    Attributes:
-        resolution: span below which it is the arm's tolerance that varies, in its unit.
+    `resolution`: span below which it is the arm's tolerance that varies, in its unit.
     """
 
     resolution = 0.0
@@ -111,16 +101,12 @@ class _OfJoint(OfPosture):
         """Commanded joint, 0-based."""
         return self.numbers[0] - 1
 
-    def row(self, arm: Arm) -> int:
-        """Row id of the joint."""
-        return arm.commanded[self.joint]
-
     def exists(self, arm: Arm) -> bool:
         return 0 <= self.joint < arm.n
 
     def slides(self, arm: Arm) -> bool:
         """Whether the joint is a slide."""
-        return arm.joints[self.row(arm) - 1].type == "prismatic"
+        return arm.joints[arm.commanded[self.joint] - 1].type == "prismatic"
 
 
 @dataclass(frozen=True)
@@ -146,7 +132,7 @@ class JointLoad(_OfJoint):
         return "N" if self.slides(arm) else "N m"
 
     def read(self, posture: Posture) -> Scalar:
-        return joint_load(posture, self.row(posture.arm))
+        return joint_load(posture, posture.arm.commanded[self.joint])
 
 
 @dataclass(frozen=True)
@@ -281,7 +267,7 @@ class Recorded(Quantity):
     def inputs(self) -> tuple[str, ...]:
         return (self.column,)
 
-    def read(self, at: Circumstances) -> Scalar:
+    def read(self, at: Posture | SeenPoint) -> Scalar:
         return at.context.column(self.column)
 
 
@@ -316,7 +302,7 @@ def is_column(name: str) -> bool:
     return isinstance(quantity(name), Recorded)
 
 
-def _turning(arm: Arm) -> Sequence[int]:
+def _turning(arm: Arm) -> list[int]:
     return [row for row in arm.commanded if arm.joints[row - 1].type == "revolute"]
 
 

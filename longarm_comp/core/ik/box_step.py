@@ -10,19 +10,19 @@ from typing import Any
 
 from longarm_comp.core.arm.spatial import atan2, sqrt
 
-Buffer = Any  # list of floats, (k,) array, or (k, N) array
+_Buffer = Any  # list of floats, (k,) array, or (k, N) array
 
 
 def solve_damped(
-    J: Buffer,
-    e: Buffer,
-    free: Buffer,
+    J: _Buffer,
+    e: _Buffer,
+    free: _Buffer,
     damping: Any,
     m: int,
     n: int,
-    A: Buffer,
-    y: Buffer,
-    u: Buffer,
+    A: _Buffer,
+    y: _Buffer,
+    u: _Buffer,
 ) -> None:
     """Smallest u with ``J F u = e`` in the damped sense: ``u = F J' (J F J' + damping 1)^-1 e``.
 
@@ -69,7 +69,7 @@ def solve_damped(
         u[k] = s * free[k]
 
 
-def rotation_error(R: Buffer, r: int, target: Buffer, t: int, e: Buffer, at: int) -> Any:
+def rotation_error(R: _Buffer, r: int, target: _Buffer, t: int, e: _Buffer, at: int) -> Any:
     """Rotation vector (rad, base frame) from R to the target, written to ``e[at:at+3]``.
 
     Args:
@@ -112,7 +112,7 @@ def rotation_error(R: Buffer, r: int, target: Buffer, t: int, e: Buffer, at: int
     return angle
 
 
-def skewness(R: Buffer, r: int) -> Any:
+def skewness(R: _Buffer, r: int) -> Any:
     """How far the axes n, o, a (9 numbers from index r on) are from a right-handed rotation.
 
     Returns:

@@ -26,7 +26,7 @@ _H = 1e-3
 """Step (of a unit parameter, of a rad) of differences through the measuring side."""
 
 
-class Sensor(Protocol):
+class _Sensor(Protocol):
     """What reports the tip: a model's measuring side."""
 
     def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec: ...
@@ -44,15 +44,12 @@ class _Moved:
     turn: Vec
 
 
-STILL = _Moved(spatial.ZERO, spatial.ZERO)
-
-
 @dataclass(frozen=True)
 class Reseen:
     """A change of the measuring side: ``per`` times the difference of two sensors' reports."""
 
-    raised: Sensor
-    lowered: Sensor
+    raised: _Sensor
+    lowered: _Sensor
     per: float
     sees: frozenset[str]
 
@@ -109,7 +106,7 @@ class TipMotion:
             side, both when they are asked for.
     """
 
-    sensor: Sensor
+    sensor: _Sensor
     frame: Frame
     context: Context
     changes: Sequence[_Moved | Reseen]

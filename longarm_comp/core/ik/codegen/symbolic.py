@@ -81,10 +81,6 @@ class Graph:
             self._symbols[node] = Symbol(self, node)
         return self._symbols[node]
 
-    def operation(self, node: int) -> tuple[str, tuple[Operand, ...]]:
-        """Operation and operands of a node."""
-        return self.nodes[node]
-
     def needed(self, outputs: Sequence[Any]) -> list[int]:
         """The nodes that the outputs depend on, in order."""
         keep = [False] * len(self.nodes)
@@ -221,7 +217,7 @@ def _negated(graph: Graph, x: Any) -> Any:
     """y where x is the symbol -y, else None."""
     if not isinstance(x, Symbol):
         return None
-    op, operands = graph.operation(x.node)
+    op, operands = graph.nodes[x.node]
     return graph._symbols[operands[0]] if op == "neg" else None
 
 
