@@ -105,8 +105,7 @@ class FrameTree:
         ways = [line[: line.index(shared[0])] for line in (lines[frame], lines[within])]
         t_ns = t_ns or self._latest([*ways[0], *ways[1]])
         up, down = (self._in_ancestor(way, t_ns) for way in ways)
-        made: np.ndarray = np.linalg.inv(down) @ up
-        return made
+        return np.asarray(np.linalg.inv(down) @ up)
 
     def _line(self, name: str) -> list[str]:
         """A frame, its parent, and so on to the root."""

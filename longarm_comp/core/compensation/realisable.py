@@ -73,8 +73,7 @@ class Lattice:
     @property
     def known(self) -> np.ndarray:
         """(n,) bool: the joint has steps, and it is known well enough where they are."""
-        made: np.ndarray = (self.step > 0) & (self.offset_sd <= KNOWN_TO * self.step)
-        return made
+        return np.asarray((self.step > 0) & (self.offset_sd <= KNOWN_TO * self.step))
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,7 @@ class Kind(ABC):
             with a text measures that the tip was there.
         takes: rows that it takes to solve what a text names, where there are no cells.
         sigma: column of its standard deviation in a file, or empty.
+        outside: whether it measures from outside the arm.
         of_joint: whether it measures a joint and not the tip.
         number: of that joint, from 1.
     """
@@ -60,6 +61,7 @@ class Kind(ABC):
     label: ClassVar[str] = ""
     takes: ClassVar[int] = 0
     sigma: ClassVar[str] = ""
+    outside: ClassVar[bool] = True
     of_joint: ClassVar[bool] = False
     number: int = 0
 
@@ -74,7 +76,7 @@ class Kind(ABC):
 
     def framed(self, arm: Arm) -> bool:
         """Whether it measures in a frame of its own, in which the base is to be placed."""
-        return True
+        return self.outside
 
     @abstractmethod
     def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
@@ -180,9 +182,7 @@ class _Touch(Kind):
     scalars = ("touch_x", "touch_y", "touch_z")
     label = "touch"
     takes = 1
-
-    def framed(self, arm: Arm) -> bool:
-        return False
+    outside = False
 
     def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
         away, columns = tip.point(self.name)
@@ -197,9 +197,7 @@ class _Plane(Kind):
     scalars = ("plane_z",)
     label = "plane"
     takes = 3
-
-    def framed(self, arm: Arm) -> bool:
-        return False
+    outside = False
 
     def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
         point, columns = tip.point(self.name)
@@ -211,14 +209,12 @@ class EncoderReading(Kind):
 
     unit = "rad"
     of_joint = True
+    outside = False
 
     def __init__(self, number: int) -> None:
         self.number = number
         self.name = f"read_q{number}"  # type: ignore[misc]
         self.cells = self.scalars = (self.name,)  # type: ignore[misc]
-
-    def framed(self, arm: Arm) -> bool:
-        return False
 
     def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
         read, columns = tip.read(self.number - 1, arm.commanded[self.number - 1])

@@ -48,6 +48,7 @@ class Quantity(ABC):
     Attributes:
         si: its SI unit, where it has one on every arm.
         plain: whether a cause is likely to depend on it as it is.
+        inputs: fields of the circumstances that it reads.
         numbers: numbers in its name: joints, rows.
         axis: 0, 1, 2, where its name has one.
     """
@@ -55,6 +56,7 @@ class Quantity(ABC):
     pattern: ClassVar[str]
     si = "1"
     plain = True
+    inputs: ClassVar[tuple[str, ...]] = ()
 
     numbers: tuple[int, ...] = ()
     axis: int = 0
@@ -66,11 +68,6 @@ class Quantity(ABC):
     def unit(self, arm: Arm) -> str:
         """SI unit; ``1`` for none."""
         return self.si
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Fields of the circumstances that it reads."""
-        return ()
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -140,10 +137,7 @@ class JointSide(_OfJoint):
     """Side that a commanded joint arrived from."""
 
     pattern = r"side_(\d+)"
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        return ("approach",)
+    inputs = ("approach",)
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -176,10 +170,7 @@ class Warmth(OfPosture):
 
     pattern = r"warmth"
     si = "K"
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        return ("temperature_c",)
+    inputs = ("temperature_c",)
 
     def read(self, posture: Posture) -> Scalar:
         return posture.context.column("temperature_c") - posture.arm.reference_temperature_c
@@ -264,7 +255,7 @@ class Recorded(Quantity):
         return _UNITS.get(self.column, f"[{self.column}]")
 
     @property
-    def inputs(self) -> tuple[str, ...]:
+    def inputs(self) -> tuple[str, ...]:  # type: ignore[override]
         return (self.column,)
 
     def read(self, at: Posture | SeenPoint) -> Scalar:

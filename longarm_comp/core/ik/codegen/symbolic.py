@@ -95,6 +95,18 @@ class Graph:
         return [node for node, kept in enumerate(keep) if kept]
 
 
+def _both(op: str) -> tuple[Any, Any]:
+    """An operation of a symbol with another number, and of that number with the symbol."""
+
+    def first(self: Symbol, other: Any) -> Any:
+        return self.graph.apply(op, self, other)
+
+    def second(self: Symbol, other: Any) -> Any:
+        return self.graph.apply(op, other, self)
+
+    return first, second
+
+
 class Symbol:
     """A traced number."""
 
@@ -103,29 +115,12 @@ class Symbol:
     def __init__(self, graph: Graph, node: int) -> None:
         self.graph, self.node = graph, node
 
-    def __add__(self, other: Any) -> Any:
-        return self.graph.apply("add", self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return self.graph.apply("add", other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return self.graph.apply("sub", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self.graph.apply("sub", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return self.graph.apply("mul", self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return self.graph.apply("mul", other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return self.graph.apply("div", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return self.graph.apply("div", other, self)
+    __add__, __radd__ = _both("add")
+    __sub__, __rsub__ = _both("sub")
+    __mul__, __rmul__ = _both("mul")
+    __truediv__, __rtruediv__ = _both("div")
+    __lt__, __gt__ = _both("lt")
+    __le__, __ge__ = _both("le")
 
     def __pow__(self, other: Any) -> Any:
         if isinstance(other, int) and 1 <= other <= 8:
@@ -143,18 +138,6 @@ class Symbol:
 
     def __abs__(self) -> Any:
         return self.graph.apply("fabs", self)
-
-    def __lt__(self, other: Any) -> Any:
-        return self.graph.apply("lt", self, other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.graph.apply("le", self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.graph.apply("lt", other, self)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.graph.apply("le", other, self)
 
     def where(self, yes: Any, no: Any) -> Any:
         """`yes` where this condition holds, else `no`."""
