@@ -110,8 +110,7 @@ class Context:
     def each(self, count: int) -> list[Context]:
         """The contexts of all of N postures, as `take` gives them one by one.
 
-        Raises:
-            InputError: a quantity has values of more or fewer postures.
+        Raises `InputError` where a quantity has values of more or fewer postures.
         """
 
         def rows(name: str, value: Any) -> list[Any]:

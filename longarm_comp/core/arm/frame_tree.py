@@ -91,9 +91,7 @@ class FrameTree:
     def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
         """Pose (4, 4) of a frame in another one at a time (ns); 0: the latest known of all.
 
-        Raises:
-            UnknownPlace: a name is unknown, the two are not connected, or it is too long ago.
-            NotYet: what was last published is older.
+        Raises `UnknownPlace`, or `NotYet` where what was last published is older.
         """
         lines = {name: self._line(name) for name in (frame, within)}
         for name, line in lines.items():

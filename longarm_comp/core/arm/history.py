@@ -76,10 +76,7 @@ def play(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
     """Least and largest state that a play operator can have after some legs; equal where known.
 
     The state follows the joint within +-radius.  Before the first leg it is anything in between.
-
-    Args:
-        legs: signed ways, the latest first (rad, m); 0 counts for nothing.
-        radius: of the operator, in the same unit.
+    Legs are signed ways, the latest first (rad, m as the radius); 0 counts for nothing.
     """
     low, high = -radius, radius
     while len(legs) > 1 and isinstance(legs[-1], np.ndarray) and not np.count_nonzero(legs[-1]):

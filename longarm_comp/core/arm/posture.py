@@ -265,10 +265,7 @@ class Posture:
                 for beam in {e.beam.name: e.beam for e in elements}.values():
                     if beam.mass_kg == 0 or beam.body_length_m is None:
                         continue
-                    last = max(j for j, e in enumerate(elements) if e.beam is beam)
-                    inside: Scalar = 0.0
-                    for e in elements[: last + 1]:
-                        inside = inside + abs_(self.lengths[e.station])
+                    inside = self._beyond(elements, -1, beam)
                     behind = clip(beam.body_length_m - inside, beam.body_length_m)
                     if type(behind) is float and behind == 0.0:
                         continue
@@ -278,7 +275,7 @@ class Posture:
                     yield station, density * behind, (at[0], at[1], at[2])
 
     def _beyond(self, elements: tuple[Element, ...], k: int, beam: Beam) -> Scalar:
-        """Length from element k's far end to the far end of `beam`."""
+        """Length from element k's far end (-1: from the row's begin) to the far end of `beam`."""
         last = max(j for j, e in enumerate(elements) if e.beam is beam)
         beyond: Scalar = 0.0
         for e in elements[k + 1 : last + 1]:
@@ -305,7 +302,8 @@ class Posture:
             masses[station], moments[station] = mass, moment
             for density, length in self.line_loads.get(station, ()):
                 m = density * length
-                sign = 1.0 if not _negative(self.lengths[station]) else -1.0
+                signed = self.lengths[station]
+                sign = -1.0 if type(signed) is float and signed < 0 else 1.0
                 centre = frame.along(axes[station], -0.5 * sign * length).p
                 mass = mass + m
                 moment = spatial.add(moment, spatial.scale(m, centre))
@@ -364,10 +362,6 @@ def loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Ve
 def abs_(x: Scalar) -> Scalar:
     """Absolute value of an element's length; a sliding one (an array) is positive by its limits."""
     return abs(x) if type(x) is float else x
-
-
-def _negative(x: Scalar) -> bool:
-    return type(x) is float and x < 0
 
 
 def clip(x: Scalar, upper: Scalar) -> Scalar:

@@ -68,12 +68,8 @@ class Monitor:
         return math.log(_TESTS * self.run_length)
 
     def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:
-        """Take one independent sample into account.
-
-        Args:
-            residual: (3,) measured - predicted, m.
-            sigma: (3,) m, what the model and the measurement promise together.
-        """
+        """Take one independent sample into account: (3,) m, measured - predicted, and what model
+        and measurement together promise of it."""
         r, s = np.asarray(residual, float), np.asarray(sigma, float)
         if r.shape != (3,) or not np.isfinite(r).all():
             raise InputError("monitor", "residual", residual, "three finite numbers, m")

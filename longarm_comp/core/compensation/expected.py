@@ -28,9 +28,7 @@ from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, sizes
 class ExpectedMiss:
     """How far the tip may come to rest from its target, or from each of several.
 
-    Attributes:
-        mean: (..., 3) m, the part that is known.
-        covariance: (..., 3, 3) m^2, of the part that is not; NaN where nothing says it.
+    The known part (..., 3) m, and the covariance (..., 3, 3) m^2 of the rest; NaN: nothing says it.
     """
 
     mean: np.ndarray

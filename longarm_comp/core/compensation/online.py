@@ -50,12 +50,9 @@ class Readings:
     def context(
         self, model: Model, now_s: float, max_age_s: float, history: History | None = None
     ) -> Context:
-        """The context of a target that is asked for now.
+        """The context of a target that is asked for now, with the history on arrival.
 
         A payload that was never told is the declared one. The latest word counts.
-
-        Args:
-            history: of the joints when they have arrived.
 
         Raises:
             StaleContext: an effect of the model, or the load, needs what is older than

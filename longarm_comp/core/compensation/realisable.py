@@ -147,7 +147,6 @@ def choose(
     """Realisable joints for a target, the tip as near to it as they let it be.
 
     Args:
-        arm: its limits hold exactly.
         lattice: where its servos can stand; a joint whose offset is not known to `KNOWN_TO` of its
             step stays at its ideal value.
         predict: the model, with all that is expected of the tip: learned error, circumstances.
@@ -248,9 +247,7 @@ class _Problem:
     def solved(self) -> tuple[np.ndarray, np.ndarray, int]:
         """Round after round the best of rounding, of what was the best, and of what is near.
 
-        Returns:
-            Joints (n,), errors (3, 2) at the ideal joints, the rounded ones and these (m and rad),
-            nodes.
+        Joints (n,), errors (3, 2) at the ideal joints, the rounded and these (m and rad), nodes.
         """
         errors = self.errors(np.vstack([self.ideal, self.around(self.rounded)]))
         if not np.isfinite(errors[:2]).all():

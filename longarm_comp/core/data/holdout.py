@@ -93,11 +93,7 @@ class Sealed:
         self._finished = finished
 
     def open(self, reason: str) -> Session:
-        """The rows.
-
-        Raises:
-            SealedError: before `release`.
-        """
+        """The rows. Raises `SealedError` before `release`."""
         if self._finished is None:
             raise SealedError(f"the held-out rows may be read once the fit is finished: {reason}")
         self._uses.append(reason)

@@ -26,8 +26,8 @@ class Equations:
 
     Attributes:
         residual: (N, k) measured - predicted, m or rad.
-        columns: (N, k, p) derivative of the prediction by every parameter.
-        pull: (N, k, 3) derivative of the prediction by the position of the tip.
+        columns, pull: (N, k, p), (N, k, 3) derivative of the prediction by every parameter, and by
+            the position of the tip.
     """
 
     residual: np.ndarray

@@ -81,17 +81,17 @@ class Session(MeasuredRows):
         xyz = np.asarray(self.xyz, dtype=float)
         if xyz.shape == (n_rows, 3) and np.isinf(xyz).any():
             raise InputError(self.source, "xyz", "not finite", "numbers in m, or NaN")
-        self._set("index", np.asarray(self.index, dtype=np.int64), (n_rows,))
-        self._set("q", q, (n_rows, n))
-        self._set("xyz", xyz, (n_rows, 3))
-        self._set("approach", np.asarray(self.approach, dtype=np.int8), (n_rows, n))
         legs = self.legs if len(self.legs) == n_rows else np.zeros((n_rows, n, LEGS))
-        self._set("legs", np.asarray(legs, dtype=float), (n_rows, n, LEGS))
         told = self.told if len(self.told) == n_rows else np.zeros((n_rows, n))
-        self._set("told", np.asarray(told, dtype=np.int8), (n_rows, n))
-        self._set("repeat_id", np.asarray(self.repeat_id, dtype=np.int64), (n_rows,))
+        self._set("index", self.index, np.int64, (n_rows,))
+        self._set("q", q, float, (n_rows, n))
+        self._set("xyz", xyz, float, (n_rows, 3))
+        self._set("approach", self.approach, np.int8, (n_rows, n))
+        self._set("legs", legs, float, (n_rows, n, LEGS))
+        self._set("told", told, np.int8, (n_rows, n))
+        self._set("repeat_id", self.repeat_id, np.int64, (n_rows,))
         if self.sigma is not None:
-            self._set("sigma", np.asarray(self.sigma, dtype=float), (n_rows, 3))
+            self._set("sigma", self.sigma, float, (n_rows, 3))
         columns = {k: np.asarray(v, dtype=float) for k, v in self.columns.items()}
         labels = {k: np.asarray(v, dtype=str) for k, v in self.labels.items()}
         for kind, held in (("columns", columns), ("labels", labels)):
@@ -106,9 +106,9 @@ class Session(MeasuredRows):
         if not self.blocks:
             object.__setattr__(self, "blocks", self._blocks())
 
-    def _set(self, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
-        check_shape(self.source, name, values, shape)
-        frozen = values.view()
+    def _set(self, name: str, values: np.ndarray, kind: type, shape: tuple[int, ...]) -> None:
+        frozen = np.asarray(values, dtype=kind).view()
+        check_shape(self.source, name, frozen, shape)
         frozen.flags.writeable = False
         object.__setattr__(self, name, frozen)
 
@@ -233,14 +233,11 @@ class Session(MeasuredRows):
     def hash(self) -> str:
         """SHA-256 of the contents. Equal rows give equal hashes, whatever file they are in."""
         digest = hashlib.sha256()
+        run_up = self.run_up if np.isfinite(self.run_up).any() else None
         parts: list[tuple[str, np.ndarray | None]] = [
-            ("index", self.index),
-            ("q", self.q),
-            ("xyz", self.xyz),
-            ("approach", self.approach),
-            ("run_up", self.run_up if np.isfinite(self.run_up).any() else None),
-            ("repeat_id", self.repeat_id),
-            ("sigma", self.sigma),
+            *(("index", self.index), ("q", self.q), ("xyz", self.xyz)),
+            *(("approach", self.approach), ("run_up", run_up)),
+            *(("repeat_id", self.repeat_id), ("sigma", self.sigma)),
             *((name, self.columns[name]) for name in sorted(self.columns)),
             *((name, self.readings[name]) for name in sorted(self.readings)),
             *((f"sigma {name}", self.sigmas[name]) for name in sorted(self.sigmas)),

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Parameter, form, parameter
+from longarm_comp.core.effects.effect import Arm, Parameter, Posture, Twists, form, parameter
 from longarm_comp.core.effects.joint_term import BLEND, GATES, JointTerm, with_prior
 
 

@@ -6,11 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.measuring import Instrument
-from longarm_comp.core.arm.spatial import Vec
-from longarm_comp.core.effects.effect import Bias, parameter
+from longarm_comp.core.effects.effect import Arm, Bias, Context, Instrument, Vec, parameter
 
 
 @dataclass(frozen=True)

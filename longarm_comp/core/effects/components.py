@@ -74,7 +74,6 @@ class _Component(ABC):
         return (x, y, z)
 
 
-@dataclass(frozen=True)
 class Move(_Component):
     """A displacement."""
 
@@ -85,7 +84,6 @@ class Move(_Component):
         return {at.station: (*self._along(amount), *ZERO)}
 
 
-@dataclass(frozen=True)
 class Turn(_Component):
     """A rotation."""
 
@@ -96,7 +94,6 @@ class Turn(_Component):
         return {at.station: (*ZERO, *self._along(amount))}
 
 
-@dataclass(frozen=True)
 class Give(_Component):
     """A rotation under the moment that is carried there, across the place's z axis."""
 
@@ -108,7 +105,6 @@ class Give(_Component):
         return {at.station: (*ZERO, amount * x, amount * y, 0.0)}
 
 
-@dataclass(frozen=True)
 class Wrench(_Component):
     """A load: it bends the declared beams between the base and the place."""
 
@@ -132,7 +128,6 @@ class Wrench(_Component):
         return made
 
 
-@dataclass(frozen=True)
 class Force(Wrench):
     """A force at the place."""
 
@@ -143,7 +138,6 @@ class Force(Wrench):
         return at.frame.rotate(self._along(amount)), ZERO
 
 
-@dataclass(frozen=True)
 class Moment(Wrench):
     """A moment at the place."""
 
@@ -154,7 +148,6 @@ class Moment(Wrench):
         return ZERO, at.frame.rotate(self._along(amount))
 
 
-@dataclass(frozen=True)
 class Weight(Wrench):
     """A force at the place, the way that gravity pulls."""
 

@@ -6,9 +6,8 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
+from longarm_comp.core.effects.effect import Arm, Effect, Parameter, parameter, place
 from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.effects.sites import rows
 from longarm_comp.core.errors import InputError

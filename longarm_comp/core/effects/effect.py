@@ -3,7 +3,8 @@
 Every field of an effect is declared as a `place` (where on the arm), a `form` (which variant) or a
 `parameter` (a fitted number).  The search, the fit, the files, the report and the documentation
 read only these declarations and the class attributes.  An effect of another package is therefore
-treated like one of this folder (docs/add_an_effect.md).
+treated like one of this folder (docs/add_an_effect.md).  What its file needs besides (`Arm`,
+`Context`, `Posture`, `Twists`, ...) may be imported from here too.
 """
 
 from __future__ import annotations

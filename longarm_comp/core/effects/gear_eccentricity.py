@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import form, parameter
+from longarm_comp.core.effects.effect import Posture, Twists, form, parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 
 

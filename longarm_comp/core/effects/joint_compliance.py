@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Parameter, moving_joints, parameter
+from longarm_comp.core.effects.effect import Arm, Parameter, moving_joints, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, reach, typical_loads, with_prior
 
 

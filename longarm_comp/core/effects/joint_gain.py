@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.effect import Posture, Twists, parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 
 

@@ -126,10 +126,8 @@ class JointTerm(Effect):
 
 
 def joint_load(posture: Posture, joint: int) -> Scalar:
-    """Gravity torque (N m) about, or force (N) along, the z axis of a row's joint.
-
-    By virtual work it includes the loads of passive joints coupled to it.
-    """
+    """Gravity torque (N m) about, or force (N) along, the z axis of a row's joint, by virtual work
+    with the loads of passive joints coupled to it."""
     total: Scalar = 0.0
     for row, weight in posture.chain.coupled(joint):
         station = posture.bearing(row)

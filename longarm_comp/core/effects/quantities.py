@@ -75,7 +75,6 @@ class Quantity(ABC):
         return ()
 
 
-@dataclass(frozen=True)
 class OfPosture(Quantity):
     """A quantity of the arm at a posture.
 
@@ -89,7 +88,6 @@ class OfPosture(Quantity):
         """Its value."""
 
 
-@dataclass(frozen=True)
 class _OfJoint(OfPosture):
     """A quantity of one commanded joint."""
 
@@ -106,7 +104,6 @@ class _OfJoint(OfPosture):
         return arm.joints[arm.commanded[self.joint] - 1].type == "prismatic"
 
 
-@dataclass(frozen=True)
 class JointPosition(_OfJoint):
     """Position of a commanded joint."""
 
@@ -119,7 +116,6 @@ class JointPosition(_OfJoint):
         return posture.q[self.joint]
 
 
-@dataclass(frozen=True)
 class JointLoad(_OfJoint):
     """Gravity load of a commanded joint."""
 
@@ -132,7 +128,6 @@ class JointLoad(_OfJoint):
         return joint_load(posture, posture.arm.commanded[self.joint])
 
 
-@dataclass(frozen=True)
 class JointSide(_OfJoint):
     """Side that a commanded joint arrived from."""
 
@@ -147,7 +142,6 @@ class JointSide(_OfJoint):
         return posture.context.of_joint("approach", self.joint)[0]
 
 
-@dataclass(frozen=True)
 class LoadSum(OfPosture):
     """Sum of the absolute torques of the turning commanded joints."""
 
@@ -164,7 +158,6 @@ class LoadSum(OfPosture):
         return total
 
 
-@dataclass(frozen=True)
 class Warmth(OfPosture):
     """Temperature above the arm's reference."""
 
@@ -176,7 +169,6 @@ class Warmth(OfPosture):
         return posture.context.column("temperature_c") - posture.arm.reference_temperature_c
 
 
-@dataclass(frozen=True)
 class _OfRow(OfPosture):
     """A quantity in the axes of one row's bearing, or of the base."""
 
@@ -188,7 +180,6 @@ class _OfRow(OfPosture):
         return _bearing(posture, self.numbers[0])
 
 
-@dataclass(frozen=True)
 class Moment(_OfRow):
     """Moment of all that is carried at a bearing, about one of its axes."""
 
@@ -200,7 +191,6 @@ class Moment(_OfRow):
         return posture.moment(self.station(posture))[self.axis]
 
 
-@dataclass(frozen=True)
 class Gravity(_OfRow):
     """Share of gravity along an axis of a row."""
 
@@ -212,7 +202,6 @@ class Gravity(_OfRow):
         return posture.gravity_in(self.station(posture))[self.axis] * (1.0 / max(size, 1e-9))
 
 
-@dataclass(frozen=True)
 class Span(OfPosture):
     """Distance between two bearings; row 0 is the base."""
 
@@ -232,7 +221,6 @@ class Span(OfPosture):
         return spatial.sqrt(spatial.dot(way, way) + 1e-18)
 
 
-@dataclass(frozen=True)
 class SeenCoordinate(Quantity):
     """A coordinate of the seen point in the base frame."""
 

@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Parameter, form, parameter
+from longarm_comp.core.effects.effect import Arm, Context, Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import (
     BLEND,
     GATES,

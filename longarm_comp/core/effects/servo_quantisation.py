@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from typing_extensions import Self
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import form
+from longarm_comp.core.effects.effect import Arm, Posture, Twists, form
 from longarm_comp.core.effects.joint_term import JointTerm
 
 _STEPS_PER_TURN = (

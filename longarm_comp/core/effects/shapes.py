@@ -86,7 +86,6 @@ class Shape(ABC):
 _COMMON = ("of", "low", "high")
 
 
-@dataclass(frozen=True)
 class Linear(Shape):
     """x."""
 
@@ -97,7 +96,6 @@ class Linear(Shape):
         return x
 
 
-@dataclass(frozen=True)
 class Square(Shape):
     """x^2."""
 
@@ -109,7 +107,6 @@ class Square(Shape):
         return x * x
 
 
-@dataclass(frozen=True)
 class SignedSquare(Shape):
     """x |x|."""
 
@@ -162,7 +159,6 @@ class Wave(Shape):
         return f"{self.word}({'' if self.order == 1 else f'{self.order:g} '}{self.of})"
 
 
-@dataclass(frozen=True)
 class Cosine(Wave):
     """cos(order x)."""
 
@@ -172,7 +168,6 @@ class Cosine(Wave):
         return spatial.cos(self.order * x)
 
 
-@dataclass(frozen=True)
 class Sine(Wave):
     """sin(order x)."""
 
@@ -208,7 +203,6 @@ class Switch(Threshold):
             raise FunctionError(f"{self.word}: half {self.half}", "above 1e-9")
 
 
-@dataclass(frozen=True)
 class Above(Threshold):
     """How far the quantity is above the threshold, else 0: a contact, a taut cable."""
 
@@ -220,7 +214,6 @@ class Above(Threshold):
         return spatial.maximum(x - self.threshold, 0.0)
 
 
-@dataclass(frozen=True)
 class Below(Threshold):
     """How far the quantity is below the threshold, else 0."""
 

@@ -178,15 +178,19 @@ def _read(s: np.ndarray, kernel: Kernel) -> _Found:
     return q.T, size.T, used[0]
 
 
-class _Circumstance:
-    """State of one search as a list of floats, and the programs on it."""
+class _State:
+    """State of a search, or of several, and the programs on it."""
 
-    def __init__(self, programs: _Programs, place: dict[str, range], s: list[float]) -> None:
+    def __init__(self, programs: _Programs, place: dict[str, range], s: Any) -> None:
         self.programs, self.place, self.s = programs, place, s
 
     def call(self, name: str) -> None:
         """Run a program."""
         self.programs[name](self.s)
+
+
+class _Column(_State):
+    """Of one search, as a list of floats."""
 
     def repeat(self, row: str, body: newton.Flow) -> None:
         """Run until the row is 0."""
@@ -195,13 +199,10 @@ class _Circumstance:
             newton.run(body, self.call, self.repeat)
 
 
-class _Columns:
-    """State of K searches as rows (size, K), and the programs on them."""
+class _Columns(_State):
+    """Of K searches, as rows (size, K)."""
 
-    def __init__(
-        self, programs: _Programs, place: dict[str, range], s: np.ndarray, thin: float = _THIN
-    ) -> None:
-        self.programs, self.place, self.s, self.thin = programs, place, s, thin
+    thin = _THIN
 
     def repeat(self, row: str, body: newton.Flow) -> None:
         """Run until the row is 0 everywhere. Finished columns are removed."""
@@ -216,10 +217,6 @@ class _Columns:
             whole[:, which] = self.s
             self.s = whole
 
-    def call(self, name: str) -> None:
-        """Run a program."""
-        self.programs[name](self.s)
-
 
 def _arrays(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
     kernel = kernel_of(model, context.layout)
@@ -232,7 +229,7 @@ def _python(model: Model, context: Context, p: Problem, given: _Given, count: in
     kernel = kernel_of(model, context.layout)
     results = []
     for s in _filled(given, kernel, count).T.tolist():
-        column = _Circumstance(kernel.floats, kernel.place, s)
+        column = _Column(kernel.floats, kernel.place, s)
         try:
             newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
         except ArithmeticError:  # beyond the range of numbers, where the other engines give NaN
@@ -285,7 +282,8 @@ def _model(model: Model, context: Context, p: Problem, given: _Given, count: int
 
     own: dict[str, Any] = {"rigid": evaluate, "tip": evaluate, "first": _nothing, "again": _nothing}
     s = _filled({**given, "c": np.zeros(0)}, kernel, count)
-    columns = _Columns(ChainMap(own, kernel.arrays), kernel.place, s, thin=0.0)
+    columns = _Columns(ChainMap(own, kernel.arrays), kernel.place, s)
+    columns.thin = 0.0  # the context is of all columns
     newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
     return _read(s, kernel)
 
