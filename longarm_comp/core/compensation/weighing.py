@@ -54,8 +54,7 @@ class Wrist(NamedTuple):
     sigma: float
 
 
-@dataclass(frozen=True, eq=False)
-class Felt:
+class Felt(NamedTuple):
     """What was felt at one rest, (k,) each: of the joints, then of the wrist; N m, N.
 
     Attributes:
@@ -174,10 +173,7 @@ class Weighing:
 
 def _solved(rests: tuple[Felt, ...], loads: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the last two payloads (or the only one), kg; infinite if not felt."""
-    value, without, per_kg, side, friction, step = (
-        np.array([getattr(rest, name) for rest in rests])
-        for name in ("value", "without", "per_kg", "side", "friction", "step")
-    )
+    value, without, per_kg, side, friction, step = map(np.array, zip(*rests, strict=True))
     here = np.isfinite(value - without) & (friction > 0)
     numbers = sorted(set(loads))
     which = np.searchsorted(numbers, loads)

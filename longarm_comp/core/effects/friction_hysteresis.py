@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm.history import SLIDE
 from longarm_comp.core.effects.effect import Arm, Parameter, Posture, Twists, form, parameter
-from longarm_comp.core.effects.joint_term import JointTerm, with_prior
+from longarm_comp.core.effects.joint_term import JointTerm, by_drive, with_prior
 
 
 @dataclass(frozen=True)
@@ -30,10 +28,10 @@ class FrictionHysteresis(JointTerm):
     title = "friction"
     types = ("revolute", "prismatic")
     action = "Clean and grease the joint; look for dragging seals and cables."
-    actions: ClassVar[Mapping[str, str]] = {
-        "hydraulic": "Check the cylinder's seals and guides, and the valve's deadband.",
-        "cable": "Clean and grease sheaves and conduits; look for cables that rub.",
-    }
+    actions = by_drive(
+        hydraulic="Check the cylinder's seals and guides, and the valve's deadband.",
+        cable="Clean and grease sheaves and conduits; look for cables that rub.",
+    )
     needs = ("approach",)
     remembers = True
 

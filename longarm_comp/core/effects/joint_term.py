@@ -26,6 +26,11 @@ _POSES = 64
 _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 
 
+def by_drive(**actions: str) -> Mapping[str, str]:
+    """What can be done about an effect, by the joint's kind of drive."""
+    return actions
+
+
 @dataclass(frozen=True)
 class JointTerm(Effect):
     """An effect at one row's joint.
