@@ -36,7 +36,6 @@ class AdmissionFinding:
     message: str
 
     def __str__(self) -> str:
-        """One line."""
         return f"{self.field}: {self.message}"
 
 
@@ -366,7 +365,6 @@ def _base(arm: Arm, turned: Alignment) -> str:
 
 
 def _spread(points: np.ndarray) -> float:
-    """Median distance from the middle, m."""
     return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
 
 

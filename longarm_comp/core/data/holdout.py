@@ -73,7 +73,6 @@ class Sealed:
         self._uses: list[str] = []
 
     def __len__(self) -> int:
-        """Number of rows."""
         return len(self._session)
 
     @property

@@ -41,13 +41,11 @@ class Plan:
     touch: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        """One side a joint."""
         sides = np.asarray(self.approach, dtype=np.int8)
         sides = np.broadcast_to(sides[:, None] if sides.ndim == 1 else sides, self.q.shape)
         object.__setattr__(self, "approach", sides)
 
     def __len__(self) -> int:
-        """Number of poses."""
         return len(self.q)
 
     def take(self, rows: np.ndarray) -> Plan:

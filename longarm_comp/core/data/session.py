@@ -75,7 +75,6 @@ class Session(MeasuredRows):
     lost: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the shapes and freeze the arrays."""
         q = _joints(self.source, self.q)
         n_rows, n = q.shape
         xyz = np.asarray(self.xyz, dtype=float)
@@ -161,7 +160,6 @@ class Session(MeasuredRows):
         return dataclasses.replace(self, legs=history.legs)
 
     def __len__(self) -> int:
-        """Number of rows."""
         return len(self.q)
 
     def __repr__(self) -> str:

@@ -159,7 +159,6 @@ def _put(
 
 
 def _laid(term: PlanePlace, tips: np.ndarray) -> PlanePlace:
-    """The term at the plane of the tips."""
 
     def solved(kept: np.ndarray) -> tuple[np.ndarray, _Misfit]:
         middle = kept.mean(axis=0)

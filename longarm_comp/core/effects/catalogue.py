@@ -168,7 +168,6 @@ def _file(kind: Kind) -> str:
 
 
 def _effects_in(module: ModuleType) -> tuple[Kind, ...]:
-    """The effects that a module defines."""
     own = (value for value in vars(module).values() if _is_kind(value) and hasattr(value, "name"))
     return tuple(value for value in own if value.__module__ == module.__name__)
 
