@@ -254,11 +254,7 @@ def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:
         (diag + bx * x, bx * y + az, bx * z - ay),
         (bx * y - az, diag + by * y, by * z + ax),
         (bx * z + ay, by * z - ax, diag + bz * z),
-        (
-            u * d[0] + b * wd[0] + s * x,
-            u * d[1] + b * wd[1] + s * y,
-            u * d[2] + b * wd[2] + s * z,
-        ),
+        (u * d[0] + b * wd[0] + s * x, u * d[1] + b * wd[1] + s * y, u * d[2] + b * wd[2] + s * z),
     )
 
 

@@ -11,10 +11,7 @@ from longarm_comp.core.errors import InputError, LongarmError
 
 
 def blocked_split(
-    session: Session,
-    fraction: float = 0.2,
-    min_poses: int = 30,
-    rng: np.random.Generator | int = 0,
+    session: Session, fraction: float = 0.2, min_poses: int = 30, rng: np.random.Generator | int = 0
 ) -> tuple[Session, Session]:
     """Training set and hold-out in whole blocks of time.
 

@@ -29,8 +29,4 @@ class CameraDrift(Bias):
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         hours = context.column("t_s", 0.0) / 3600.0
-        return (
-            point[0] + self.x * hours,
-            point[1] + self.y * hours,
-            point[2] + self.z * hours,
-        )
+        return (point[0] + self.x * hours, point[1] + self.y * hours, point[2] + self.z * hours)

@@ -23,7 +23,9 @@ _FOLD: dict[str, Callable[..., float]] = {
     "mul": lambda a, b: a * b,
     "div": lambda a, b: a / b,
 }
+_ALIKE = ("sin", "cos", "tan", "tanh", "exp", "log", "sqrt", "floor", "sign", "minimum", "maximum")
 _UFUNCS = {
+    **{getattr(np, name): name for name in _ALIKE},
     np.add: "add",
     np.subtract: "sub",
     np.multiply: "mul",
@@ -31,18 +33,7 @@ _UFUNCS = {
     np.negative: "neg",
     np.absolute: "fabs",
     np.fabs: "fabs",
-    np.sin: "sin",
-    np.cos: "cos",
-    np.tan: "tan",
-    np.tanh: "tanh",
-    np.exp: "exp",
-    np.log: "log",
-    np.sqrt: "sqrt",
-    np.floor: "floor",
     np.arctan2: "atan2",
-    np.sign: "sign",
-    np.minimum: "minimum",
-    np.maximum: "maximum",
     np.less: "lt",
     np.less_equal: "le",
     np.power: "pow",
