@@ -28,9 +28,9 @@ _TESTS = 2 * len(_AXES) + 1
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the test says after a number of samples: in one sentence, with size and onset, once
-    some cumulative sum has passed the threshold.
+    """What the test says after some samples.
 
+    `finding` tells size and onset in one sentence once a cumulative sum has passed the threshold.
     `evidence` is the largest sum over the threshold; 1 is an alarm.
     """
 
@@ -68,8 +68,8 @@ class Monitor:
         return math.log(_TESTS * self.run_length)
 
     def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:
-        """Take one independent sample into account: (3,) m, measured - predicted, and what model
-        and measurement together promise of it."""
+        """Take one independent sample into account: (3,) m, measured - predicted, and the sigma
+        that model and measurement promise together."""
         r, s = np.asarray(residual, float), np.asarray(sigma, float)
         if r.shape != (3,) or not np.isfinite(r).all():
             raise InputError("monitor", "residual", residual, "three finite numbers, m")

@@ -63,7 +63,7 @@ def admit(
     session: Session, arm: Arm, model: Model | None = None, min_poses: int = FEW_POSES,
     *, judge: bool = False,
 ) -> Admission:  # fmt: skip
-    """Check a session of at least so many distinct poses with a marker against an arm.
+    """Check a session against an arm. It needs `min_poses` distinct poses with a marker.
 
     Args:
         model: predicts the tip; the rigid declared arm by default.

@@ -15,7 +15,7 @@ from longarm_comp.core.errors import InputError
 
 @dataclass(frozen=True)
 class ChannelBlock:
-    """Channels of a kind of measurement, by one `sensor` (text column); None: the same for all."""
+    """Channels of one kind of measurement, of one `sensor` (text column); None: one for all."""
 
     kind: str
     sensor: str | None = None

@@ -20,7 +20,7 @@ from longarm_comp.math.points import kabsch, nearest_rotation, robust_kabsch, ro
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """``measured ~ rotation @ predicted + offset``: (3, 3), a mirror's determinant is -1; (3,) m.
+    """``measured ~ rotation @ predicted + offset``, (3, 3) and (3,) m; of a mirror ``det`` is -1.
 
     `misfit` is the median remaining distance, m.
     """

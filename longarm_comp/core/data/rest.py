@@ -44,7 +44,7 @@ class RestPose:
 
 @dataclass
 class RestWatch:
-    """Returns each rest pose once: the mean of some sightings after the joints rested so long."""
+    """Returns each rest pose once: the mean of `sightings` once joints rested for `settle_s`."""
 
     settle_s: float = SETTLE_S
     sightings: int = 3
