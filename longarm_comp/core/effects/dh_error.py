@@ -44,16 +44,10 @@ class DhError(Effect):
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Priors from the row's tolerances; the joint variable itself is held at zero."""
         joint = arm.joints[self.row - 1]
-        angle = joint.tolerance.alpha_deg
-        turn = joint.tolerance.theta_deg
-        priors = {
-            "a": joint.tolerance.a_m or 1e-3,
-            "b": joint.tolerance.a_m or 1e-3,
-            "alpha": math.radians(angle) if angle else 4e-3,
-            "beta": math.radians(angle) if angle else 4e-3,
-            "d": joint.tolerance.d_m or 1e-3,
-            "theta": math.radians(turn) if turn else 4e-3,
-        }
+        held = joint.tolerance
+        a, d = held.a_m or 1e-3, held.d_m or 1e-3
+        alpha, theta = (math.radians(v) if v else 4e-3 for v in (held.alpha_deg, held.theta_deg))
+        priors = {"a": a, "b": a, "alpha": alpha, "beta": alpha, "d": d, "theta": theta}
         if joint.commanded:
             priors["theta" if joint.type == "revolute" else "d"] = 0.0
         return tuple(dataclasses.replace(p, prior=priors[p.name]) for p in self.declared())

@@ -44,13 +44,10 @@ class FrictionHysteresis(JointTerm):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Priors 10, 3 and 3 mrad, or 0.3, 0.1 and 0.1 mm for a slide."""
-        width, *parts = self.declared()
-        if arm.joints[self.joint - 1].type == "prismatic":
-            return (
-                *with_prior((width,), unit="m", prior=3e-4),
-                *with_prior(tuple(parts), unit="m", prior=1e-4),
-            )
-        return width, *parts
+        if arm.joints[self.joint - 1].type != "prismatic":
+            return self.declared()
+        width, *parts = with_prior(self.declared(), unit="m", prior=1e-4)
+        return *with_prior((width,), prior=3e-4), *parts
 
     @property
     def inputs(self) -> tuple[str, ...]:
