@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import moving_joints, parameter, place
+from longarm_comp.core.effects.effect import Arm, Posture, Twists, moving_joints, parameter, place
 from longarm_comp.core.effects.joint_term import JointTerm
 
 

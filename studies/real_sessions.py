@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.arm.spatial import Frame, sub
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -80,7 +80,7 @@ def _centre_of_mass(arm: Arm, q: np.ndarray) -> np.ndarray:
     station = posture.frame(5)
     world = tuple(f / mass[station] for f in first[station])
     torso: Frame = posture.frames[posture.frame(4)]
-    return np.stack(np.broadcast_arrays(*torso.inverse().transform(world)), -1)  # type: ignore[arg-type]
+    return np.stack(np.broadcast_arrays(*torso.unrotate(sub(world, torso.p))), -1)  # type: ignore[arg-type]
 
 
 def laser_tracked(folder: Path, name: str) -> list[Measured]:

@@ -16,6 +16,7 @@ from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import engines as ik_engines
+from longarm_comp.core.ik import solver
 from longarm_comp.core.ik.solver import Engine, Reason, solve, solve_many
 from longarm_comp.core.model.model import Model
 
@@ -236,18 +237,17 @@ def test_a_slide_at_its_stop_does_not_stall(model):
     assert made.starts == 1
 
 
-def test_failure_is_an_answer(model):
+def test_failure_is_an_answer(model, monkeypatch):
     far = solve(model, [5.0, 0.0, 0.0], engine=FAST)
     assert not far.ok
     assert far.reason in (Reason.AT_LIMITS, Reason.OUT_OF_REACH)
-    assert far.active_limits
-    assert set(far.active_limits) <= set(model.arm.joint_names)
     assert 3.0 < far.position_residual_m < 6.0
     assert np.isfinite(far.q).all()
     assert inside(model, far.q)
     left = np.linalg.norm(model.tip(far.q) - [5.0, 0.0, 0.0])
     assert far.position_residual_m == pytest.approx(left, abs=1e-9)
-    short = solve(model, model.pose(model.arm.lower), max_iterations=1, max_starts=1, engine=FAST)
+    monkeypatch.setattr(solver, "_MAX_ITERATIONS", 1)
+    short = solve(model, model.pose(model.arm.lower), max_starts=1, engine=FAST)
     assert short.reason is Reason.ITERATIONS
     assert short.iterations == 1
     assert short.angle_residual_rad > 0
@@ -309,7 +309,6 @@ def test_none_and_one(model):
     assert len(solve_many(model, np.zeros((0, 3)), engine=Engine.ARRAYS)) == 0
     one = solve(model, model.tip_frame(model.posture(tuple(model.arm.mid.tolist()))))
     assert one.ok
-    assert one.active_limits == ()
 
 
 @pytest.mark.parametrize(

@@ -296,8 +296,8 @@ def test_a_number_is_not_taken_for_a_node():
     graph = Graph()
     a, b = graph.input("0"), graph.input("1")
     assert (a < b) is not (a < 1.0)
-    assert graph.operation((a - b).node) == ("sub", (a.node, b.node))
-    assert type(graph.operation((a - 1.0).node)[1][1]) is float
+    assert graph.nodes[(a - b).node] == ("sub", (a.node, b.node))
+    assert type(graph.nodes[(a - 1.0).node][1][1]) is float
 
 
 def test_a_branch_on_a_traced_number_is_refused():

@@ -382,11 +382,7 @@ class Arm(Declared):
 
     @classmethod
     def load(cls, path: str | Path) -> Arm:
-        """Read `arm.yaml`.
-
-        Raises:
-            InputError: the file cannot be read, a key is unknown, a value is not allowed.
-        """
+        """Read `arm.yaml`. Raises `InputError` where a key or a value is not allowed."""
         if Path(path).suffix.lower() in (".urdf", ".xacro", ".xml"):
             raise InputError(path, "file", "a URDF", "an arm.yaml: longarm init makes one")
         return cls.parse(read_yaml(path), str(path))

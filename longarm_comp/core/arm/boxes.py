@@ -38,5 +38,4 @@ class Box(Declared):
         leave = np.where(still, np.where(inside, np.inf, -np.inf), np.maximum(near, far))
         first = np.maximum(enter.max(axis=-1), 0.0)
         last = np.minimum(leave.min(axis=-1), 1.0)
-        hit: np.ndarray = first <= last
-        return hit
+        return np.asarray(first <= last)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.spatial import Scalar, Vec
+from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.errors import InputError
 
 _KIND = "kind"
@@ -68,10 +68,6 @@ class Context:
             raise InputError("context", name, "missing", f"a recorded column (there are: {known})")
         return default
 
-    def vector(self, names: tuple[str, str, str]) -> Vec:
-        """Three recorded quantities."""
-        return (self.column(names[0]), self.column(names[1]), self.column(names[2]))
-
     def payload_kg(self, declared: float) -> Scalar:
         """Carried mass: recorded, else as declared."""
         return self.column("payload_kg", declared)
@@ -114,8 +110,7 @@ class Context:
     def each(self, count: int) -> list[Context]:
         """The contexts of all of N postures, as `take` gives them one by one.
 
-        Raises:
-            InputError: a quantity has values of more or fewer postures.
+        Raises `InputError` where a quantity has values of more or fewer postures.
         """
 
         def rows(name: str, value: Any) -> list[Any]:

@@ -37,7 +37,6 @@ class Cylinder(Declared):
         return spatial.sqrt(squares - 2 * self.near_m * self.far_m * spatial.cos(self.angle(q)))
 
     def lever(self, q: Scalar) -> Scalar:
-        """Lengthening per turn of the joint, m/rad: the cylinder's distance from the axis, with
-        the sign of `grows`."""
+        """Lengthening per turn, m/rad: the distance from the axis, with the sign of `grows`."""
         area = self.grows * self.near_m * self.far_m * spatial.sin(self.angle(q))
         return area / self.length(q)

@@ -91,9 +91,7 @@ class FrameTree:
     def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
         """Pose (4, 4) of a frame in another one at a time (ns); 0: the latest known of all.
 
-        Raises:
-            UnknownPlace: a name is unknown, the two are not connected, or it is too long ago.
-            NotYet: what was last published is older.
+        Raises `UnknownPlace`, or `NotYet` where what was last published is older.
         """
         lines = {name: self._line(name) for name in (frame, within)}
         for name, line in lines.items():
@@ -105,8 +103,7 @@ class FrameTree:
         ways = [line[: line.index(shared[0])] for line in (lines[frame], lines[within])]
         t_ns = t_ns or self._latest([*ways[0], *ways[1]])
         up, down = (self._in_ancestor(way, t_ns) for way in ways)
-        made: np.ndarray = np.linalg.inv(down) @ up
-        return made
+        return np.asarray(np.linalg.inv(down) @ up)
 
     def _line(self, name: str) -> list[str]:
         """A frame, its parent, and so on to the root."""

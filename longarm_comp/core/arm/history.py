@@ -31,10 +31,8 @@ def onward(legs: Sequence[float], way: float) -> list[float]:
     """
     if abs(way) < SAME_POSE:
         return list(legs)
-    if legs and legs[0] * way > 0:
-        made = [legs[0] + way, *legs[1:]]
-    else:
-        made = [way, *legs]
+    same = legs and legs[0] * way > 0
+    made = [legs[0] + way, *legs[1:]] if same else [way, *legs]
     while len(made) > 1 and abs(made[0]) >= abs(made[1]) - SAME_POSE:
         made = [sum(made[:3]), *made[3:]] if len(made) > 2 else made[:1]
     return made[: LEGS - 1]
@@ -78,10 +76,7 @@ def play(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
     """Least and largest state that a play operator can have after some legs; equal where known.
 
     The state follows the joint within +-radius.  Before the first leg it is anything in between.
-
-    Args:
-        legs: signed ways, the latest first (rad, m); 0 counts for nothing.
-        radius: of the operator, in the same unit.
+    Legs are signed ways, the latest first (rad, m as the radius); 0 counts for nothing.
     """
     low, high = -radius, radius
     while len(legs) > 1 and isinstance(legs[-1], np.ndarray) and not np.count_nonzero(legs[-1]):
@@ -145,17 +140,13 @@ class History:
     def told(self, sides: np.ndarray) -> History:
         """Where a side (n,) of +-1 is told but not from how far: the legs are not known."""
         mine = sides != 0
-        return History(
-            np.where(mine, sides, self.approach), np.where(mine[:, None], 0.0, self.legs)
-        )
+        legs = np.where(mine[:, None], 0.0, self.legs)
+        return History(np.where(mine, sides, self.approach), legs)
 
     def agrees(self, other: History) -> bool:
         """Whether every joint came the same way, to 10 microradians or micrometres."""
-        # rad, m
-        return all(
-            np.allclose(getattr(self, name), getattr(other, name), rtol=0.0, atol=1e-5)
-            for name in PER_JOINT
-        )
+        pairs = ((getattr(self, name), getattr(other, name)) for name in PER_JOINT)
+        return all(np.allclose(*pair, rtol=0.0, atol=1e-5) for pair in pairs)  # rad, m
 
     def agreed(self, other: History) -> History:
         """What both say; unknown, 0, for a joint that turned to opposite sides."""
@@ -164,11 +155,10 @@ class History:
 
     def fields(self) -> dict[str, Any]:
         """The per-joint fields of a `Context` at one posture or N, 0 where they are unknown."""
+        held = {name: getattr(self, name) for name in PER_JOINT}
         if self.approach.ndim == 1:
-            return {name: tuple(getattr(self, name).ravel().tolist()) for name in PER_JOINT}
-        return {
-            name: tuple(getattr(self, name).reshape(len(self.approach), -1).T) for name in PER_JOINT
-        }
+            return {name: tuple(values.ravel().tolist()) for name, values in held.items()}
+        return {name: tuple(values.reshape(len(values), -1).T) for name, values in held.items()}
 
 
 def recorded(

@@ -45,7 +45,7 @@ class CameraSensor(Pose):
     kind: Literal["camera"]
 
 
-Axis = Literal["x", "y", "z"]
+_Axis = Literal["x", "y", "z"]
 
 
 class Inclinometer(Declared):
@@ -53,7 +53,7 @@ class Inclinometer(Declared):
 
     kind: Literal["inclinometer"]
     row: int | None = Field(default=None, ge=0, description="frame it turns with; absent: searched")
-    axes: tuple[Axis, Axis] = Field(default=("x", "y"), description="frame axes they turn about")
+    axes: tuple[_Axis, _Axis] = Field(default=("x", "y"), description="frame axes they turn about")
     sign: tuple[Literal[-1, 1], Literal[-1, 1]] = (1, 1)
     gain: Literal["one", "free"] = Field(default="one", description="free: fitted")
 
@@ -86,31 +86,31 @@ class Touches(Declared):
     touch_distances: TouchDistances = Field(description="[name, name, m] or [name, name, m, sd]")
 
 
-Spread = Positive | tuple[Positive, Positive, Positive]
+_Spread = Positive | tuple[Positive, Positive, Positive]
 """One standard deviation for all three components, or one each."""
 
 
-class PointTolerance(Declared):
+class _PointTolerance(Declared):
     """How well a point is known: standard deviation of its position (m)."""
 
-    xyz_m: Spread
+    xyz_m: _Spread
 
 
-class PoseTolerance(Declared):
+class _PoseTolerance(Declared):
     """How well a placement is known: standard deviations of position (m) and rotation (deg)."""
 
-    xyz_m: Spread
-    rpy_deg: Spread
+    xyz_m: _Spread
+    rpy_deg: _Spread
 
 
 class Placements(Declared):
     """Placements that are known to a tolerance. What is absent is unknown and solved from data."""
 
-    base: PoseTolerance | None = None
-    tip: PointTolerance | None = None
-    markers: dict[str, PointTolerance] = Field(default_factory=dict)
+    base: _PoseTolerance | None = None
+    tip: _PointTolerance | None = None
+    markers: dict[str, _PointTolerance] = Field(default_factory=dict)
 
 
-def three(spread: Spread) -> Vec3:
+def three(spread: _Spread) -> Vec3:
     """A standard deviation of each component."""
     return spread if isinstance(spread, tuple) else (spread, spread, spread)

@@ -40,13 +40,9 @@ def run_up_lengths(arm: Arm) -> np.ndarray:
 
 
 def plan_move(
-    arm: Arm,
-    start: np.ndarray | None,
-    q: np.ndarray,
-    wanted: np.ndarray,
-    *,
+    arm: Arm, start: np.ndarray | None, q: np.ndarray, wanted: np.ndarray, *,
     length: np.ndarray | None = None,
-) -> Move:
+) -> Move:  # fmt: skip
     """The shortest move that arrives at q from the wanted sides, inside the limits.
 
     A joint whose direct way comes from its side and is as long as a run-up needs none.  One that
@@ -54,8 +50,7 @@ def plan_move(
     their own way to q while the others run up, so that they too arrive from their side.
 
     Args:
-        start: (n,) where the joints stand; None: nobody knows.
-        q: (n,) where they shall rest.
+        start, q: (n,) where the joints stand (None: nobody knows), and where they shall rest.
         wanted: (n,) of -1, 0, +1; 0: any side.
         length: (n,) of the run-ups; `run_up_lengths` by default.
     """
@@ -80,8 +75,7 @@ def wanted_sides(
     """(n,) side to arrive from: the one that the data know, has room, and needs least extra way.
 
     Args:
-        start: (n,) where the joints stand; None: nobody knows.
-        q: (n,) where they shall rest.
+        start, q: as in `plan_move`.
         known: (n, 2) weight of what the data know of arrivals from above (-1) and from below (+1).
     """
     length = run_up_lengths(arm)

@@ -29,7 +29,6 @@ _Made = TypeVar("_Made")
 LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
 BASE, PLACEMENT = 0, 1
 """Stations of the base and, before it in the chain, of where it stands: that twist may be large."""
-_UNIT: tuple[Vec, Vec, Vec] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -63,12 +62,7 @@ class Lumped:
 
 
 class Chain:
-    """The order of an arm's stations.
-
-    Args:
-        elements_per_beam: pieces that each beam is cut in (1 leaves 0.008 mm at
-            18 mm of sag; see docs/physics.md).
-    """
+    """The order of an arm's stations, each beam cut in a number of elements."""
 
     def __init__(self, arm: Arm, elements_per_beam: int = 2) -> None:
         self.arm = arm
@@ -226,7 +220,10 @@ class Posture:
         arm, chain, context = self.arm, self.chain, self.context
         masses: dict[int, list[tuple[Scalar, Vec]]] = {}
         for m in arm.point_masses:
-            at = m.position_m if m.position_columns is None else context.vector(m.position_columns)
+            at: Vec = m.position_m
+            if m.position_columns is not None:
+                x, y, z = (context.column(name) for name in m.position_columns)
+                at = (x, y, z)
             masses.setdefault(chain.frame_station(m.frame), []).append((m.mass_kg, at))
         if arm.payload is not None:
             mass = context.payload_kg(arm.payload.mass_kg)
@@ -270,10 +267,7 @@ class Posture:
                 for beam in {e.beam.name: e.beam for e in elements}.values():
                     if beam.mass_kg == 0 or beam.body_length_m is None:
                         continue
-                    last = max(j for j, e in enumerate(elements) if e.beam is beam)
-                    inside: Scalar = 0.0
-                    for e in elements[: last + 1]:
-                        inside = inside + abs_(self.lengths[e.station])
+                    inside = self._beyond(elements, -1, beam)
                     behind = clip(beam.body_length_m - inside, beam.body_length_m)
                     if type(behind) is float and behind == 0.0:
                         continue
@@ -283,7 +277,7 @@ class Posture:
                     yield station, density * behind, (at[0], at[1], at[2])
 
     def _beyond(self, elements: tuple[Element, ...], k: int, beam: Beam) -> Scalar:
-        """Length from element k's far end to the far end of `beam`."""
+        """Length from element k's far end (-1: from the row's begin) to the far end of `beam`."""
         last = max(j for j, e in enumerate(elements) if e.beam is beam)
         beyond: Scalar = 0.0
         for e in elements[k + 1 : last + 1]:
@@ -310,7 +304,8 @@ class Posture:
             masses[station], moments[station] = mass, moment
             for density, length in self.line_loads.get(station, ()):
                 m = density * length
-                sign = 1.0 if not _negative(self.lengths[station]) else -1.0
+                signed = self.lengths[station]
+                sign = -1.0 if type(signed) is float and signed < 0 else 1.0
                 centre = frame.along(axes[station], -0.5 * sign * length).p
                 mass = mass + m
                 moment = spatial.add(moment, spatial.scale(m, centre))
@@ -358,9 +353,7 @@ def loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Ve
     """Gravity, and weight and moment about the origin of what a frame carries, in its axes.
 
     Args:
-        frame: of the base.
-        mass: carried (kg).
-        first: its first moment in the base frame (kg m).
+        mass, first: carried (kg), and its first moment in the base frame (kg m).
         gravity: in the base frame (m/s^2).
     """
     felt = frame.unrotate(gravity)
@@ -373,17 +366,8 @@ def abs_(x: Scalar) -> Scalar:
     return abs(x) if type(x) is float else x
 
 
-def _negative(x: Scalar) -> bool:
-    return type(x) is float and x < 0
-
-
 def clip(x: Scalar, upper: Scalar) -> Scalar:
     """x within [0, upper]."""
     if type(x) is float and type(upper) is float:
         return min(max(x, 0.0), upper)
     return np.minimum(np.maximum(x, 0.0), upper)
-
-
-def unit(axis: int) -> Vec:
-    """Unit vector of an axis."""
-    return _UNIT[axis]

@@ -84,8 +84,7 @@ def between(one: np.ndarray, two: np.ndarray, share: float) -> np.ndarray:
         mixed = (1 - share) * one + share * two
     else:
         mixed = math.sin((1 - share) * angle) * one + math.sin(share * angle) * two
-    made: np.ndarray = mixed / np.linalg.norm(mixed)
-    return made
+    return np.asarray(mixed / np.linalg.norm(mixed))
 
 
 def tilt(quaternion: np.ndarray) -> tuple[float, float]:

@@ -6,13 +6,13 @@ ufuncs; all functions here are written in components, so the same lines serve
 all of them.  A *twist* is ordered ``[d; delta]`` as in the paper's Eq. (3):
 translation first (m), rotation second (rad), both seen in the frame it acts in.
 
-Conventions: ``A2B``-free naming is used for frames; ``frames[i]`` is always the
-pose of frame *i* in the base frame, so ``p_base = frames[i].transform(p_i)``.
+``frames[i]`` is always the pose of frame *i* in the base frame.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,19 +25,14 @@ ZERO: Vec = (0.0, 0.0, 0.0)
 ZERO_TWIST: Twist = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def sin(x: Scalar) -> Scalar:
-    """Sine of a float or of anything NumPy's ufunc accepts."""
-    return math.sin(x) if type(x) is float else np.sin(x)
+def _of_any(of_float: Callable[[float], float], ufunc: np.ufunc) -> Callable[[Scalar], Scalar]:
+    """A function of a float or of anything that NumPy's ufunc accepts."""
+    return lambda x: of_float(x) if type(x) is float else ufunc(x)
 
 
-def cos(x: Scalar) -> Scalar:
-    """Cosine of a float or of anything NumPy's ufunc accepts."""
-    return math.cos(x) if type(x) is float else np.cos(x)
-
-
-def sqrt(x: Scalar) -> Scalar:
-    """Square root of a float or of anything NumPy's ufunc accepts."""
-    return math.sqrt(x) if type(x) is float else np.sqrt(x)
+sin, cos = _of_any(math.sin, np.sin), _of_any(math.cos, np.cos)
+sqrt, tanh = _of_any(math.sqrt, np.sqrt), _of_any(math.tanh, np.tanh)
+absolute = _of_any(abs, np.absolute)
 
 
 def sign(x: Scalar) -> Scalar:
@@ -57,16 +52,6 @@ def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
 def atan2(y: Scalar, x: Scalar) -> Scalar:
     """Angle of the point (x, y) (rad)."""
     return math.atan2(y, x) if type(y) is float and type(x) is float else np.arctan2(y, x)
-
-
-def tanh(x: Scalar) -> Scalar:
-    """Hyperbolic tangent of a float or of anything NumPy's ufunc accepts."""
-    return math.tanh(x) if type(x) is float else np.tanh(x)
-
-
-def absolute(x: Scalar) -> Scalar:
-    """Absolute value."""
-    return abs(x) if type(x) is float else np.absolute(x)
 
 
 def floor(x: Scalar) -> Scalar:
@@ -106,11 +91,7 @@ def dot(a: Vec, b: Vec) -> Scalar:
 
 def cross(a: Vec, b: Vec) -> Vec:
     """a x b."""
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 class Frame(NamedTuple):
@@ -152,34 +133,16 @@ class Frame(NamedTuple):
 
     def turned_z(self, angle: Scalar) -> Frame:
         """This frame turned by `angle` (rad) about its own z axis."""
-        if type(angle) is float:
-            if angle == 0.0:
-                return self
-            c, s = _exact_cos_sin(angle)
-        else:
-            c, s = cos(angle), sin(angle)
+        if type(angle) is float and angle == 0.0:
+            return self
+        c, s = _exact_cos_sin(angle) if type(angle) is float else (cos(angle), sin(angle))
         n = add(scale(c, self.n), scale(s, self.o))
         return self._replace(n=n, o=sub(scale(c, self.o), scale(s, self.n)))
 
     def __matmul__(self, other: Frame) -> Frame:
         """Composition: `other` is given in this frame."""
-        return Frame(
-            self.rotate(other.n),
-            self.rotate(other.o),
-            self.rotate(other.a),
-            self.transform(other.p),
-        )
-
-    def inverse(self) -> Frame:
-        """The parent seen from this frame."""
-        n, o, a = self.n, self.o, self.a
-        p = self.unrotate(self.p)
-        return Frame(
-            (n[0], o[0], a[0]),
-            (n[1], o[1], a[1]),
-            (n[2], o[2], a[2]),
-            (-p[0], -p[1], -p[2]),
-        )
+        n, o, a = self.rotate(other.n), self.rotate(other.o), self.rotate(other.a)
+        return Frame(n, o, a, self.transform(other.p))
 
     def matrix(self) -> np.ndarray:
         """Homogeneous matrix, (..., 4, 4)."""
@@ -187,15 +150,6 @@ class Frame(NamedTuple):
         top = np.stack(np.broadcast_arrays(*columns), axis=-1)
         bottom = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*top.shape[:-2], 1, 4))
         return np.concatenate([top, bottom], axis=-2)
-
-    @classmethod
-    def from_matrix(cls, matrix: np.ndarray) -> Frame:
-        """From a homogeneous matrix, (..., 4, 4)."""
-        columns = []
-        for j in range(4):
-            column = [matrix[..., i, j] for i in range(3)]
-            columns.append(tuple(float(c) if np.ndim(c) == 0 else c for c in column))
-        return cls(*columns)  # type: ignore[arg-type]
 
 
 IDENTITY = Frame((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO)
@@ -300,11 +254,7 @@ def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:
         (diag + bx * x, bx * y + az, bx * z - ay),
         (bx * y - az, diag + by * y, by * z + ax),
         (bx * z + ay, by * z - ax, diag + bz * z),
-        (
-            u * d[0] + b * wd[0] + s * x,
-            u * d[1] + b * wd[1] + s * y,
-            u * d[2] + b * wd[2] + s * z,
-        ),
+        (u * d[0] + b * wd[0] + s * x, u * d[1] + b * wd[1] + s * y, u * d[2] + b * wd[2] + s * z),
     )
 
 

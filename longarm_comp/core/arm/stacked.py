@@ -59,13 +59,11 @@ def _stacked(scalars: Sequence[Scalar]) -> np.ndarray:
 
 def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
     """The scalars of one of several items that `alike` stacked, or of one that came alone."""
-    return tuple(
-        [
-            x if not isinstance(x, np.ndarray) or x.ndim < 2 else x[row] if x.shape[1] > 1
-            else float(x[row, 0])
-            for x in scalars
-        ]
-    )  # fmt: skip
+    return tuple([
+        x if not isinstance(x, np.ndarray) or x.ndim < 2 else x[row] if x.shape[1] > 1
+        else float(x[row, 0])
+        for x in scalars
+    ])  # fmt: skip
 
 
 def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:

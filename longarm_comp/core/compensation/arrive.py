@@ -16,12 +16,7 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import Move, plan_move, wanted_sides
 from longarm_comp.core.compensation.compensate import compensate, lattice_of, physics_of
 from longarm_comp.core.compensation.realisable import Lattice
-from longarm_comp.core.compensation.result import (
-    Compensation,
-    Method,
-    ResidualPredictor,
-    Settling,
-)
+from longarm_comp.core.compensation.result import Compensation, Method, ResidualPredictor, Settling
 from longarm_comp.core.compensation.unknown import history_joints
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
@@ -31,9 +26,7 @@ from longarm_comp.core.model.model import Model
 class CompensationOptions:
     """How far compensation may go; as in `compensate`.
 
-    Attributes:
-        run_up: whether a run-up may be added so that joints arrive from a chosen side.
-        realisable, starts: as in `compensate`.
+    `run_up`: whether a run-up may be added so that joints arrive from a chosen side.
     """
 
     method: Method = Method.BOTH

@@ -19,12 +19,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
-from longarm_comp.core.compensation.expected import (
-    UNKNOWN,
-    ExpectedMiss,
-    expected_miss,
-    inside_data,
-)
+from longarm_comp.core.compensation.expected import UNKNOWN, ExpectedMiss, expected_miss
 from longarm_comp.core.compensation.realisable import Lattice, Realisable, Search, choose
 from longarm_comp.core.compensation.result import (
     NO_PREDICTOR,
@@ -101,7 +96,7 @@ def compensate(
     """Joints that bring the *real* tip to one target.
 
     Args:
-        predictor: the learned residual of the model that the method uses, or None.
+        predictor: the learned residual of the model that the method uses.
         target: position (3,) in m, or pose (4, 4) or `Frame`, base frame.
         context: circumstances in which the arm will stand.
         seed: (n,) current joints; default mid-range.
@@ -159,7 +154,8 @@ def judged(
     further = (spread**2 + sag**2).reshape(miss.mean.shape)
     said = zip(why, doubt, outside_data(physics, rows, context), strict=True)
     doubts = ["; ".join(filter(None, each)) for each in said]
-    return miss.beside(further), inside_data(model, miss), doubts
+    known = -np.inf if model.uncertainty is None else model.uncertainty.largest_m
+    return miss.beside(further), miss.sizes[0] <= known, doubts
 
 
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
@@ -172,11 +168,7 @@ def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
 
 @dataclass
 class _Target:
-    """One target on its way: ideal joints, then passes of the pseudo-target.
-
-    Attributes:
-        target: (3,) or (4, 4). seed: (n,), inside the limits.
-    """
+    """One target on its way: ideal joints, then passes of the pseudo-target."""
 
     whole: Model
     predictor: ResidualPredictor | None
@@ -300,5 +292,4 @@ class _Target:
 
 def reason_of(expected: ExpectedError) -> str:
     """Why a predictor has no answer; empty where it does not say."""
-    texts = getattr(expected, "reason", None)
-    return str(texts[0]) if texts else ""
+    return str((getattr(expected, "reason", None) or [""])[0])

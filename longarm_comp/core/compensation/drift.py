@@ -22,19 +22,16 @@ _SHIFT = 1.0
 """Shift along an axis that is looked for, standard deviations."""
 _GROWTH = 1.6
 """Growth of the standard deviation that is looked for."""
-AXES = ("x", "y", "z")
-_TESTS = 2 * len(AXES) + 1
+_AXES = ("x", "y", "z")
+_TESTS = 2 * len(_AXES) + 1
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the test says after a sample.
+    """What the test says after some samples.
 
-    Attributes:
-        drifted: some cumulative sum has passed the threshold.
-        finding: in one sentence, with size and onset; empty while nothing has.
-        samples: seen so far.
-        evidence: largest cumulative sum over the threshold; 1 is an alarm.
+    `finding` tells size and onset in one sentence once a cumulative sum has passed the threshold.
+    `evidence` is the largest sum over the threshold; 1 is an alarm.
     """
 
     drifted: bool
@@ -71,12 +68,8 @@ class Monitor:
         return math.log(_TESTS * self.run_length)
 
     def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:
-        """Take one independent sample into account.
-
-        Args:
-            residual: (3,) measured - predicted, m.
-            sigma: (3,) m, what the model and the measurement promise together.
-        """
+        """Take one independent sample into account: (3,) m, measured - predicted, and the sigma
+        that model and measurement promise together."""
         r, s = np.asarray(residual, float), np.asarray(sigma, float)
         if r.shape != (3,) or not np.isfinite(r).all():
             raise InputError("monitor", "residual", residual, "three finite numbers, m")
@@ -92,13 +85,9 @@ class Monitor:
         started = np.where(fresh, self.samples, self.onset)
         before = np.where(fresh[:, None], 0.0, self.total)
         return replace(
-            self,
-            samples=self.samples + 1,
-            sums=np.where(alive, raised, 0.0),
-            onset=started,
-            total=before + r,
-            squares=np.where(fresh, 0.0, self.squares) + square,
-        )
+            self, samples=self.samples + 1, sums=np.where(alive, raised, 0.0), onset=started,
+            total=before + r, squares=np.where(fresh, 0.0, self.squares) + square,
+        )  # fmt: skip
 
     def verdict(self) -> Verdict:
         """The verdict at present."""
@@ -113,5 +102,5 @@ class Monitor:
             finding = f"errors are {grown:.1f} times what the model promised {since}"
         else:
             shift = 1e3 * self.total[k, k // 2] / count
-            finding = f"the tip is off by {shift:+.2f} mm in {AXES[k // 2]} {since}"
+            finding = f"the tip is off by {shift:+.2f} mm in {_AXES[k // 2]} {since}"
         return Verdict(True, finding, self.samples, evidence)

@@ -28,9 +28,7 @@ from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, sizes
 class ExpectedMiss:
     """How far the tip may come to rest from its target, or from each of several.
 
-    Attributes:
-        mean: (..., 3) m, the part that is known.
-        covariance: (..., 3, 3) m^2, of the part that is not; NaN where nothing says it.
+    The known part (..., 3) m, and the covariance (..., 3, 3) m^2 of the rest; NaN: nothing says it.
     """
 
     mean: np.ndarray
@@ -98,12 +96,6 @@ def expected_miss(
     seen = learned**2 - np.diag(known.noise)
     least = np.diagonal(carried, axis1=-2, axis2=-1)
     return ExpectedMiss(mean, _diagonal(np.maximum(seen, least)))
-
-
-def inside_data(model: Model, miss: ExpectedMiss) -> np.ndarray:
-    """(...) whether a model's own error is one that its fitted rows have too."""
-    known = model.uncertainty
-    return miss.sizes[0] <= (-np.inf if known is None else known.largest_m)
 
 
 def of_tolerances(model: Model) -> ModelUncertainty | None:

@@ -26,10 +26,8 @@ class JointTrust:
     """Follows the readings of an arm's joints.
 
     A jump means that the numbers are wrong, or that two arms publish in turn. The joints are
-    doubtful then until three readings in a row agree.
-
-    Args:
-        rate: ranges of a joint per second; what moves faster is a jump.
+    doubtful then until three readings in a row agree.  What moves faster than so many ranges per
+    second (`rate`) is a jump.
     """
 
     def __init__(self, arm: Arm, rate: float) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +24,7 @@ class StaleContext(JobError):  # noqa: N818
     """A circumstance that the model needs was never told, or too long ago."""
 
 
-@dataclass(frozen=True)
-class Reading:
+class _Reading(NamedTuple):
     """What one source told last: columns as `Context` names them, and when (s, monotonic)."""
 
     columns: Mapping[str, float]
@@ -35,12 +35,12 @@ class Reading:
 class Readings:
     """The last reading of every source (temperature, payload, inclination of a frame)."""
 
-    readings: Mapping[str, Reading] = field(default_factory=dict)
+    readings: Mapping[str, _Reading] = field(default_factory=dict)
     started_s: float = 0.0
 
     def told(self, source: str, columns: Mapping[str, float], at_s: float) -> Readings:
         """With a new reading."""
-        return replace(self, readings={**self.readings, source: Reading(columns, at_s)})
+        return replace(self, readings={**self.readings, source: _Reading(columns, at_s)})
 
     def fresh(self, source: str, now_s: float, max_age_s: float) -> Mapping[str, float]:
         """What a source told last; nothing where it is older than ``max_age_s``."""
@@ -50,12 +50,9 @@ class Readings:
     def context(
         self, model: Model, now_s: float, max_age_s: float, history: History | None = None
     ) -> Context:
-        """The context of a target that is asked for now.
+        """The context of a target that is asked for now, with the history on arrival.
 
         A payload that was never told is the declared one. The latest word counts.
-
-        Args:
-            history: of the joints when they have arrived.
 
         Raises:
             StaleContext: an effect of the model, or the load, needs what is older than
@@ -98,24 +95,11 @@ def compensate_now(
     position_only: bool = False,
     options: CompensationOptions | None = None,
 ) -> Arrival:
-    """Compensate one target from where the arm is, in the circumstances of now.
-
-    Args:
-        history: of the joints at ``start``.
-
-    Raises:
-        StaleContext: see `Readings.context`.
-    """
+    """`compensate_move` in the circumstances of now. Raises as `Readings.context`."""
     options = options or CompensationOptions()
     physics = physics_of(model, options.method)
     return compensate_move(
-        model,
-        predictor,
-        target,
-        start=start,
-        seed=seed,
-        history=history,
+        model, predictor, target, start=start, seed=seed, history=history,
         context_after=lambda arrived: readings.context(physics, now_s, max_age_s, arrived),
-        position_only=position_only,
-        options=options,
-    )
+        position_only=position_only, options=options,
+    )  # fmt: skip

@@ -28,13 +28,14 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.box_step import rotation_error
 from longarm_comp.core.ik.lattice import nearest
+from longarm_comp.core.ik.solver import axes_of
 
 Predict = Callable[[np.ndarray], np.ndarray]
 """The tip at joints (M, n): positions (M, 3) in m or poses (M, 4, 4)."""
 
 _DIFFERENCE = 1e-4
 """Half the difference (rad, m) from which the tip's derivative is taken."""
-EDGE = 1e-9
+_EDGE = 1e-9
 """Share of a step, or rad or m, by which rounding may put a joint beyond a limit."""
 KNOWN_TO = 0.15
 """Share of a step to which a lattice's offset must be known (standard deviation)."""
@@ -72,8 +73,7 @@ class Lattice:
     @property
     def known(self) -> np.ndarray:
         """(n,) bool: the joint has steps, and it is known well enough where they are."""
-        made: np.ndarray = (self.step > 0) & (self.offset_sd <= KNOWN_TO * self.step)
-        return made
+        return np.asarray((self.step > 0) & (self.offset_sd <= KNOWN_TO * self.step))
 
 
 @dataclass(frozen=True)
@@ -81,10 +81,10 @@ class Search:
     """How realisable joints are looked for.
 
     Attributes:
-        price_m: tip error (m) that a revolute joint may cost by moving 1 rad off the ideal; a slide
-            pays as much for as many metres as a radian is at ``length_m``.
         length_m: metres that a radian of tool angle counts for; best the arm's own
             (`ik.kernel.characteristic_length`).
+        price_m: tip error (m) that a revolute joint may cost by moving 1 rad off the ideal; a slide
+            pays as much for as many metres as a radian is at ``length_m``.
         kept: points of the lattice that the model judges in each round.
         rounds: linearisations, the first at the rounded joints, the others at the best so far.
         max_nodes: of the search tree of one target and round.
@@ -147,7 +147,6 @@ def choose(
     """Realisable joints for a target, the tip as near to it as they let it be.
 
     Args:
-        arm: its limits hold exactly.
         lattice: where its servos can stand; a joint whose offset is not known to `KNOWN_TO` of its
             step stays at its ideal value.
         predict: the model, with all that is expected of the tip: learned error, circumstances.
@@ -167,9 +166,9 @@ def choose(
         np.clip(ideal, arm.lower, arm.upper), search,
     )  # fmt: skip
     joints, errors, nodes = problem.solved()
-    why = "no choice was better than rounding" if len(problem.stepped) else (
-        "no joint's steps are known"
-    )  # fmt: skip
+    why = "no choice was better than rounding"
+    if not len(problem.stepped):
+        why = "no joint's steps are known"
     better = (joints != problem.rounded).any()
     note = _note(arm, declared & ~lattice.known, declared & lattice.known & (low > high))
     return Realisable(
@@ -181,19 +180,20 @@ def choose(
 def _whole_limits(arm: Arm, lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest k inside the limits, (n,); of a continuous joint, of no use."""
     step = np.where(lattice.step > 0, lattice.step, 1.0)
-    low = np.ceil((arm.lower - lattice.offset) / step - EDGE)
-    return low, np.floor((arm.upper - lattice.offset) / step + EDGE)
+    low = np.ceil((arm.lower - lattice.offset) / step - _EDGE)
+    return low, np.floor((arm.upper - lattice.offset) / step + _EDGE)
 
 
 def _note(arm: Arm, unknown: np.ndarray, empty: np.ndarray) -> str:
-    made = []
-    for mask, why in (
-        (unknown, f"the offset of its steps is not known to {KNOWN_TO} of a step"),
-        (empty, "none of its steps lies inside its limits"),
-    ):
-        names = [name for name, m in zip(arm.joint_names, mask, strict=True) if m]
-        made += [f"{name} stays at its ideal value: {why}" for name in names]
-    return "; ".join(made)
+    causes = {
+        f"the offset of its steps is not known to {KNOWN_TO} of a step": unknown,
+        "none of its steps lies inside its limits": empty,
+    }
+    return "; ".join(
+        f"{arm.joint_names[j]} stays at its ideal value: {why}"
+        for why, mask in causes.items()
+        for j in np.flatnonzero(mask)
+    )
 
 
 @dataclass(frozen=True)
@@ -247,9 +247,7 @@ class _Problem:
     def solved(self) -> tuple[np.ndarray, np.ndarray, int]:
         """Round after round the best of rounding, of what was the best, and of what is near.
 
-        Returns:
-            Joints (n,), errors (3, 2) at the ideal joints, the rounded ones and these (m and rad),
-            nodes.
+        Joints (n,), errors (3, 2) at the ideal joints, the rounded and these (m and rad), nodes.
         """
         errors = self.errors(np.vstack([self.ideal, self.around(self.rounded)]))
         if not np.isfinite(errors[:2]).all():
@@ -277,8 +275,8 @@ class _Problem:
         made = (tip if tip.ndim == 2 else tip[:, :3, 3]) - position
         if self.target.ndim == 1:
             return np.asarray(made)
-        turn, axes = np.zeros((3, len(q))), _axes(self.target[None]).repeat(len(q), axis=0)
-        rotation_error(axes.T, 0, _axes(tip).T, 0, turn, 0)
+        turn, axes = np.zeros((3, len(q))), axes_of(self.target[None]).repeat(len(q), axis=0)
+        rotation_error(axes.T, 0, axes_of(tip).T, 0, turn, 0)
         return np.concatenate([made, self.search.length_m * turn.T], axis=1)
 
     def near(self, at: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, int]:
@@ -329,16 +327,8 @@ class _Problem:
 
     def _aside(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The moving joints a little up and a little down, in limits."""
-        up, down = (
-            np.minimum(at + _DIFFERENCE, self.upper),
-            np.maximum(at - _DIFFERENCE, self.lower),
-        )
-        return up[self.moving], down[self.moving]
-
-
-def _axes(T: np.ndarray) -> np.ndarray:
-    """n, o, a one after the other, (N, 9), of poses (N, 4, 4)."""
-    return T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
+        up = np.minimum(at + _DIFFERENCE, self.upper)
+        return up[self.moving], np.maximum(at - _DIFFERENCE, self.lower)[self.moving]
 
 
 def _in_box(R: np.ndarray, b: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

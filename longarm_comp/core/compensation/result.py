@@ -100,18 +100,14 @@ class Settling:
 
     def too_large(self, size_m: float) -> str:
         """Why an expected error is not corrected."""
-        return (
-            f"expected error {1e3 * size_m:.2f} mm is above the permitted correction of "
-            f"{1e3 * self.max_correction_m:g} mm"
-        )
+        most = f"the permitted correction of {1e3 * self.max_correction_m:g} mm"
+        return f"expected error {1e3 * size_m:.2f} mm is above {most}"
 
     @property
     def unsettled(self) -> str:
         """Why it is given up."""
-        return (
-            f"the expected error still changes by more than {1e3 * self.tol_m:g} mm "
-            f"after {self.max_passes} passes"
-        )
+        size = f"more than {1e3 * self.tol_m:g} mm after {self.max_passes} passes"
+        return f"the expected error still changes by {size}"
 
 
 class ExpectedError(Protocol):
@@ -210,13 +206,10 @@ def missed(what: str, found: Solution) -> str:
     """How far a target or pseudo-target is missed, and why."""
     # No declared length reaches so far; only a linear deflection of an arm far too weak does
     if not found.position_residual_m < 1e7:
-        return (
-            f"{what} missed: the declared arm bends without limit (check loads, masses, stiffness)"
-        )
-    return (
-        f"{what} missed by {1e3 * found.position_residual_m:.3f} mm, "
-        f"{np.degrees(found.angle_residual_rad):.4f} deg: {found.reason.value}"
-    )
+        why = "the declared arm bends without limit (check loads, masses, stiffness)"
+        return f"{what} missed: {why}"
+    by = f"{1e3 * found.position_residual_m:.3f} mm, {np.degrees(found.angle_residual_rad):.4f} deg"
+    return f"{what} missed by {by}: {found.reason.value}"
 
 
 def shifted(targets: np.ndarray, error: np.ndarray) -> np.ndarray:

@@ -30,13 +30,7 @@ class TipByReadings:
 
 
 def tip_by_readings(model: Model, readings: np.ndarray, context: Context) -> TipByReadings:
-    """Where the tip stands.
-
-    Args:
-        model: of the commands.
-        readings: (n,) rad and m.
-        context: circumstances.
-    """
+    """Where the tip stands by readings (n,), rad and m; the model is that of the commands."""
     arm = by_readings(model)
     tip = arm.tip(readings, context)
     return TipByReadings(tip, expected_miss(arm, readings, context, tip))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.frame_tree import carried
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.compensation.expected import geometry_of
 from longarm_comp.core.errors import InputError
@@ -51,9 +52,7 @@ class Placement:
 
     def carried(self, target: np.ndarray) -> np.ndarray:
         """A target (3,) or (4, 4) in the frame of the model."""
-        if target.ndim == 2:
-            return np.asarray(self.motion @ target)
-        return np.asarray(self.motion[:3, :3] @ target + self.motion[:3, 3])
+        return carried(self.motion, target)
 
     def asked(self, position: np.ndarray) -> np.ndarray:
         """A position (3,) of the model in the frame of the target, m."""

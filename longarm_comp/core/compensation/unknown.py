@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import compress
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.context import PER_JOINT, Context
-from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.model.model import Model, unstack
@@ -29,13 +28,9 @@ def missing_column(model: Model, context: Context) -> str:
 
 
 def outside_data(model: Model, q: np.ndarray, context: Context) -> list[str]:
-    """Which effects stand outside the data that they were found in, and in what; or "".
+    """Which effects stand outside the data that they were found in at joints (M, n), in words.
 
     They count there as at the end of the data.
-
-    Args:
-        q: (M, n) commanded joints, rad and m.
-        context: circumstances at them.
     """
     beyond: list[set[str]] = [set() for _ in q]
     if bounded := [e for e in model.effects if e.bounded]:
@@ -64,7 +59,6 @@ def unknown_history(
 
     Args:
         q: (M, n) commanded joints, rad and m.
-        context: circumstances at them.
         doubtful: (n,) joints whose side of arrival is told but not certain.
 
     Returns:
@@ -73,7 +67,11 @@ def unknown_history(
     """
     m, n = q.shape
     unsure = np.zeros(n, bool) if doubtful is None else doubtful
-    held = {name: _rows(context.of_all(name, n), m).reshape(m, n, -1) for name in PER_JOINT}
+    held = {
+        name: np.array([np.broadcast_to(v, m) for v in context.of_all(name, n)], float)
+        for name in PER_JOINT
+    }
+    held = {name: values.T.reshape(m, n, -1) for name, values in held.items()}
     open_ = [
         (name, joint, extremes)
         for name, joints in history_joints(model).items()
@@ -121,14 +119,6 @@ def uncertain_payload(
         f"the payload is known to {by:.3f} kg only (sigma {mm:.2f} mm)" if by else ""
         for by, mm in zip(sd, 1e3 * np.linalg.norm(half, axis=1), strict=True)
     ]
-
-
-def _rows(values: Sequence[Scalar], m: int) -> np.ndarray:
-    """(m, k) of k scalars, each a float or (m,)."""
-    made = np.empty((m, len(values)))
-    for k, value in enumerate(values):
-        made[:, k] = value
-    return made
 
 
 def _repeated(value: Any, times: int) -> Any:

@@ -23,13 +23,13 @@ from longarm_comp.core.model.model import Model
 
 SD = "payload_sd_kg"
 """Column of a context: standard deviation of its `payload_kg`; absent: it is certain."""
-OWN_WEIGHT = 0.1
+_OWN_WEIGHT = 0.1
 """Standard deviation of the arm's own weight against the declared one, as `link_mass` has it."""
-SCALES = np.geomspace(0.25, 4.0, 5)
+_SCALES = np.geomspace(0.25, 4.0, 5)
 """Friction at rest over that of running free, which data sheets give; all alike beforehand."""
-ALIKE = (0.0, 0.25, 0.5, 0.75, 0.95)
+_ALIKE = (0.0, 0.25, 0.5, 0.75, 0.95)
 """Share of the variance of friction that is the same at every rest."""
-MOST = 40
+_MOST = 40
 """Rests that are kept: friction changes over a day."""
 
 
@@ -54,8 +54,7 @@ class Wrist(NamedTuple):
     sigma: float
 
 
-@dataclass(frozen=True, eq=False)
-class Felt:
+class Felt(NamedTuple):
     """What was felt at one rest, (k,) each: of the joints, then of the wrist; N m, N.
 
     Attributes:
@@ -84,24 +83,16 @@ def felt(
         context: circumstances at q, with the sides of arrival.
         effort: (n,) of the drives, N m and N.
     """
-    heavy = reference_kg(model, context) or 1.0
+    declared = model.arm.payload
+    heavy = float(context.payload_kg(0.0 if declared is None else declared.mass_kg)) or 1.0
     none, some = (_loads(model, q, context, kg, wrist) for kg in (0.0, heavy))
     force, sigma = (np.full(3, np.nan), np.nan) if wrist is None else (wrist.force, wrist.sigma)
     sides = np.asarray(context.of_all("approach", model.arm.n), float)
     return Felt(
-        np.concatenate([-effort, force]),
-        none,
-        (some - none) / heavy,
-        np.concatenate([-sides, np.ones(3)]),
-        np.concatenate([drives.friction, np.full(3, sigma)]),
+        np.concatenate([-effort, force]), none, (some - none) / heavy,
+        np.concatenate([-sides, np.ones(3)]), np.concatenate([drives.friction, np.full(3, sigma)]),
         np.concatenate([drives.step, np.zeros(3)]),
-    )
-
-
-def reference_kg(model: Model, context: Context) -> float:
-    """The payload that is believed: told, else declared."""
-    declared = model.arm.payload
-    return float(context.payload_kg(0.0 if declared is None else declared.mass_kg))
+    )  # fmt: skip
 
 
 def _loads(
@@ -115,7 +106,7 @@ def _loads(
 
 
 @dataclass(frozen=True)
-class FeltPayload:
+class _FeltPayload:
     """An estimate of the payload, kg, over a number of rests."""
 
     kg: float
@@ -151,14 +142,13 @@ class Weighing:
 
     def felt(self, rest: Felt) -> Weighing:
         """With a further rest."""
-        rests, loads = (*self.rests, rest)[-MOST:], (*self.loads, self.load)[-MOST:]
+        rests, loads = (*self.rests, rest)[-_MOST:], (*self.loads, self.load)[-_MOST:]
+        load = self.load + 1  # of another payload
         if self.load in loads[:-1]:
-            (before, now), covariance = _solved(rests, (*loads[:-1], self.load + 1))
+            (before, now), covariance = _solved(rests, (*loads[:-1], load))
             apart = covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]
             if abs(now - before) > self.limit * np.sqrt(apart):
-                return replace(
-                    self, rests=rests, loads=(*loads[:-1], self.load + 1), load=self.load + 1
-                )
+                return replace(self, rests=rests, load=load, loads=(*loads[:-1], load))
         return replace(self, rests=rests, loads=loads)
 
     @property
@@ -167,13 +157,13 @@ class Weighing:
         return NormalDist().inv_cdf(1.0 - 0.5 / self.run_length)
 
     @cached_property
-    def payload(self) -> FeltPayload | None:
+    def payload(self) -> _FeltPayload | None:
         """The present one; None before the first rest with it."""
         if self.load not in self.loads:
             return None
         means, covariance = _solved(self.rests, self.loads)
         sigma = float(np.sqrt(covariance[-1, -1]))
-        return FeltPayload(float(means[-1]), sigma, self.loads.count(self.load))
+        return _FeltPayload(float(means[-1]), sigma, self.loads.count(self.load))
 
     def contradicts(self, told_kg: float) -> bool:
         """Whether a told payload cannot be what is felt."""
@@ -183,10 +173,7 @@ class Weighing:
 
 def _solved(rests: tuple[Felt, ...], loads: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the last two payloads (or the only one), kg; infinite if not felt."""
-    value, without, per_kg, side, friction, step = (
-        np.array([getattr(rest, name) for rest in rests])
-        for name in ("value", "without", "per_kg", "side", "friction", "step")
-    )
+    value, without, per_kg, side, friction, step = map(np.array, zip(*rests, strict=True))
     here = np.isfinite(value - without) & (friction > 0)
     numbers = sorted(set(loads))
     which = np.searchsorted(numbers, loads)
@@ -194,10 +181,10 @@ def _solved(rests: tuple[Felt, ...], loads: tuple[int, ...]) -> tuple[np.ndarray
     masses = np.zeros((len(row), len(numbers)))
     masses[np.arange(len(row)), which[row]] = per_kg[here]
     held = np.eye(value.shape[1])[channel] * (side * friction)[here][:, None]
-    weight = OWN_WEIGHT * without[here][:, None]
+    weight = _OWN_WEIGHT * without[here][:, None]
     y, least = (value - without)[here], step[here] ** 2 / 12.0
     known, count = side[here] != 0, len(numbers)
-    scale, alike = (x.reshape(-1, 1) for x in np.meshgrid(SCALES, ALIKE))
+    scale, alike = (x.reshape(-1, 1) for x in np.meshgrid(_SCALES, _ALIKE))
     alone = np.where(known, 1.0 - alike, 1.0) * (scale * friction[here]) ** 2 + least
     fixed = np.broadcast_to(np.hstack([masses, weight]), (len(scale), len(row), count + 1))
     a = np.concatenate([fixed, (np.sqrt(alike) * scale)[..., None] * held], axis=2)

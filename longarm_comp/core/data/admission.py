@@ -15,14 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.spatial import Frame, roll_pitch_yaw
+from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.data.belonging import MOST_STRAYS, believe
-from longarm_comp.core.data.registration import (
-    Alignment,
-    align,
-    best_axes,
-    best_rotation,
-)
+from longarm_comp.core.data.registration import Alignment, align, best_axes, best_rotation
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.data.touched import check_touches
 from longarm_comp.core.errors import InputError
@@ -41,7 +36,6 @@ class AdmissionFinding:
     message: str
 
     def __str__(self) -> str:
-        """One line."""
         return f"{self.field}: {self.message}"
 
 
@@ -69,11 +63,10 @@ def admit(
     session: Session, arm: Arm, model: Model | None = None, min_poses: int = FEW_POSES,
     *, judge: bool = False,
 ) -> Admission:  # fmt: skip
-    """Check a session against an arm.
+    """Check a session against an arm. It needs `min_poses` distinct poses with a marker.
 
     Args:
         model: predicts the tip; the rigid declared arm by default.
-        min_poses: least number of distinct poses with a marker.
         judge: the rows judge the model: what does not fit it is a finding.
     """
     findings: list[AdmissionFinding] = []
@@ -122,12 +115,11 @@ def _same_arm(case: _Case) -> None:
     if case.session.n != case.arm.n:
         allowed = f"{case.arm.n} commanded joints of arm {case.arm.name}"
         raise case.refuse("joints", case.session.n, allowed)
-    for marker in np.unique(case.session.labels.get("marker", np.array([], dtype=str))):
-        if case.arm.markers and marker not in case.arm.markers:
-            raise case.refuse("marker", str(marker), f"one of {', '.join(case.arm.markers)}")
-    for anchor in np.unique(case.session.labels.get("anchor", np.array([], dtype=str))):
-        if case.arm.anchors and anchor and anchor not in case.arm.anchors:
-            raise case.refuse("anchor", str(anchor), f"one of {', '.join(case.arm.anchors)}")
+    markers, anchors = list(case.arm.markers), [*case.arm.anchors, ""]
+    for label, declared in (("marker", markers), ("anchor", anchors)):
+        for name in np.unique(case.session.labels.get(label, np.array([], dtype=str))):
+            if any(declared) and name not in declared:
+                raise case.refuse(label, str(name), f"one of {', '.join(filter(None, declared))}")
     if "ray" in case.session.readings:
         seen = np.isfinite(case.session.readings["ray"]).all(axis=1)
         for sensor in np.unique(case.session.labels["sensor"][seen]):
@@ -169,25 +161,21 @@ def _order(case: _Case) -> None:
             back = np.flatnonzero(np.diff(values[rows]) < 0)
             if len(back):
                 at = rows[back[0] + 1]
-                raise case.refuse(
-                    f"{name} of row {at + 1}",
-                    f"{values[at]:g} after {values[rows[back[0]]]:g}",
-                    "rows in the order of recording: what a joint did before is read from it",
-                )
+                said = f"{values[at]:g} after {values[rows[back[0]]]:g}"
+                allowed = "rows in the order of recording: what a joint did before is read from it"
+                raise case.refuse(f"{name} of row {at + 1}", said, allowed)
         keys = list(zip(session.index[rows], markers[rows], strict=True))
         if len(set(keys)) < len(keys):
             twice = next(k for k, key in enumerate(keys) if key in keys[:k])
-            raise case.refuse(
-                f"index of row {rows[twice] + 1}", int(keys[twice][0]), "each index once"
-            )
+            field = f"index of row {rows[twice] + 1}"
+            raise case.refuse(field, int(keys[twice][0]), "each index once")
 
 
 def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
     q, arm = case.session.q, case.arm
     reach = arm.upper - arm.lower
     beyond = np.maximum(np.maximum(arm.lower - q, q - arm.upper), 0.0)
-    joints = zip(arm.commanded, range(arm.n), strict=True)
-    turning = np.array([arm.joints[row - 1].type == "revolute" for row, _ in joints])
+    turning = np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded])
     for kind, factor, hint in (
         (turning, np.pi / 180, "radians (this looks like degrees)"),
         (~turning, 1e-3, "metres (this looks like millimetres)"),
@@ -213,9 +201,8 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
         raise case.refuse(f"row {row + 1}, q{j + 1}", float(q[row, j]), limits)
     for j in np.flatnonzero((beyond > 1e-6).any(0)):
         count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()
-        yield AdmissionFinding(
-            "limits", f"q{j + 1}", f"{count} rows up to {worst:.3g} beyond its limits"
-        )
+        text = f"{count} rows up to {worst:.3g} beyond its limits"
+        yield AdmissionFinding("limits", f"q{j + 1}", text)
 
 
 def _exchanged(arm: Arm, q: np.ndarray, j: int) -> str:
@@ -262,8 +249,8 @@ def _constant(case: _Case) -> Iterator[AdmissionFinding]:
 
 
 def _touches(case: _Case) -> Iterator[AdmissionFinding]:
-    for field, message in check_touches(case.session, case.arm):
-        yield AdmissionFinding("touch", field, message)
+    found = check_touches(case.session, case.arm)
+    return (AdmissionFinding("touch", field, message) for field, message in found)
 
 
 def _copies(case: _Case) -> Iterator[AdmissionFinding]:
@@ -283,13 +270,11 @@ def _copies(case: _Case) -> Iterator[AdmissionFinding]:
     if 2 * copies > len(seen):
         raise case.refuse("rows", f"{copies} of {len(seen)} are copies", "measured rows, once each")
     if copies:
-        yield AdmissionFinding(
-            "duplicates", "rows", f"{copies} repeat pose and measurement to the last digit"
-        )
+        text = f"{copies} repeat pose and measurement to the last digit"
+        yield AdmissionFinding("duplicates", "rows", text)
     if frozen:
-        yield AdmissionFinding(
-            "duplicates", "x, y, z", f"{frozen} rows repeat another pose's measurement exactly"
-        )
+        text = f"{frozen} rows repeat another pose's measurement exactly"
+        yield AdmissionFinding("duplicates", "x, y, z", text)
 
 
 # ------------------------------------------------------------------ against the prediction
@@ -373,26 +358,18 @@ def _base(arm: Arm, turned: Alignment) -> str:
     """The `base` entry of arm.yaml that would explain a turned frame."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = turned.rotation, turned.offset
-    frame = Frame.from_matrix(matrix) @ arm.base.frame()
-    rpy = np.degrees(roll_pitch_yaw(frame.matrix()[:3, :3]))
-    xyz = ", ".join(f"{v:.3f}" for v in frame.p)
+    frame = matrix @ arm.base.frame().matrix()
+    rpy = np.degrees(roll_pitch_yaw(frame[:3, :3]))
+    xyz = ", ".join(f"{v:.3f}" for v in frame[:3, 3])
     return f"base: {{xyz_m: [{xyz}], rpy_deg: [{', '.join(f'{v:.1f}' for v in rpy)}]}}"
 
 
 def _spread(points: np.ndarray) -> float:
-    """Median distance from the middle, m."""
     return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
 
 
 _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
-    _same_arm,
-    _inclinometers,
-    _plausible_context,
-    _joint_units,
-    _order,
-    _touches,
-    _measured_at_all,
-    _constant,
-    _copies,
+    *(_same_arm, _inclinometers, _plausible_context, _joint_units, _order, _touches),
+    *(_measured_at_all, _constant, _copies),
 )
 _AFTER: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (_lengths, _frame)

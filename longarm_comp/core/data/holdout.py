@@ -11,10 +11,7 @@ from longarm_comp.core.errors import InputError, LongarmError
 
 
 def blocked_split(
-    session: Session,
-    fraction: float = 0.2,
-    min_poses: int = 30,
-    rng: np.random.Generator | int = 0,
+    session: Session, fraction: float = 0.2, min_poses: int = 30, rng: np.random.Generator | int = 0
 ) -> tuple[Session, Session]:
     """Training set and hold-out in whole blocks of time.
 
@@ -73,7 +70,6 @@ class Sealed:
         self._uses: list[str] = []
 
     def __len__(self) -> int:
-        """Number of rows."""
         return len(self._session)
 
     @property
@@ -93,11 +89,7 @@ class Sealed:
         self._finished = finished
 
     def open(self, reason: str) -> Session:
-        """The rows.
-
-        Raises:
-            SealedError: before `release`.
-        """
+        """The rows. Raises `SealedError` before `release`."""
         if self._finished is None:
             raise SealedError(f"the held-out rows may be read once the fit is finished: {reason}")
         self._uses.append(reason)

@@ -17,7 +17,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.quaternion import LENGTH_TOLERANCE
 from longarm_comp.core.model.tip_motion import TipMotion
 
-Labels = Mapping[str, np.ndarray]
+_Labels = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Equations:
 
     Attributes:
         residual: (N, k) measured - predicted, m or rad.
-        columns: (N, k, p) derivative of the prediction by every parameter.
-        pull: (N, k, 3) derivative of the prediction by the position of the tip.
+        columns, pull: (N, k, p), (N, k, 3) derivative of the prediction by every parameter, and by
+            the position of the tip.
     """
 
     residual: np.ndarray
@@ -48,6 +48,7 @@ class Kind(ABC):
             with a text measures that the tip was there.
         takes: rows that it takes to solve what a text names, where there are no cells.
         sigma: column of its standard deviation in a file, or empty.
+        outside: whether it measures from outside the arm.
         of_joint: whether it measures a joint and not the tip.
         number: of that joint, from 1.
     """
@@ -60,6 +61,7 @@ class Kind(ABC):
     label: ClassVar[str] = ""
     takes: ClassVar[int] = 0
     sigma: ClassVar[str] = ""
+    outside: ClassVar[bool] = True
     of_joint: ClassVar[bool] = False
     number: int = 0
 
@@ -74,16 +76,14 @@ class Kind(ABC):
 
     def framed(self, arm: Arm) -> bool:
         """Whether it measures in a frame of its own, in which the base is to be placed."""
-        return True
+        return self.outside
 
     @abstractmethod
-    def equations(
-        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
-    ) -> Equations:
+    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
         """Equations of readings (N, c); rows that are not measured may hold anything."""
 
 
-class Position(Kind):
+class _Position(Kind):
     """One, two or three coordinates of the tip in the frame of the measurements."""
 
     name = "position"
@@ -93,15 +93,13 @@ class Position(Kind):
     def measured(self, values: np.ndarray) -> np.ndarray:
         return np.isfinite(values)
 
-    def equations(
-        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
-    ) -> Equations:
-        point, columns = motion.point()
+    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+        point, columns = tip.point()
         pull = np.broadcast_to(np.eye(3), (*point.shape, 3))
         return Equations(values - point, columns, pull)
 
 
-class Orientation(Kind):
+class _Orientation(Kind):
     """The tip's axes; the residual is the rotation (rad) from the predicted to the measured."""
 
     name = "orientation"
@@ -115,15 +113,13 @@ class Orientation(Kind):
         length = np.linalg.norm(values, axis=1)
         return np.abs(length - 1.0) > LENGTH_TOLERANCE, "x, y, z, w of length 1"
 
-    def equations(
-        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
-    ) -> Equations:
-        axes, columns = motion.axes()
+    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+        axes, columns = tip.axes()
         residual = rotation_vector(matrices(values) @ np.swapaxes(axes, -1, -2))
         return Equations(residual, columns, np.zeros((*residual.shape, 3)))
 
 
-class Distance(Kind):
+class _Distance(Kind):
     """Distance (m) of the tip to a fixed point, the `anchor` of the row."""
 
     name = "distance"
@@ -139,10 +135,8 @@ class Distance(Kind):
         """Not if all anchors are to be solved: their frame is the base itself."""
         return any(anchor.xyz_m is not None for anchor in arm.anchors.values())
 
-    def equations(
-        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
-    ) -> Equations:
-        point, columns = motion.point(self.name)
+    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+        point, columns = tip.point(self.name)
         places = by_name(arm.anchor, labels[self.label])
         away = point - places
         length = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
@@ -166,10 +160,8 @@ class _Ray(Kind):
     def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
         return np.linalg.norm(values, axis=1) < 1e-6, "a direction, not zero"
 
-    def equations(
-        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
-    ) -> Equations:
-        point, columns = motion.point(self.name)
+    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+        point, columns = tip.point(self.name)
         frames = by_name(arm.camera_frame, labels[self.label])
         local = np.einsum("nji,nj->ni", frames[:, :, :3], point - frames[:, :, 3])
         length = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-9)
@@ -190,14 +182,10 @@ class _Touch(Kind):
     scalars = ("touch_x", "touch_y", "touch_z")
     label = "touch"
     takes = 1
+    outside = False
 
-    def framed(self, arm: Arm) -> bool:
-        return False
-
-    def equations(
-        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
-    ) -> Equations:
-        away, columns = motion.point(self.name)
+    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+        away, columns = tip.point(self.name)
         return Equations(-away, columns, np.broadcast_to(np.eye(3), (*away.shape, 3)))
 
 
@@ -209,15 +197,11 @@ class _Plane(Kind):
     scalars = ("plane_z",)
     label = "plane"
     takes = 3
+    outside = False
 
-    def framed(self, arm: Arm) -> bool:
-        return False
-
-    def equations(
-        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
-    ) -> Equations:
-        point, columns = motion.point(self.name)
-        return Equations(-point[:, 2:], columns[:, 2:], motion.pull(self.name)[:, 2:])
+    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+        point, columns = tip.point(self.name)
+        return Equations(-point[:, 2:], columns[:, 2:], tip.pull(self.name)[:, 2:])
 
 
 class EncoderReading(Kind):
@@ -225,19 +209,15 @@ class EncoderReading(Kind):
 
     unit = "rad"
     of_joint = True
+    outside = False
 
     def __init__(self, number: int) -> None:
         self.number = number
         self.name = f"read_q{number}"  # type: ignore[misc]
         self.cells = self.scalars = (self.name,)  # type: ignore[misc]
 
-    def framed(self, arm: Arm) -> bool:
-        return False
-
-    def equations(
-        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
-    ) -> Equations:
-        read, columns = motion.read(self.number - 1, arm.commanded[self.number - 1])
+    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+        read, columns = tip.read(self.number - 1, arm.commanded[self.number - 1])
         return Equations(values - read, columns, np.zeros((*read.shape, 3)))
 
 
@@ -252,7 +232,7 @@ class _Kinds(dict[str, Kind]):
 
 
 KINDS: Mapping[str, Kind] = _Kinds(
-    {k.name: k for k in (Position(), Orientation(), Distance(), _Ray(), _Touch(), _Plane())}
+    {k.name: k for k in (_Position(), _Orientation(), _Distance(), _Ray(), _Touch(), _Plane())}
 )
 """Every kind by name; positions come first in the channels of a session, joints last."""
 

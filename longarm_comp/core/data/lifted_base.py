@@ -9,7 +9,7 @@ in the base (multilateration), a point whose sighting is declared.  Axes give R 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,30 +19,24 @@ from longarm_comp.core.data.kinds import across, by_name, matrices
 from longarm_comp.core.data.session import Session
 from longarm_comp.math.points import nearest_rotation, robust_kabsch, robust_weights
 
-MIN_EQUATIONS = 4
+_MIN_EQUATIONS = 4
 """Distances to an anchor, or equations of a base, at least: three leave a mirror image."""
-ROUNDS = 6
+_ROUNDS = 6
 """Times that outlying equations are weighed down: the weights change no more after it."""
-SEEN_SHARE = 0.1
+_SEEN_SHARE = 0.1
 """Singular value of R, in the largest, below which its direction was not measured; of a rotation
 all are 1."""
-FAR_MEDIANS = 6.0
+_FAR_MEDIANS = 6.0
 """Misfit of a distance, in their median, from which it is left out: four standard deviations."""
-LEAST_TURN_RAD, MOST_TURN_RAD = 0.05, 2.8
+_LEAST_TURN_RAD, _MOST_TURN_RAD = 0.05, 2.8
 """Turns between two rows that tell the axis of the turn: noise tilts that of smaller ones, and near
 pi its sign is not known."""
 _RANK, _EXACT = 1e-6, 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class _LinearEquations:
-    """``direction . (R point + p) = value``.
-
-    Attributes:
-        direction: (M, 3) unit vectors in the frame of the measurements.
-        point: (M, 3) m, in the base.
-        value: (M,) m.
-    """
+class _LinearEquations(NamedTuple):
+    """``direction . (R point + p) = value``: (M, 3) unit vectors in the frame of the
+    measurements, (M, 3) m in the base, (M,) m."""
 
     direction: np.ndarray
     point: np.ndarray
@@ -57,16 +51,13 @@ def lifted_base(
     What they do not determine is left as declared: the base unturned and at the origin.
 
     Args:
-        arm: declares anchors and cameras.
-        points: (N, 3) predicted tips in the base, m.
-        axes: (N, 3, 3) predicted axes of the tip, in columns.
+        points, axes: of N predicted tips in the base: (N, 3) m; (N, 3, 3) in columns.
         rows: N rows of one placement.
-
     """
     found = _linear(arm, points, rows)
     turn = _by_axes(axes, rows)
     if turn is None:
-        turn = _rotation(found) if len(found.value) >= MIN_EQUATIONS else np.eye(3)
+        turn = _rotation(found) if len(found.value) >= _MIN_EQUATIONS else np.eye(3)
     right = found.value - np.einsum("mi,ij,mj->m", found.direction, turn, found.point)
     return turn, _robust(found.direction, right) if len(right) else np.zeros(3)
 
@@ -74,11 +65,11 @@ def lifted_base(
 def multilaterated(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Place (3,) of the anchor at N >= 4 distances (N,) from points (N, 3), m, outliers apart."""
     kept = np.ones(len(length), dtype=bool)
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         place = _anchor(points[kept], length[kept])
         miss = np.abs(np.linalg.norm(points - place, axis=1) - length)
-        closer = miss <= max(FAR_MEDIANS * float(np.median(miss)), _EXACT)
-        if closer.sum() < MIN_EQUATIONS or (closer == kept).all():
+        closer = miss <= max(_FAR_MEDIANS * float(np.median(miss)), _EXACT)
+        if closer.sum() < _MIN_EQUATIONS or (closer == kept).all():
             break
         kept = closer
     return place
@@ -94,7 +85,7 @@ def _anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     local = points - middle
     design = np.column_stack([2.0 * local, -np.ones(len(local))])
     place = np.linalg.lstsq(design, (local**2).sum(axis=1) - length**2, rcond=None)[0][:3]
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         away = place - local
         far = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         place = place + np.linalg.lstsq(away / far[:, None], length - far, rcond=None)[0]
@@ -108,11 +99,7 @@ def _linear(arm: Arm, points: np.ndarray, rows: Session) -> _LinearEquations:
     parts = [
         *_coordinates(points, rows), *_rays(arm, points, rows), *_anchors(arm, points, rows)
     ]  # fmt: skip
-    return _LinearEquations(
-        np.concatenate([part.direction for part in parts]),
-        np.concatenate([part.point for part in parts]),
-        np.concatenate([part.value for part in parts]),
-    )
+    return _LinearEquations(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _coordinates(points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
@@ -141,7 +128,7 @@ def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEqu
     length = rows.readings["distance"][:, 0]
     for name, anchor in arm.anchors.items():
         held = np.isfinite(length) & (rows.labels["anchor"] == name)
-        if anchor.xyz_m is None or held.sum() < MIN_EQUATIONS:
+        if anchor.xyz_m is None or held.sum() < _MIN_EQUATIONS:
             continue
         place = multilaterated(points[held], length[held])
         count = int(held.sum())  # as many equations as distances
@@ -155,7 +142,7 @@ def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEqu
 def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     """R from axes ``A = R B X`` of any body X: turns between rows, ``A_i A_j' = R B_i B_j' R'``."""
     turned = rows.take(rows.turned)
-    if len(turned) < MIN_EQUATIONS:
+    if len(turned) < _MIN_EQUATIONS:
         return None
     blank = np.full(len(turned), "")
     body = np.char.add(turned.labels.get("marker", blank), turned.labels.get("sensor", blank))
@@ -163,11 +150,11 @@ def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     pairs = (np.roll(a, 1, axis=0) @ np.swapaxes(a, 1, 2) for a in (seen, mine))
     to, of = (Rotation.from_matrix(pair).as_rotvec() for pair in pairs)
     angle = np.linalg.norm(of, axis=1)
-    told = (angle > LEAST_TURN_RAD) & (angle < MOST_TURN_RAD) & (np.roll(body, 1) == body)
+    told = (angle > _LEAST_TURN_RAD) & (angle < _MOST_TURN_RAD) & (np.roll(body, 1) == body)
     if told.sum() < 2:
         return None
     of, to = np.concatenate([of[told], -of[told]]), np.concatenate([to[told], -to[told]])
-    return robust_kabsch(of, to, ROUNDS)[0]  # each turn is there both ways, so the offset is 0
+    return robust_kabsch(of, to, _ROUNDS)[0]  # each turn is there both ways, so the offset is 0
 
 
 def _rotation(found: _LinearEquations) -> np.ndarray:
@@ -188,7 +175,7 @@ def _rotation(found: _LinearEquations) -> np.ndarray:
     if s[0] < _EXACT:
         return np.eye(3)
     turn = nearest_rotation(free)
-    return turn if s[1] > SEEN_SHARE * s[0] else _least_turned(turn, u[:, 0])
+    return turn if s[1] > _SEEN_SHARE * s[0] else _least_turned(turn, u[:, 0])
 
 
 def _least_turned(turn: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -202,7 +189,7 @@ def _least_turned(turn: np.ndarray, axis: np.ndarray) -> np.ndarray:
 def _robust(design: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Least squares of smallest norm, the farther half of the equations counted less."""
     weights = np.ones(len(right))
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         root = np.sqrt(weights)
         x = np.linalg.lstsq(design * root[:, None], right * root, rcond=_RANK)[0]
         weights = robust_weights(np.abs(right - design @ x))

@@ -15,12 +15,7 @@ from longarm_comp.core.errors import InputError
 
 @dataclass(frozen=True)
 class ChannelBlock:
-    """Channels of one kind, of one sensor.
-
-    Attributes:
-        kind: name of the kind of measurement.
-        sensor: value of the text column `sensor`; None where it is one sensor for all rows.
-    """
+    """Channels of one kind of measurement, of one `sensor` (text column); None: one for all."""
 
     kind: str
     sensor: str | None = None

@@ -70,10 +70,8 @@ def errors(model: Model, session: Session, near: Posture | None = None) -> np.nd
     """(M, 3) measured - predicted of the M rows that say where the tip is, m.
 
     Where fewer than three coordinates were measured it is the smallest displacement of the tip
-    that explains the row: along a measured axis, along the line to an anchor.
-
-    Args:
-        near: a similar model's `posture` at the M rows, which saves time.
+    that explains the row: along a measured axis, along the line to an anchor.  A similar model's
+    posture at the M rows (`near`) saves time.
     """
     placed = session.take(session.placed)
     at = posture(model, placed) if near is None else model.posture_near(near)
@@ -96,15 +94,9 @@ def spreads(model: Model, session: Session) -> np.ndarray:
     labels = {k: v for k, v in rows.labels.items() if k not in ("plane", "sensor")}
     blank = np.full(rows.xyz.shape, np.nan)
     alone = dataclasses.replace(
-        rows,
-        xyz=blank,
-        sigma=None,
-        readings={},
-        sigmas={},
-        labels=labels,
-        touch_distances=(),
+        rows, xyz=blank, sigma=None, readings={}, sigmas={}, labels=labels, touch_distances=(),
         blocks=(),
-    )
+    )  # fmt: skip
     return np.asarray(np.linalg.norm(errors(model.lasting(), alone), axis=1))
 
 

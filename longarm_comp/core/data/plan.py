@@ -41,13 +41,11 @@ class Plan:
     touch: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        """One side a joint."""
         sides = np.asarray(self.approach, dtype=np.int8)
         sides = np.broadcast_to(sides[:, None] if sides.ndim == 1 else sides, self.q.shape)
         object.__setattr__(self, "approach", sides)
 
     def __len__(self) -> int:
-        """Number of poses."""
         return len(self.q)
 
     def take(self, rows: np.ndarray) -> Plan:
@@ -66,22 +64,21 @@ def paper_grid(arm: Arm) -> np.ndarray:
     where its middle is -22.5 deg.)  The paper's arm gives 3^5 * 6 = 1458 poses.
     """
     sliding = [k for k, row in enumerate(arm.commanded) if arm.joints[row - 1].type == "prismatic"]
-    pairs = (
-        _PAPER_STROKES
-        if len(sliding) == 2
-        else np.array(list(itertools.product((0.0, 0.5, 1.0), repeat=len(sliding))))
-    )
+    pairs = _PAPER_STROKES if len(sliding) == 2 else _levels(len(sliding))
     turning = [k for k in range(arm.n) if k not in sliding]
     count = 3 ** len(turning) * len(pairs)
     if count > 1_000_000:
-        raise InputError(
-            "plan", "kind", "grid", f"sobol: a grid of {arm.n} joints is {count} poses"
-        )
-    levels = np.array(list(itertools.product((0.0, 0.5, 1.0), repeat=len(turning))))
+        allowed = f"sobol: a grid of {arm.n} joints is {count} poses"
+        raise InputError("plan", "kind", "grid", allowed)
+    levels = _levels(len(turning))
     shares = np.empty((len(levels), len(pairs), arm.n))
     shares[:, :, turning] = levels[:, None, :]
     shares[:, :, sliding] = pairs[None, :, :]
     return _in_box(arm, shares.reshape(-1, arm.n))
+
+
+def _levels(joints: int) -> np.ndarray:
+    return np.array(list(itertools.product((0.0, 0.5, 1.0), repeat=joints)))
 
 
 def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:

@@ -20,12 +20,9 @@ from longarm_comp.math.points import kabsch, nearest_rotation, robust_kabsch, ro
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """``measured ~ rotation @ predicted + offset``.
+    """``measured ~ rotation @ predicted + offset``, (3, 3) and (3,) m; of a mirror ``det`` is -1.
 
-    Attributes:
-        rotation: (3, 3), orthonormal; a mirror has determinant -1.
-        offset: (3,), m.
-        misfit: median remaining distance, m.
+    `misfit` is the median remaining distance, m.
     """
 
     rotation: np.ndarray
@@ -67,10 +64,8 @@ def best_axes(predicted: np.ndarray, measured: np.ndarray) -> tuple[Alignment, s
         for signs in itertools.product((1.0, -1.0), repeat=3):
             rotation = np.zeros((3, 3))
             rotation[range(3), order] = signs
-            name = ",".join(
-                ("-" if s < 0 else "") + "xyz"[k] for k, s in zip(order, signs, strict=True)
-            )
-            fits.append((align(predicted, measured, rotation), name))
+            axes = ("-" * (s < 0) + "xyz"[k] for k, s in zip(order, signs, strict=True))
+            fits.append((align(predicted, measured, rotation), ",".join(axes)))
     return min(fits, key=lambda pair: pair[0].misfit)
 
 
@@ -78,9 +73,9 @@ def _misfit(residual: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(residual, axis=1)))
 
 
-TURNS, STEPS = 6, 20
+_TURNS, _STEPS = 6, 20
 """Times that the rows are weighed again: with the markers still, and with all free."""
-MIN_ROWS = 3
+_MIN_ROWS = 3
 """Rows of a group that fix its rotation."""
 
 
@@ -159,7 +154,7 @@ class Registration:
     @property
     def misfit(self) -> float:
         """Median distance of a row, m."""
-        return float(np.median(np.linalg.norm(self.residual, axis=1)))
+        return _misfit(self.residual)
 
 
 def register(rows: Sightings, tips: bool = True) -> Registration:
@@ -170,7 +165,6 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
     their own.  Directions that the rows do not determine are left as declared.
 
     Args:
-        rows: N >= 3.
         tips: whether the markers are unknown as well.
     """
     still = np.zeros((int(rows.marker.max()) + 1, 3))
@@ -194,13 +188,13 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
     counts = np.bincount(rows.group, minlength=groups)
     for g in sorted(range(groups), key=lambda g: -counts[g]):
         at, seen = point[rows.group == g], rows.seen[rows.group == g]
-        if counts[g] < MIN_ROWS:  # turned like the base of most rows
+        if counts[g] < _MIN_ROWS:  # turned like the base of most rows
             rotation[g] = rotation[np.argmax(counts)]
             offset[g] = np.median(seen - at @ rotation[g].T, axis=0)
         else:
-            rotation[g], offset[g] = robust_kabsch(at, seen, TURNS)
+            rotation[g], offset[g] = robust_kabsch(at, seen, _TURNS)
     made = _look(rows, rotation, offset, tip)
-    for _ in range(STEPS if tips else 0):
+    for _ in range(_STEPS if tips else 0):
         following = _step(rows, made)
         if following.misfit > made.misfit:
             break

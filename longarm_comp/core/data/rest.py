@@ -30,10 +30,8 @@ class RestPose:
     """The arm at rest at a commanded pose, and the mean sighting of the tip.
 
     Attributes:
-        q: (n,) commanded joints, rad and m.
-        history: history of the joints at the pose.
-        tip: (3,) m.
-        variance: (3,) m^2, of the mean, from the variances of the sightings.
+        q, history: (n,) commanded joints, rad and m, and how they came there.
+        tip, variance: (3,) m; (3,) m^2 of the mean, from the variances of the sightings.
         command: number of the command, counted from 1.
     """
 
@@ -46,12 +44,7 @@ class RestPose:
 
 @dataclass
 class RestWatch:
-    """Returns each rest pose once.
-
-    Args:
-        settle_s: time for which the joints must have rested.
-        sightings: number of sightings averaged for one rest pose.
-    """
+    """Returns each rest pose once: the mean of `sightings` once joints rested for `settle_s`."""
 
     settle_s: float = SETTLE_S
     sightings: int = 3

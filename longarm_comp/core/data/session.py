@@ -26,7 +26,7 @@ from longarm_comp.core.html_table import html_table
 INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
 """Names of the columns of an inclinometer; NaN where it gave no reading."""
 
-Rows = np.ndarray | Sequence[int] | slice
+_Rows = np.ndarray | Sequence[int] | slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,23 +75,22 @@ class Session(MeasuredRows):
     lost: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the shapes and freeze the arrays."""
         q = _joints(self.source, self.q)
         n_rows, n = q.shape
         xyz = np.asarray(self.xyz, dtype=float)
         if xyz.shape == (n_rows, 3) and np.isinf(xyz).any():
             raise InputError(self.source, "xyz", "not finite", "numbers in m, or NaN")
-        self._set("index", np.asarray(self.index, dtype=np.int64), (n_rows,))
-        self._set("q", q, (n_rows, n))
-        self._set("xyz", xyz, (n_rows, 3))
-        self._set("approach", np.asarray(self.approach, dtype=np.int8), (n_rows, n))
         legs = self.legs if len(self.legs) == n_rows else np.zeros((n_rows, n, LEGS))
-        self._set("legs", np.asarray(legs, dtype=float), (n_rows, n, LEGS))
         told = self.told if len(self.told) == n_rows else np.zeros((n_rows, n))
-        self._set("told", np.asarray(told, dtype=np.int8), (n_rows, n))
-        self._set("repeat_id", np.asarray(self.repeat_id, dtype=np.int64), (n_rows,))
+        self._set("index", self.index, np.int64, (n_rows,))
+        self._set("q", q, float, (n_rows, n))
+        self._set("xyz", xyz, float, (n_rows, 3))
+        self._set("approach", self.approach, np.int8, (n_rows, n))
+        self._set("legs", legs, float, (n_rows, n, LEGS))
+        self._set("told", told, np.int8, (n_rows, n))
+        self._set("repeat_id", self.repeat_id, np.int64, (n_rows,))
         if self.sigma is not None:
-            self._set("sigma", np.asarray(self.sigma, dtype=float), (n_rows, 3))
+            self._set("sigma", self.sigma, float, (n_rows, 3))
         columns = {k: np.asarray(v, dtype=float) for k, v in self.columns.items()}
         labels = {k: np.asarray(v, dtype=str) for k, v in self.labels.items()}
         for kind, held in (("columns", columns), ("labels", labels)):
@@ -106,9 +105,9 @@ class Session(MeasuredRows):
         if not self.blocks:
             object.__setattr__(self, "blocks", self._blocks())
 
-    def _set(self, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
-        check_shape(self.source, name, values, shape)
-        frozen = values.view()
+    def _set(self, name: str, values: np.ndarray, kind: type, shape: tuple[int, ...]) -> None:
+        frozen = np.asarray(values, dtype=kind).view()
+        check_shape(self.source, name, frozen, shape)
         frozen.flags.writeable = False
         object.__setattr__(self, name, frozen)
 
@@ -148,21 +147,10 @@ class Session(MeasuredRows):
         check_shape(source, "run_up", begun, q.shape)
         history = recorded(q, index, approach, begun)
         return cls(
-            index,
-            q,
-            xyz,
-            history.approach,
-            repeat_id,
-            sigma,
-            columns or {},
-            labels or {},
-            source,
-            history.legs,
-            sides_told(q, approach, begun),
-            readings or {},
-            sigmas or {},
+            index, q, xyz, history.approach, repeat_id, sigma, columns or {}, labels or {}, source,
+            history.legs, sides_told(q, approach, begun), readings or {}, sigmas or {},
             tuple(touch_distances),
-        )
+        )  # fmt: skip
 
     def taken(self, lengths: np.ndarray) -> Session:
         """The whole session, with this length for run-ups of unknown length."""
@@ -172,7 +160,6 @@ class Session(MeasuredRows):
         return dataclasses.replace(self, legs=history.legs)
 
     def __len__(self) -> int:
-        """Number of rows."""
         return len(self.q)
 
     def __repr__(self) -> str:
@@ -244,14 +231,11 @@ class Session(MeasuredRows):
     def hash(self) -> str:
         """SHA-256 of the contents. Equal rows give equal hashes, whatever file they are in."""
         digest = hashlib.sha256()
+        run_up = self.run_up if np.isfinite(self.run_up).any() else None
         parts: list[tuple[str, np.ndarray | None]] = [
-            ("index", self.index),
-            ("q", self.q),
-            ("xyz", self.xyz),
-            ("approach", self.approach),
-            ("run_up", self.run_up if np.isfinite(self.run_up).any() else None),
-            ("repeat_id", self.repeat_id),
-            ("sigma", self.sigma),
+            *(("index", self.index), ("q", self.q), ("xyz", self.xyz)),
+            *(("approach", self.approach), ("run_up", run_up)),
+            *(("repeat_id", self.repeat_id), ("sigma", self.sigma)),
             *((name, self.columns[name]) for name in sorted(self.columns)),
             *((name, self.readings[name]) for name in sorted(self.readings)),
             *((f"sigma {name}", self.sigmas[name]) for name in sorted(self.sigmas)),
@@ -266,12 +250,12 @@ class Session(MeasuredRows):
             digest.update("\0".join([name, *self.labels[name]]).encode())
         return digest.hexdigest()
 
-    def context(self, rows: Rows | None = None) -> Context:
+    def context(self, rows: _Rows | None = None) -> Context:
         """Circumstances of some rows, or all, for the effects. Scalars are (N,) arrays.
 
         The history of the joints is absent when no side of arrival is known in the whole session.
         """
-        at: Rows = slice(None) if rows is None else rows
+        at: _Rows = slice(None) if rows is None else rows
         names = PER_JOINT if self.approach.any() else ()
         held = {name: getattr(self, name)[at].astype(float) for name in names}
         history = {name: tuple(v.reshape(len(v), -1).T) for name, v in held.items()}
@@ -281,7 +265,7 @@ class Session(MeasuredRows):
             labels={name: values[at] for name, values in self.labels.items()},
         )
 
-    def take(self, rows: Rows) -> Session:
+    def take(self, rows: _Rows) -> Session:
         """Some of the rows: a mask (N,), indices or a slice."""
         arrays = ("index", "q", "xyz", "approach", "legs", "told", "repeat_id")
         taken: dict[str, Any] = {name: getattr(self, name)[rows] for name in arrays}

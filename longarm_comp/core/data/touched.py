@@ -26,7 +26,7 @@ from longarm_comp.core.model.tip_motion import stack
 
 _EXACT = 1e-9
 
-Misfit = Callable[[np.ndarray], np.ndarray]
+_Misfit = Callable[[np.ndarray], np.ndarray]
 """Distances of points (N, 3) from a solution, (N,)."""
 
 
@@ -37,13 +37,12 @@ def unknowns(arm: Arm, session: Session) -> tuple[Bias, ...]:
     """
     distances = (*known_distances(arm.touch_distances), *session.touch_distances)
     points = _ordered(session.named(KINDS["touch"]), distances, session.source)
-    made: list[Bias] = []
-    for name, known, after in points:
-        carries = "\n".join(after)
-        if known is None:
-            made.append(TouchPlace(name, carries))
-        else:
-            made.append(TouchBeside(name, known[2], known[3], carries))
+    made: list[Bias] = [
+        TouchPlace(name, "\n".join(after))
+        if known is None
+        else TouchBeside(name, known[2], known[3], "\n".join(after))
+        for name, known, after in points
+    ]
     return (*made, *(PlanePlace(name) for name in session.named(KINDS["plane"])))
 
 
@@ -85,8 +84,7 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
             if not session.seen.any():
                 allowed = f"{rows} of one name"
                 raise InputError(session.source, kind.label, "each in too few rows", allowed)
-            text = f"{', '.join(few)}: in fewer than {rows}, which is too few"
-            yield kind.label, text
+            yield kind.label, f"{', '.join(few)}: in fewer than {rows}, which is too few"
     stood = [kind for kind in session.kinds if not kind.cells]
     if not stood:
         return
@@ -101,8 +99,7 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
     points = {name for kind in stood for name in session.named(kind)}
     for one, other, *_ in session.touch_distances:
         if (one in points) != (other in points):
-            text = f"{other if one in points else one} was not touched"
-            yield "touch_distances", text
+            yield "touch_distances", f"{other if one in points else one} was not touched"
 
 
 def started(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:
@@ -146,7 +143,7 @@ def _put(
 ) -> tuple[TouchPlace | TouchBeside, np.ndarray]:
     """The term at the middle of the tips, and where that is."""
 
-    def solved(kept: np.ndarray) -> tuple[np.ndarray, Misfit]:
+    def solved(kept: np.ndarray) -> tuple[np.ndarray, _Misfit]:
         mean = kept.mean(axis=0)
         return mean, lambda points: np.linalg.norm(points - mean, axis=1)
 
@@ -162,9 +159,8 @@ def _put(
 
 
 def _laid(term: PlanePlace, tips: np.ndarray) -> PlanePlace:
-    """The term at the plane of the tips."""
 
-    def solved(kept: np.ndarray) -> tuple[np.ndarray, Misfit]:
+    def solved(kept: np.ndarray) -> tuple[np.ndarray, _Misfit]:
         middle = kept.mean(axis=0)
         normal = np.linalg.svd(kept - middle, full_matrices=True)[2][-1]
         normal = normal * (1.0 if normal[2] >= 0 else -1.0)
@@ -178,7 +174,7 @@ def _laid(term: PlanePlace, tips: np.ndarray) -> PlanePlace:
 
 
 def _robust(
-    tips: np.ndarray, solved: Callable[[np.ndarray], tuple[np.ndarray, Misfit]]
+    tips: np.ndarray, solved: Callable[[np.ndarray], tuple[np.ndarray, _Misfit]]
 ) -> np.ndarray:
     """A closed-form solution without the tips that are far from it."""
     answer, misfit = solved(tips)

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Parameter, form, parameter
-from longarm_comp.core.effects.joint_term import BLEND, GATES, JointTerm, with_prior
+from longarm_comp.core.effects.effect import Arm, Parameter, Posture, Twists, form, parameter
+from longarm_comp.core.effects.joint_term import BLEND, GATES, JointTerm, by_drive, with_prior
 
 
 @dataclass(frozen=True)
@@ -28,10 +24,10 @@ class Backlash(JointTerm):
     title = "play"
     types = ("revolute", "prismatic")
     action = "Tighten or replace the gear, coupling or clamp of the joint."
-    actions: ClassVar[Mapping[str, str]] = {
-        "hydraulic": "Renew worn pins and bushes of the cylinder and the joint.",
-        "cable": "Raise the cables' pretension; look for worn sheaves.",
-    }
+    actions = by_drive(
+        hydraulic="Renew worn pins and bushes of the cylinder and the joint.",
+        cable="Raise the cables' pretension; look for worn sheaves.",
+    )
     needs = ("approach",)
     loaded = True
     limit_aliases = ("friction_hysteresis",)  # load decides nowhere

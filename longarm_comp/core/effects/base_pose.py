@@ -6,11 +6,10 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import three
 from longarm_comp.core.arm.posture import PLACEMENT, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Twist, exp_large
-from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
+from longarm_comp.core.effects.effect import Arm, Effect, Parameter, Sites, parameter, place
 
 
 @dataclass(frozen=True)

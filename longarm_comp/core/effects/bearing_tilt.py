@@ -6,10 +6,8 @@ import math
 from dataclasses import dataclass
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.arm.spatial import Scalar
-from longarm_comp.core.effects.effect import Parameter, moving_joints, parameter
+from longarm_comp.core.effects.effect import Arm, Parameter, Scalar, moving_joints, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
 
 

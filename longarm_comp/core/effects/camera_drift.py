@@ -6,11 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.measuring import Instrument
-from longarm_comp.core.arm.spatial import Vec
-from longarm_comp.core.effects.effect import Bias, parameter
+from longarm_comp.core.effects.effect import Arm, Bias, Context, Instrument, Vec, parameter
 
 
 @dataclass(frozen=True)
@@ -33,8 +29,4 @@ class CameraDrift(Bias):
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         hours = context.column("t_s", 0.0) / 3600.0
-        return (
-            point[0] + self.x * hours,
-            point[1] + self.y * hours,
-            point[2] + self.z * hours,
-        )
+        return (point[0] + self.x * hours, point[1] + self.y * hours, point[2] + self.z * hours)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Vec, scale
 from longarm_comp.core.effects.camera_view import CameraView
-from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.effect import Arm, Context, parameter
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.spatial import Scalar, Vec, add, dot, scale, sub
-from longarm_comp.core.effects.effect import Bias, Sites
+from longarm_comp.core.effects.effect import Arm, Bias, Instrument, Sites
 
 
 @dataclass(frozen=True)

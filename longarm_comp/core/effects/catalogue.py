@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib
 import importlib.util
 import inspect
 import re
@@ -19,51 +18,69 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
+from longarm_comp.core.effects.anchor_place import AnchorPlace
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.base_compliance import BaseCompliance
+from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.effects.base_settling import BaseSettling
+from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.camera_drift import CameraDrift
+from longarm_comp.core.effects.camera_pose import CameraPose
+from longarm_comp.core.effects.camera_radial import CameraRadial
+from longarm_comp.core.effects.camera_scale import CameraScale
+from longarm_comp.core.effects.creep import Creep
+from longarm_comp.core.effects.cylinder_pins import CylinderPins
+from longarm_comp.core.effects.cylinder_play import CylinderPlay
+from longarm_comp.core.effects.dh_error import DhError
+from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.encoder import Encoder
+from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
+from longarm_comp.core.effects.gravity_direction import GravityDirection
+from longarm_comp.core.effects.guide_curvature import GuideCurvature
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.link_bending import LinkBending
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.link_mass import LinkMass
+from longarm_comp.core.effects.link_stiffness import LinkStiffness
+from longarm_comp.core.effects.measured_tilt import MeasuredTilt
+from longarm_comp.core.effects.plane_place import PlanePlace
+from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
+from longarm_comp.core.effects.sensor_place import SensorPlace
+from longarm_comp.core.effects.servo_droop import ServoDroop
+from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
+from longarm_comp.core.effects.slide_play import SlidePlay
+from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
+from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.thermal_softening import ThermalSoftening
+from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.effects.tip_orientation import TipOrientation
+from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.effects.touch_beside import TouchBeside
+from longarm_comp.core.effects.touch_place import TouchPlace
 from longarm_comp.core.entry_points import check_name, of_other_packages
 from longarm_comp.core.errors import InputError
 
 Kind = type[Effect] | type[Bias]
-K = TypeVar("K", bound=Kind)
+_K = TypeVar("_K", bound=Kind)
 
 GROUP = "longarm_comp.effects"
 """Group of the entry points of effects from other packages."""
 
-_MODULES = (
-    *("joint_zero", "dh_error", "cylinder_pins", "base_pose", "tip_offset", "tip_orientation"),
-    *("anchor_place", "sensor_place", "touch_place", "touch_beside", "plane_place"),
-    *("camera_pose", "encoder", "link_deflection", "joint_compliance", "bearing_tilt"),
-    *("link_stiffness", "tip_payload", "link_mass", "telescope_clearance", "link_bending"),
-    *("slide_play", "guide_curvature", "base_compliance", "base_settling", "measured_tilt"),
-    *("gravity_direction", "backlash", "cylinder_play", "friction_hysteresis"),
-    *("gear_eccentricity", "joint_gain", "prismatic_pitch", "servo_droop"),
-    *("servo_quantisation", "thermal_growth", "thermal_softening", "creep", "camera_scale"),
-    *("camera_radial", "camera_drift", "discovered"),
-)
-"""The files of this folder that hold effects, in the order of listing and search."""
-
-
-def _effects_in(module: ModuleType) -> tuple[Kind, ...]:
-    """The effects that a module defines."""
-    own = (value for value in vars(module).values() if _is_kind(value) and hasattr(value, "name"))
-    return tuple(value for value in own if value.__module__ == module.__name__)
-
-
-def _is_kind(value: object) -> bool:
-    return (
-        isinstance(value, type)
-        and issubclass(value, (Effect, Bias))
-        and not inspect.isabstract(value)
-    )
-
-
-_OURS: tuple[Kind, ...] = tuple(
-    kind
-    for name in _MODULES
-    for kind in _effects_in(importlib.import_module(f"longarm_comp.core.effects.{name}"))
+_OURS: tuple[Kind, ...] = (
+    *(JointZero, DhError, CylinderPins, BasePose, TipOffset, TipOrientation, AnchorPlace),
+    *(SensorPlace, TouchPlace, TouchBeside, PlanePlace, CameraPose, Encoder, LinkDeflection),
+    *(JointCompliance, BearingTilt, LinkStiffness, TipPayload, LinkMass, TelescopeClearance),
+    *(LinkBending, SlidePlay, GuideCurvature, BaseCompliance, BaseSettling, MeasuredTilt),
+    *(GravityDirection, Backlash, CylinderPlay, FrictionHysteresis, GearEccentricity, JointGain),
+    *(PrismaticPitch, ServoDroop, ServoQuantisation, ThermalGrowth, ThermalSoftening, Creep),
+    *(CameraScale, CameraRadial, CameraDrift, Discovered, DiscoveredView),
 )
 BUILT_IN: dict[str, Kind] = {kind.name: kind for kind in _OURS}
-"""The effects of this package."""
+"""The effects of this package, in the order of listing and search."""
 LIBRARY: tuple[Kind, ...] = tuple(k for k in _OURS if k.searched and not k.geometry)
 """The effects of this package that a diagnosis tries; used by studies and benchmarks."""
 
@@ -84,11 +101,7 @@ def searched() -> tuple[Kind, ...]:
 
 
 def effect_class(name: str, where: str, known_from: str = "") -> Kind:
-    """The effect of a canonical name.
-
-    Args:
-        known_from: origin of the effect when the source was written (see `origin`).
-    """
+    """The effect of a canonical name; `known_from`: its `origin` when the source was written."""
     found = BUILT_IN.get(name) or registered().get(name)
     if found is None:
         outside = f"a file (--effects FILE) or a package (entry points {GROUP})"
@@ -105,7 +118,7 @@ def origin(kind: Kind) -> str:
     return _origins.get(kind.name, "")
 
 
-def register(kind: K, source: str = "") -> K:
+def register(kind: _K, source: str = "") -> _K:
     """Register an effect. It can be used as a decorator."""
     source = source or f"module {getattr(kind, '__module__', '?')}"
     _check(kind, source)
@@ -154,6 +167,16 @@ def _file(kind: Kind) -> str:
     return getattr(sys.modules.get(kind.__module__), "__file__", None) or kind.__module__
 
 
+def _effects_in(module: ModuleType) -> tuple[Kind, ...]:
+    own = (value for value in vars(module).values() if _is_kind(value) and hasattr(value, "name"))
+    return tuple(value for value in own if value.__module__ == module.__name__)
+
+
+def _is_kind(value: object) -> bool:
+    of_ours = isinstance(value, type) and issubclass(value, (Effect, Bias))
+    return of_ours and not inspect.isabstract(value)
+
+
 def _check(kind: Kind, source: str) -> None:
     """Check that a class is an effect that can be fitted, saved and loaded."""
     if not _is_kind(kind):
@@ -165,9 +188,8 @@ def _check(kind: Kind, source: str) -> None:
     if not frozen:
         raise InputError(source, name, kind.__name__, "a frozen dataclass, @dataclass(frozen=True)")
     for missing in kind.undeclared():
-        raise InputError(
-            source, f"{name}.{missing}", "undeclared", "place(), form() or parameter()"
-        )
+        allowed = "place(), form() or parameter()"
+        raise InputError(source, f"{name}.{missing}", "undeclared", allowed)
     for field in dataclasses.fields(kind):
         where = f"{name}.{field.name}"
         if hasattr(Effect, field.name) or hasattr(Bias, field.name):

@@ -26,24 +26,14 @@ def stations(arm: Arm) -> list[str]:
 
     The axes are those of what the joint carries: they turn with it.
     """
-    rows = [joint.id for joint in arm.joints]
-    return [
-        BASE_PLACE,
-        *(f"joint {row}" for row in rows),
-        *(f"frame {row}" for row in rows),
-        TIP_PLACE,
-    ]
+    each = (f"{kind} {joint.id}" for kind in ("joint", "frame") for joint in arm.joints)
+    return [BASE_PLACE, *each, TIP_PLACE]
 
 
 @dataclass(frozen=True)
 class Acting:
-    """A place at a posture.
-
-    Attributes:
-        station: the station that a twist acts at.
-        frame: pose of the place in the base frame: axes of the station; a wrench acts at its
-            origin.
-    """
+    """A place at a posture: the station that a twist acts at; the pose at whose origin, in the
+    base frame, a wrench acts."""
 
     station: int
     frame: Frame
@@ -56,18 +46,14 @@ class Acting:
             frame = posture.frames[station]
             return cls(station, frame._replace(p=frame.transform(tip.position_m)))
         kind, _, row = place.partition(" ")
-        stand = {"joint": posture.bearing, "frame": posture.frame}
-        station = stand[kind](int(row)) if row else BASE
+        stand = posture.bearing if kind == "joint" else posture.frame
+        station = stand(int(row)) if row else BASE
         return cls(station, posture.frames[station])
 
 
 @dataclass(frozen=True)
 class _Component(ABC):
-    """What acts at a place.
-
-    Attributes:
-        axis: 0, 1, 2; None where the posture says which way.
-    """
+    """What acts at a place, along axis 0, 1, 2; None where the posture says which way."""
 
     word: ClassVar[str]
     unit: ClassVar[str]
@@ -88,7 +74,6 @@ class _Component(ABC):
         return (x, y, z)
 
 
-@dataclass(frozen=True)
 class Move(_Component):
     """A displacement."""
 
@@ -99,7 +84,6 @@ class Move(_Component):
         return {at.station: (*self._along(amount), *ZERO)}
 
 
-@dataclass(frozen=True)
 class Turn(_Component):
     """A rotation."""
 
@@ -110,7 +94,6 @@ class Turn(_Component):
         return {at.station: (*ZERO, *self._along(amount))}
 
 
-@dataclass(frozen=True)
 class Give(_Component):
     """A rotation under the moment that is carried there, across the place's z axis."""
 
@@ -122,7 +105,6 @@ class Give(_Component):
         return {at.station: (*ZERO, amount * x, amount * y, 0.0)}
 
 
-@dataclass(frozen=True)
 class Wrench(_Component):
     """A load: it bends the declared beams between the base and the place."""
 
@@ -141,13 +123,11 @@ class Wrench(_Component):
                 end = posture.frames[element.station]
                 lever = spatial.sub(at.frame.p, end.p)
                 moment = spatial.add(turned, spatial.cross(lever, pushed))
-                made[element.station] = bent(
-                    posture, element, end.unrotate(pushed), end.unrotate(moment)
-                )
+                here = end.unrotate(pushed), end.unrotate(moment)
+                made[element.station] = bent(posture, element, *here)
         return made
 
 
-@dataclass(frozen=True)
 class Force(Wrench):
     """A force at the place."""
 
@@ -158,7 +138,6 @@ class Force(Wrench):
         return at.frame.rotate(self._along(amount)), ZERO
 
 
-@dataclass(frozen=True)
 class Moment(Wrench):
     """A moment at the place."""
 
@@ -169,7 +148,6 @@ class Moment(Wrench):
         return ZERO, at.frame.rotate(self._along(amount))
 
 
-@dataclass(frozen=True)
 class Weight(Wrench):
     """A force at the place, the way that gravity pulls."""
 

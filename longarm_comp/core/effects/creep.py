@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Effect, Sites, form, parameter
+from longarm_comp.core.effects.effect import Arm, Effect, Posture, Sites, Twists, form, parameter
 from longarm_comp.core.effects.link_deflection import extra_sag
 
 _TIMES_S = (900.0, 3600.0, 14400.0)
@@ -16,11 +14,8 @@ _TIMES_S = (900.0, 3600.0, 14400.0)
 
 @dataclass(frozen=True)
 class Creep(Effect):
-    """The declared sag grows by ``amount (1 - exp(-t/time))`` (one Kelvin-Voigt element).
-
-    Attributes:
-        time: time constant (s), counted from the start of the session.
-    """
+    """The declared sag grows by ``amount (1 - exp(-t/time))`` (one Kelvin-Voigt element); the
+    time constant (s) counts from the start of the session."""
 
     name = "creep"
     title = "creep"

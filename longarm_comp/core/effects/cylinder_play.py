@@ -5,19 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import form, parameter
+from longarm_comp.core.effects.effect import Arm, Posture, Twists, form, parameter
 from longarm_comp.core.effects.joint_term import BLEND, GATES, JointTerm
 
 
 @dataclass(frozen=True)
 class CylinderPlay(JointTerm):
-    """As `backlash`, but worn pins shift the cylinder: the joint turns by the play over its lever.
-
-    Attributes:
-        gate, blend: as in `Backlash`.
-    """
+    """As `Backlash`, but worn pins shift the cylinder: the joint turns by play over lever."""
 
     name = "cylinder_play"
     title = "play in the cylinder's pins"

@@ -6,14 +6,13 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
+from longarm_comp.core.effects.effect import Arm, Effect, Parameter, parameter, place
 from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.effects.sites import rows
 from longarm_comp.core.errors import InputError
 
-MOST_OF_REACH = 0.25
+_MOST_OF_REACH = 0.25
 """A length that is wrong by more, as a share of the arm's reach, is of another arm: calibration
 refuses rows that see the arm as far off."""
 
@@ -45,23 +44,17 @@ class DhError(Effect):
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Priors from the row's tolerances; the joint variable itself is held at zero."""
         joint = arm.joints[self.row - 1]
-        angle = joint.tolerance.alpha_deg
-        turn = joint.tolerance.theta_deg
-        priors = {
-            "a": joint.tolerance.a_m or 1e-3,
-            "b": joint.tolerance.a_m or 1e-3,
-            "alpha": math.radians(angle) if angle else 4e-3,
-            "beta": math.radians(angle) if angle else 4e-3,
-            "d": joint.tolerance.d_m or 1e-3,
-            "theta": math.radians(turn) if turn else 4e-3,
-        }
+        held = joint.tolerance
+        a, d = held.a_m or 1e-3, held.d_m or 1e-3
+        alpha, theta = (math.radians(v) if v else 4e-3 for v in (held.alpha_deg, held.theta_deg))
+        priors = {"a": a, "b": a, "alpha": alpha, "beta": alpha, "d": d, "theta": theta}
         if joint.commanded:
             priors["theta" if joint.type == "revolute" else "d"] = 0.0
         return tuple(dataclasses.replace(p, prior=priors[p.name]) for p in self.declared())
 
     def check(self, arm: Arm, where: str) -> None:
         """No length is wrong by a quarter of the arm's reach."""
-        most = MOST_OF_REACH * reach(arm)
+        most = _MOST_OF_REACH * reach(arm)
         for p in self.declared():
             value = getattr(self, p.name)
             if p.unit == "m" and abs(value) > most:

@@ -6,7 +6,6 @@ one place.  `core/identify/discover` finds them; a model holds any number.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -21,6 +20,7 @@ from longarm_comp.core.arm.spatial import Scalar, Vec
 from longarm_comp.core.effects.components import COMPONENTS, Acting, components, stations
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
 from longarm_comp.core.effects.function import Function, function
+from longarm_comp.core.effects.joint_term import with_prior
 from longarm_comp.core.effects.quantities import (
     AXES,
     OfPosture,
@@ -100,7 +100,8 @@ class Discovered(_OfFunction, Effect):
         return f"{self.at}, {self.component}"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        return _amount(self.declared(), COMPONENTS[self.component].unit, self.of, self.scale, arm)
+        unit = _quotient(COMPONENTS[self.component].unit, self.of.units(arm))
+        return with_prior(self.declared(), unit=unit, prior=self.scale)
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -167,7 +168,8 @@ class DiscoveredView(_OfFunction, Bias):
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The amount, in m, or as a share of the distance, per unit of the function."""
         unit = "1" if self.axis == DISTANCE else "m"
-        return _amount(self.declared(), unit, self.of, self.scale, arm)
+        unit = _quotient(unit, self.of.units(arm))
+        return with_prior(self.declared(), unit=unit, prior=self.scale)
 
     def check(self, arm: Arm, where: str) -> None:
         _check(self.name, self, arm, where, SeenCoordinate)
@@ -186,29 +188,14 @@ class DiscoveredView(_OfFunction, Bias):
 _SLACK = 1e-6
 
 
-def _amount(
-    declared: tuple[Parameter, ...], unit: str, of: Function, scale: float, arm: Arm
-) -> tuple[Parameter, ...]:
-    return tuple(
-        dataclasses.replace(p, unit=_quotient(unit, of.units(arm)), prior=scale) for p in declared
-    )
-
-
 def _quotient(unit: str, over: list[str]) -> str:
     """``N/(rad m)``, ``rad/rad^2``."""
     powers = {u: over.count(u) for u in over}
-    below = [u if n == 1 else f"{_bracketed(u)}^{n}" for u, n in powers.items()]
+    below = [u if n == 1 else f"({u})^{n}" if " " in u else f"{u}^{n}" for u, n in powers.items()]
     if not below:
         return unit
-    return f"{unit}/{below[0] if len(over) == 1 and ' ' not in below[0] else _all(below)}"
-
-
-def _bracketed(unit: str) -> str:
-    return f"({unit})" if " " in unit else unit
-
-
-def _all(units: list[str]) -> str:
-    return units[0] if len(units) == 1 and " " not in units[0] else f"({' '.join(units)})"
+    whole = " ".join(below)
+    return f"{unit}/({whole})" if " " in whole else f"{unit}/{whole}"
 
 
 def _check(name: str, term: Discovered | DiscoveredView, arm: Arm, where: str, kind: type) -> None:

@@ -3,7 +3,8 @@
 Every field of an effect is declared as a `place` (where on the arm), a `form` (which variant) or a
 `parameter` (a fitted number).  The search, the fit, the files, the report and the documentation
 read only these declarations and the class attributes.  An effect of another package is therefore
-treated like one of this folder (docs/add_an_effect.md).
+treated like one of this folder (docs/add_an_effect.md).  What its file needs besides (`Arm`,
+`Context`, `Posture`, `Twists`, ...) may be imported from here too.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from longarm_comp.core.errors import InputError
 
 _PARAMETER, _PLACE, _FORM, _TRIED = "parameter", "place", "form", "tried"
 Drive = Literal["servo", "gear", "arm"]
-Places = Callable[[Arm], Sequence[int] | Sequence[str]]
+_Places = Callable[[Arm], Sequence[int] | Sequence[str]]
 Sites = Sequence[Mapping[str, Any]]
 
 
@@ -40,13 +41,6 @@ def _metadata(kind: type[_Term], role: str) -> dict[str, Any]:
     """What the fields of one role declare, by name."""
     declared = dataclasses.fields(kind)
     return {f.name: f.metadata[role] for f in declared if role in f.metadata}
-
-
-@cache
-def _fields(kind: type[_Term], roles: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of an effect's fields that are declared in one of some roles."""
-    declared = dataclasses.fields(kind)
-    return tuple(f.name for f in declared if any(role in f.metadata for role in roles))
 
 
 def parameter(
@@ -60,23 +54,13 @@ def parameter(
     like: str = "",
     usual: float = 0.0,
 ) -> Any:
-    """Declare a field as a fitted parameter.
-
-    Args:
-        unit: unit of the value, SI.
-        meaning: description in a few words.
-        prior: standard deviation of plausible values; 0 fixes the parameter at its value.
-        lower, upper: physical bounds.
-        default: value of an arm without this error.
-        unknown: whether nothing is known beforehand, so that the prior must not pull.
-        like, usual: as in `Parameter`.
-    """
+    """Declare a field as a fitted `Parameter`; `default` is its value without this error."""
     meta = {"unit": unit, "meaning": meaning, "prior": prior, "lower": lower, "upper": upper}
     meta |= {"unknown": unknown, "like": like, "usual": usual}
     return dataclasses.field(default=default, metadata={_PARAMETER: meta})
 
 
-def place(allowed: Places | None = None, default: int | str | None = None) -> Any:
+def place(allowed: _Places | None = None, default: int | str | None = None) -> Any:
     """Declare a field as a place. A model may hold several instances with different places.
 
     All places of one form together are a family, which a diagnosis tries as a whole.
@@ -84,12 +68,10 @@ def place(allowed: Places | None = None, default: int | str | None = None) -> An
     Args:
         allowed: allowed values on an arm (`moving_joints`, `beams`, ... or a function of your
             own); None for any text.
-        default: default value; None if the field is required.
+        default: None if the field is required.
     """
-    meta = {_PLACE: allowed}
-    if default is None:
-        return dataclasses.field(metadata=meta)
-    return dataclasses.field(default=default, metadata=meta)
+    given = {} if default is None else {"default": default}
+    return dataclasses.field(**given, metadata={_PLACE: allowed})  # type: ignore[call-overload]
 
 
 def form(
@@ -101,7 +83,6 @@ def form(
     """Declare a field as a form: a variant of the effect, which is tried but not fitted.
 
     Args:
-        default: default value.
         lower, upper: ends of a continuous scale. The search then also tries values between those
             of `candidates`.  Without them only those values are tried.
         tried: values of the candidates, where there are others than the default.
@@ -194,7 +175,7 @@ class _Term:
         return tuple(f.name for f in dataclasses.fields(cls) if not known & set(f.metadata))
 
     @classmethod
-    def allowed_places(cls) -> Mapping[str, Places]:
+    def allowed_places(cls) -> Mapping[str, _Places]:
         """By place field, its allowed values on an arm, without fields that allow any text."""
         return {name: known for name, known in _metadata(cls, _PLACE).items() if known}  # type: ignore[arg-type]
 
@@ -206,20 +187,20 @@ class _Term:
     @property
     def places(self) -> dict[str, Any]:
         """The place fields."""
-        return self._declared_as(_PLACE)
+        return self._values(_PLACE)
 
     @property
     def forms(self) -> dict[str, Any]:
         """The form fields."""
-        return self._declared_as(_FORM)
+        return self._values(_FORM)
 
     @property
     def placement(self) -> dict[str, Any]:
         """Values of the place and form fields."""
-        return self._declared_as(_PLACE, _FORM)
+        return {**self.places, **self.forms}
 
-    def _declared_as(self, *roles: str) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in _fields(type(self), roles)}  # type: ignore[arg-type]
+    def _values(self, role: str) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in _metadata(type(self), role)}  # type: ignore[arg-type]
 
     @property
     def where(self) -> str:
@@ -263,7 +244,7 @@ class _Term:
         None where a place may be any text: then the rows of a session say which there are.
         """
         allowed = cls.allowed_places()
-        if len(allowed) < len(_fields(cls, (_PLACE,))):  # type: ignore[arg-type]
+        if len(allowed) < len(_metadata(cls, _PLACE)):  # type: ignore[arg-type]
             return []
         each = itertools.product(*(places(arm) for places in allowed.values()))
         return [dict(zip(allowed, values, strict=True)) for values in each]
@@ -281,11 +262,9 @@ class _Term:
     @classmethod
     def for_arm(cls, arm: Arm) -> tuple[Self, ...]:
         """The instances to fit when the user declares this effect without a place."""
-        groups = cls.candidates(arm)
-        seen: dict[tuple[Any, ...], Self] = {}
-        for group in groups:
-            for term in group:
-                seen.setdefault(tuple(map(repr, term.placement.items())), term)
+        seen: dict[tuple[object, ...], Self] = {}
+        for term in itertools.chain(*cls.candidates(arm)):
+            seen.setdefault(term.variant, term)
         return tuple(seen.values())
 
     @classmethod

@@ -7,14 +7,7 @@ from dataclasses import dataclass
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Scalar, Vec
-from longarm_comp.core.effects.effect import (
-    Bias,
-    Parameter,
-    Sites,
-    moving_joints,
-    parameter,
-    place,
-)
+from longarm_comp.core.effects.effect import Bias, Parameter, Sites, moving_joints, parameter, place
 from longarm_comp.core.effects.joint_term import with_prior
 
 

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SLIDE
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Parameter, form, parameter
-from longarm_comp.core.effects.joint_term import JointTerm, with_prior
+from longarm_comp.core.effects.effect import Arm, Parameter, Posture, Twists, form, parameter
+from longarm_comp.core.effects.joint_term import JointTerm, by_drive, with_prior
 
 
 @dataclass(frozen=True)
@@ -32,10 +28,10 @@ class FrictionHysteresis(JointTerm):
     title = "friction"
     types = ("revolute", "prismatic")
     action = "Clean and grease the joint; look for dragging seals and cables."
-    actions: ClassVar[Mapping[str, str]] = {
-        "hydraulic": "Check the cylinder's seals and guides, and the valve's deadband.",
-        "cable": "Clean and grease sheaves and conduits; look for cables that rub.",
-    }
+    actions = by_drive(
+        hydraulic="Check the cylinder's seals and guides, and the valve's deadband.",
+        cable="Clean and grease sheaves and conduits; look for cables that rub.",
+    )
     needs = ("approach",)
     remembers = True
 
@@ -48,13 +44,10 @@ class FrictionHysteresis(JointTerm):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Priors 10, 3 and 3 mrad, or 0.3, 0.1 and 0.1 mm for a slide."""
-        width, *parts = self.declared()
-        if arm.joints[self.joint - 1].type == "prismatic":
-            return (
-                *with_prior((width,), unit="m", prior=3e-4),
-                *with_prior(tuple(parts), unit="m", prior=1e-4),
-            )
-        return width, *parts
+        if arm.joints[self.joint - 1].type != "prismatic":
+            return self.declared()
+        width, *parts = with_prior(self.declared(), unit="m", prior=1e-4)
+        return *with_prior((width,), prior=3e-4), *parts
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -18,9 +18,9 @@ from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.quantities import Quantity, quantity
 from longarm_comp.core.effects.shapes import LARGEST, SHAPES, FunctionError, Shape
 
-MOST_FACTORS = 3
+_MOST_FACTORS = 3
 
-Read = Callable[[Quantity], Scalar]
+_Read = Callable[[Quantity], Scalar]
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Function:
 
     factors: tuple[Shape, ...] = ()
 
-    def value(self, read: Read) -> Scalar:
+    def value(self, read: _Read) -> Scalar:
         """Its value, given how to read a quantity."""
         product: Scalar = 1.0
         for factor in self.factors:
@@ -80,8 +80,8 @@ def function(text: str, domain: str) -> Function:
     """
     ranges = _ranges(domain)
     parts = [] if text == "1" else text.split(" * ")
-    if len(parts) > MOST_FACTORS:
-        raise FunctionError(f"{len(parts)} factors", f"at most {MOST_FACTORS}")
+    if len(parts) > _MOST_FACTORS:
+        raise FunctionError(f"{len(parts)} factors", f"at most {_MOST_FACTORS}")
     factors = tuple(_factor(part, ranges) for part in parts)
     for name in ranges:
         if all(f.of != name for f in factors):
@@ -93,7 +93,8 @@ def _factor(text: str, ranges: dict[str, tuple[float, float]]) -> Shape:
     found = _FACTOR.fullmatch(text)
     kind = SHAPES.get(found.group(1)) if found else None
     if found is None or kind is None:
-        raise FunctionError(text, f"a shape of a quantity, as linear(q2); shapes: {_words()}")
+        allowed = f"a shape of a quantity, as linear(q2); shapes: {', '.join(SHAPES)}"
+        raise FunctionError(text, allowed)
     name, listed = found.group(2), found.group(3).split(", ")[1:]
     if name not in ranges:
         raise FunctionError(f"domain without {name}", f"its range, as {name} -1.0..1.0")
@@ -123,11 +124,6 @@ def _ranges(domain: str) -> dict[str, tuple[float, float]]:
 def _number(text: str) -> float:
     if not _NUMBER.fullmatch(text):
         raise FunctionError(text, "a number")
-    value = float(text)
-    if not math.isfinite(value):
+    if not math.isfinite(float(text)):
         raise FunctionError(text, "a finite number")
-    return value
-
-
-def _words() -> str:
-    return ", ".join(SHAPES)
+    return float(text)

@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import form, parameter
-from longarm_comp.core.effects.joint_term import JointTerm
+from longarm_comp.core.effects.effect import Posture, Twists, form, parameter
+from longarm_comp.core.effects.joint_term import JointTerm, by_drive
 
 
 @dataclass(frozen=True)
 class GearEccentricity(JointTerm):
-    """``cosine cos(order q) + sine sin(order q)``.
-
-    Attributes:
-        order: periods per turn of the joint.
-    """
+    """``cosine cos(order q) + sine sin(order q)``, with so many periods per turn of the joint."""
 
     name = "gear_eccentricity"
     title = "eccentric gear"
     action = "Seat the gear wheel or encoder disc again, or replace it."
-    actions: ClassVar[Mapping[str, str]] = {
-        "hydraulic": "Check the linkage's pins and the seat of the angle sensor.",
-        "cable": "Seat the drum or sheave again, or replace it.",
-    }
+    actions = by_drive(
+        hydraulic="Check the linkage's pins and the seat of the angle sensor.",
+        cable="Seat the drum or sheave again, or replace it.",
+    )
     free_levels = 3
 
     order: int = form(1, tried=(1, 2))

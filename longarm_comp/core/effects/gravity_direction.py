@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Vec, add, cross
-from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.effects.effect import Effect, Posture, Twists, parameter
 
 
 @dataclass(frozen=True)

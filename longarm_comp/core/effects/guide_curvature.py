@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.effect import Posture, Twists, parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 
 

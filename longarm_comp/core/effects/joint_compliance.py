@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Parameter, moving_joints, parameter
-from longarm_comp.core.effects.joint_term import JointTerm, reach, typical_loads, with_prior
+from longarm_comp.core.effects.effect import Arm, Parameter, moving_joints, parameter
+from longarm_comp.core.effects.joint_term import (
+    JointTerm,
+    by_drive,
+    reach,
+    typical_loads,
+    with_prior,
+)
 
 
 @dataclass(frozen=True)
@@ -22,10 +25,10 @@ class JointCompliance(JointTerm):
     name = "joint_compliance"
     title = "soft joint"
     action = "Check keys, clamps and screws of the drive; a stiffer gear or shaft lowers it."
-    actions: ClassVar[Mapping[str, str]] = {
-        "hydraulic": "Bleed cylinder and hoses of air; check hoses, pins and the valve's leakage.",
-        "cable": "Use stiffer cables or raise their pretension; check their anchors.",
-    }
+    actions = by_drive(
+        hydraulic="Bleed cylinder and hoses of air; check hoses, pins and the valve's leakage.",
+        cable="Use stiffer cables or raise their pretension; check their anchors.",
+    )
     loaded = True
     elastic = True
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import parameter
-from longarm_comp.core.effects.joint_term import JointTerm
+from longarm_comp.core.effects.effect import Posture, Twists, parameter
+from longarm_comp.core.effects.joint_term import JointTerm, by_drive
 
 
 @dataclass(frozen=True)
@@ -18,13 +15,11 @@ class JointGain(JointTerm):
     name = "joint_gain"
     title = "scale error of the joint"
     action = "Check the gear ratio and the counts per turn in the servo's settings."
-    actions: ClassVar[Mapping[str, str]] = {
-        "motor": "Check the gear ratio and the encoder's counts per turn in the drive's settings.",
-        "hydraulic": (
-            "Calibrate the joint's angle or length sensor again, at both ends of its travel."
-        ),
-        "cable": "Measure the drum's diameter with the cable on it and set the ratio.",
-    }
+    actions = by_drive(
+        motor="Check the gear ratio and the encoder's counts per turn in the drive's settings.",
+        hydraulic="Calibrate the joint's angle or length sensor again, at both ends of its travel.",
+        cable="Measure the drum's diameter with the cable on it and set the ratio.",
+    )
     free_levels = 2
 
     gain: float = parameter("1", "extra motion per commanded motion", prior=0.05)

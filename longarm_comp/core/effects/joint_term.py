@@ -22,9 +22,14 @@ GATES = (0.0, 0.03, 0.075, 0.15, 0.3, 0.75)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
 BLEND = 1 / 6
 """Share of such a load over which friction and load change over, where it is not known."""
-POSES = 64
+_POSES = 64
 """Poses over which a typical load is taken."""
 _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
+
+
+def by_drive(**actions: str) -> Mapping[str, str]:
+    """What can be done about an effect, by the joint's kind of drive."""
+    return actions
 
 
 @dataclass(frozen=True)
@@ -79,10 +84,7 @@ class JointTerm(Effect):
         return twists
 
     def load(self, posture: Posture) -> Scalar:
-        """Gravity torque (N m) about, or force (N) along, the joint's z axis.
-
-        By virtual work it includes the loads of passive joints coupled to it.
-        """
+        """Its `joint_load`."""
         return joint_load(posture, self.joint)
 
     def side(self, posture: Posture, gate: float, blend: float = BLEND) -> Scalar:
@@ -93,7 +95,6 @@ class JointTerm(Effect):
         gradual, as under a nearly balanced load.
 
         Args:
-            posture: the arm.
             gate: the threshold, as a share of the arm's typical torque (`typical_loads`), or of
                 a quarter of its weight for a slide.
             blend: share of the threshold over which the side changes over.
@@ -131,10 +132,8 @@ class JointTerm(Effect):
 
 
 def joint_load(posture: Posture, joint: int) -> Scalar:
-    """Gravity torque (N m) about, or force (N) along, the z axis of a row's joint.
-
-    By virtual work it includes the loads of passive joints coupled to it.
-    """
+    """Gravity torque (N m) about, or force (N) along, the z axis of a row's joint, by virtual work
+    with the loads of passive joints coupled to it."""
     total: Scalar = 0.0
     for row, weight in posture.chain.coupled(joint):
         station = posture.bearing(row)
@@ -173,13 +172,13 @@ def typical_loads(arm: Arm) -> tuple[float, float]:
 
 def _largest_moment(arm: Arm) -> float:
     """RMS over poses of the moment about the most loaded bearing, N m."""
-    poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSES, arm.n))
+    poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSES, arm.n))
     chain = Chain(arm, elements_per_beam=1)
     q = tuple(np.ascontiguousarray(poses.T))
     frames, lengths = chain.place(q, {})
     posture = Posture(chain, q, Context.empty(), frames, lengths, arm.gravity_mps2)
     moments = [posture.moment(posture.bearing(row)) for row in arm.commanded]
-    each = np.array([[np.broadcast_to(part, POSES) for part in moment] for moment in moments])
+    each = np.array([[np.broadcast_to(part, _POSES) for part in moment] for moment in moments])
     return float(np.sqrt((each**2).sum(axis=1).mean(axis=1).max()))
 
 

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Parameter, parameter
-from longarm_comp.core.effects.joint_term import JointTerm, with_prior
+from longarm_comp.core.effects.effect import Arm, Parameter, Posture, Twists, parameter
+from longarm_comp.core.effects.joint_term import JointTerm, by_drive, with_prior
 
 
 @dataclass(frozen=True)
@@ -21,11 +17,11 @@ class JointZero(JointTerm):
     title = "zero offset"
     types = ("revolute", "prismatic")
     action = "Set the zero of the servo or encoder again."
-    actions: ClassVar[Mapping[str, str]] = {
-        "hydraulic": "Set the zero of the joint's angle or length sensor again.",
-        "motor": "Reference the axis again, or set the encoder's zero.",
-        "cable": "Reference the joint again; look for a cable that slipped or stretched.",
-    }
+    actions = by_drive(
+        hydraulic="Set the zero of the joint's angle or length sensor again.",
+        motor="Reference the axis again, or set the encoder's zero.",
+        cable="Reference the joint again; look for a cable that slipped or stretched.",
+    )
     geometry = True
     displaces_joint = True
 

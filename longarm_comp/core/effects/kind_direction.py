@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, form, parameter, place
+from longarm_comp.core.effects.effect import Effect, Posture, Twists, form, parameter, place
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.arm.spatial import Scalar
-from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
+from longarm_comp.core.effects.effect import Effect, Parameter, Scalar, Sites, parameter, place
 from longarm_comp.core.effects.joint_term import reach, typical_loads, with_prior
 from longarm_comp.core.effects.sites import rows
 

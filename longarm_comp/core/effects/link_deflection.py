@@ -36,12 +36,8 @@ class LinkDeflection(Effect):
 
 
 def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
-    """A share of the declared cantilever twist, at the end of every element.
-
-    Args:
-        share: factor, a number or one per row.
-        beam: name of the only beam that sags more; all where empty.
-    """
+    """A share (one for all rows, or one per row) of the declared cantilever twist, at the end of
+    every element of one beam, or of all."""
     return {
         e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
         for e in _elements(posture)
@@ -105,8 +101,7 @@ def _cantilever(
     """Twist at the end of an element, as `cantilever`.
 
     Args:
-        axis: along the beam. sign: of its direction. length: of the element (m).
-        inverse: compliances about x, y, z (1/(N m^2)).
+        axis, sign, length, inverse: as `_beam` gives them.
         felt: gravity, force and moment at the end, in its axes.
         spread: density (kg/m) and loaded length (m) of each mass along it, and whether that is
             the element's whole length.
@@ -123,11 +118,8 @@ def _cantilever(
             continue
         rest = length - h
         slope_w = slope_w + density * h * (0.5 * rest * length + h * h / 6)
-        sag_w = sag_w + density * h * (
-            h * h * h / 8
-            + (length * length * length - h * h * h) / 3
-            - h * (length * length - h * h) / 4
-        )
+        bent_before = (length * length * length - h * h * h) / 3 - h * (length * length - h * h) / 4
+        sag_w = sag_w + density * h * (h * h * h / 8 + bent_before)
 
     uw = _across(axis, sign, gravity)
     slope, sag = _end_loaded(length, axis, sign, force, moment)
@@ -145,10 +137,8 @@ def _cantilever(
 
 
 def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
-    """Twist at the end of a beam element under a force (N) and moment (N m) there, first order.
-
-    Both in the axes of the element's end.
-    """
+    """Twist at the end of a beam element under a force (N) and moment (N m) in its axes there, to
+    first order."""
     length, sign, inverse = _beam(posture, element)
     slope, sag = _end_loaded(length, element.axis, sign, force, moment)
     d, theta = _bend(element.axis, sign, slope, sag, inverse)

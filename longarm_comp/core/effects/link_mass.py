@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO
-from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
+from longarm_comp.core.effects.effect import Arm, Effect, Parameter, Sites, parameter, place
 from longarm_comp.core.effects.joint_term import typical_loads, with_prior
 from longarm_comp.core.effects.sites import rows
 

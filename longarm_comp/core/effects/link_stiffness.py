@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Effect, parameter, place
+from longarm_comp.core.effects.effect import Effect, Posture, Twists, parameter, place
 from longarm_comp.core.effects.link_deflection import extra_sag
 from longarm_comp.core.effects.sites import beams
 

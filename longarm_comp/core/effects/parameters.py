@@ -19,7 +19,10 @@ class Parameter:
     """One number of an effect: unit, meaning, prior standard deviation and physical bounds.
 
     Attributes:
+        unit: SI.
+        meaning: description in a few words.
         prior: standard deviation of plausible values; 0 means fixed at its value.
+        lower, upper: physical bounds.
         unknown: nothing is known beforehand: the fit's prior is too wide to pull (`FLAT`).
         like: shared by parameters of one effect that are nearly equal beforehand (`ALIKE`). It
             counts where explanations are compared; a fit takes each by itself.

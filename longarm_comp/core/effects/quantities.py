@@ -18,10 +18,9 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -35,19 +34,11 @@ from longarm_comp.core.effects.joint_term import joint_load
 AXES = ("x", "y", "z")
 
 
-@dataclass(frozen=True)
-class SeenPoint:
+class SeenPoint(NamedTuple):
     """What a measuring-side function may depend on: the point and the circumstances."""
 
     point: Vec
     context: Context
-
-
-class Circumstances(Protocol):
-    """Whatever holds the recorded circumstances: a posture, a seen point."""
-
-    @property
-    def context(self) -> Context: ...
 
 
 @dataclass(frozen=True)
@@ -55,15 +46,17 @@ class Quantity(ABC):
     """A quantity of a posture (or of a seen point), by its name.
 
     Attributes:
+        si: its SI unit, where it has one on every arm.
+        plain: whether a cause is likely to depend on it as it is.
+        inputs: fields of the circumstances that it reads.
         numbers: numbers in its name: joints, rows.
         axis: 0, 1, 2, where its name has one.
     """
 
     pattern: ClassVar[str]
     si = "1"
-    """Its SI unit, where it has one on every arm."""
     plain = True
-    """Whether a cause is likely to depend on it as it is."""
+    inputs: ClassVar[tuple[str, ...]] = ()
 
     numbers: tuple[int, ...] = ()
     axis: int = 0
@@ -77,22 +70,15 @@ class Quantity(ABC):
         return self.si
 
     @property
-    def inputs(self) -> tuple[str, ...]:
-        """Fields of the circumstances that it reads."""
-        return ()
-
-    @property
     def joints(self) -> tuple[int, ...]:
         """Commanded joints (0-based) whose history it reads."""
         return ()
 
 
-@dataclass(frozen=True)
 class OfPosture(Quantity):
     """A quantity of the arm at a posture.
 
-    Attributes:
-        resolution: span below which it is the arm's tolerance that varies, in its unit.
+    `resolution`: span below which it is the arm's tolerance that varies, in its unit.
     """
 
     resolution = 0.0
@@ -102,7 +88,6 @@ class OfPosture(Quantity):
         """Its value."""
 
 
-@dataclass(frozen=True)
 class _OfJoint(OfPosture):
     """A quantity of one commanded joint."""
 
@@ -111,19 +96,14 @@ class _OfJoint(OfPosture):
         """Commanded joint, 0-based."""
         return self.numbers[0] - 1
 
-    def row(self, arm: Arm) -> int:
-        """Row id of the joint."""
-        return arm.commanded[self.joint]
-
     def exists(self, arm: Arm) -> bool:
         return 0 <= self.joint < arm.n
 
     def slides(self, arm: Arm) -> bool:
         """Whether the joint is a slide."""
-        return arm.joints[self.row(arm) - 1].type == "prismatic"
+        return arm.joints[arm.commanded[self.joint] - 1].type == "prismatic"
 
 
-@dataclass(frozen=True)
 class JointPosition(_OfJoint):
     """Position of a commanded joint."""
 
@@ -136,7 +116,6 @@ class JointPosition(_OfJoint):
         return posture.q[self.joint]
 
 
-@dataclass(frozen=True)
 class JointLoad(_OfJoint):
     """Gravity load of a commanded joint."""
 
@@ -146,18 +125,14 @@ class JointLoad(_OfJoint):
         return "N" if self.slides(arm) else "N m"
 
     def read(self, posture: Posture) -> Scalar:
-        return joint_load(posture, self.row(posture.arm))
+        return joint_load(posture, posture.arm.commanded[self.joint])
 
 
-@dataclass(frozen=True)
 class JointSide(_OfJoint):
     """Side that a commanded joint arrived from."""
 
     pattern = r"side_(\d+)"
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        return ("approach",)
+    inputs = ("approach",)
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -167,7 +142,6 @@ class JointSide(_OfJoint):
         return posture.context.of_joint("approach", self.joint)[0]
 
 
-@dataclass(frozen=True)
 class LoadSum(OfPosture):
     """Sum of the absolute torques of the turning commanded joints."""
 
@@ -184,22 +158,17 @@ class LoadSum(OfPosture):
         return total
 
 
-@dataclass(frozen=True)
 class Warmth(OfPosture):
     """Temperature above the arm's reference."""
 
     pattern = r"warmth"
     si = "K"
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        return ("temperature_c",)
+    inputs = ("temperature_c",)
 
     def read(self, posture: Posture) -> Scalar:
         return posture.context.column("temperature_c") - posture.arm.reference_temperature_c
 
 
-@dataclass(frozen=True)
 class _OfRow(OfPosture):
     """A quantity in the axes of one row's bearing, or of the base."""
 
@@ -211,7 +180,6 @@ class _OfRow(OfPosture):
         return _bearing(posture, self.numbers[0])
 
 
-@dataclass(frozen=True)
 class Moment(_OfRow):
     """Moment of all that is carried at a bearing, about one of its axes."""
 
@@ -223,7 +191,6 @@ class Moment(_OfRow):
         return posture.moment(self.station(posture))[self.axis]
 
 
-@dataclass(frozen=True)
 class Gravity(_OfRow):
     """Share of gravity along an axis of a row."""
 
@@ -235,7 +202,6 @@ class Gravity(_OfRow):
         return posture.gravity_in(self.station(posture))[self.axis] * (1.0 / max(size, 1e-9))
 
 
-@dataclass(frozen=True)
 class Span(OfPosture):
     """Distance between two bearings; row 0 is the base."""
 
@@ -255,7 +221,6 @@ class Span(OfPosture):
         return spatial.sqrt(spatial.dot(way, way) + 1e-18)
 
 
-@dataclass(frozen=True)
 class SeenCoordinate(Quantity):
     """A coordinate of the seen point in the base frame."""
 
@@ -278,10 +243,10 @@ class Recorded(Quantity):
         return _UNITS.get(self.column, f"[{self.column}]")
 
     @property
-    def inputs(self) -> tuple[str, ...]:
+    def inputs(self) -> tuple[str, ...]:  # type: ignore[override]
         return (self.column,)
 
-    def read(self, at: Circumstances) -> Scalar:
+    def read(self, at: Posture | SeenPoint) -> Scalar:
         return at.context.column(self.column)
 
 
@@ -316,7 +281,7 @@ def is_column(name: str) -> bool:
     return isinstance(quantity(name), Recorded)
 
 
-def _turning(arm: Arm) -> Sequence[int]:
+def _turning(arm: Arm) -> list[int]:
     return [row for row in arm.commanded if arm.joints[row - 1].type == "revolute"]
 
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Parameter, form, parameter
+from longarm_comp.core.effects.effect import Arm, Context, Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import (
     BLEND,
     GATES,
     JointTerm,
+    by_drive,
     typical_loads,
     with_prior,
 )
@@ -36,13 +33,13 @@ class ServoDroop(JointTerm):
     title = "servo that yields to its load"
     acts = "servo"
     action = "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
-    actions: ClassVar[Mapping[str, str]] = {
-        "hydraulic": (
+    actions = by_drive(
+        hydraulic=(
             "Add integral action to the valve's controller, or check it for leakage and deadband."
         ),
-        "motor": "Raise the gain of the position controller, or add integral action.",
-        "cable": "Raise the gain of the position controller, or measure the angle at the joint.",
-    }
+        motor="Raise the gain of the position controller, or add integral action.",
+        cable="Raise the gain of the position controller, or measure the angle at the joint.",
+    )
     loaded = True
     aliases = ("joint_compliance",)  # a sag is a compliance
     limit_aliases = ("backlash",)  # without sag

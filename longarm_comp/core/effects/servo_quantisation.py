@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from typing_extensions import Self
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import form
+from longarm_comp.core.effects.effect import Arm, Posture, Twists, form
 from longarm_comp.core.effects.joint_term import JointTerm
 
-STEPS_PER_TURN = (
+_STEPS_PER_TURN = (
     *(180, 200, 256, 300, 360, 400, 500, 512, 600, 720, 800, 900, 1000, 1024, 1080),
     *(1200, 1440, 1800, 2000, 2048, 3600, 4096),
 )
@@ -28,7 +26,7 @@ class ServoQuantisation(JointTerm):
 
     Attributes:
         steps_per_turn: steps of the servo in one turn; 0: as `step_deg` or `step_m` declares. A
-            listed number of steps (`STEPS_PER_TURN`), or what a scan found (`step_scan`).
+            listed number of steps (`_STEPS_PER_TURN`), or what a scan found (`step_scan`).
         step_m: step of a slide that declares none, m.
     """
 
@@ -54,7 +52,7 @@ class ServoQuantisation(JointTerm):
     def price(self, arm: Arm) -> float:
         """A step that is neither declared nor listed is one of many: a quarter of a step at the
         end of the range sets two of them apart."""
-        if not self.step_m and self.steps_per_turn in (0, *STEPS_PER_TURN):
+        if not self.step_m and self.steps_per_turn in (0, *_STEPS_PER_TURN):
             return 0.0
         number = arm.commanded.index(self.joint)
         return math.log(4.0 * float(arm.upper[number] - arm.lower[number]) / self._step(arm))
@@ -81,7 +79,7 @@ class ServoQuantisation(JointTerm):
         rows = [row for row in revolute if arm.joints[row - 1].step == 0] or revolute
         return [
             tuple(cls(joint=row, steps_per_turn=steps) for row in rows)
-            for steps in STEPS_PER_TURN
+            for steps in _STEPS_PER_TURN
             if rows
         ]
 

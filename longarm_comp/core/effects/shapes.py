@@ -14,18 +14,13 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.quantities import Quantity, quantity
 
-MOST_ORDER = 8
+_MOST_ORDER = 8
 LARGEST = 1e9
 """Largest number that a function or a domain may hold."""
 
 
 class FunctionError(ValueError):
-    """A text is no function or no domain.
-
-    Attributes:
-        value: the part that is wrong.
-        allowed: what it may be.
-    """
+    """A text is no function or no domain: `value` is wrong, `allowed` what it may be."""
 
     def __init__(self, value: object, allowed: str) -> None:
         super().__init__(f"{value}: {allowed}")
@@ -37,15 +32,15 @@ class Shape(ABC):
     """A function of one quantity.
 
     Attributes:
+        power: of the quantity's unit, that a value has.
+        written: the formula, with its fields.
         of: name of the quantity.
         low, high: its range in the data.
     """
 
     word: ClassVar[str]
     power = 0
-    """Power of the quantity's unit that a value has."""
     written = "{of}"
-    """The formula, with its fields."""
 
     of: str
     low: float
@@ -87,16 +82,10 @@ class Shape(ABC):
             if not abs(number) <= LARGEST:
                 raise FunctionError(f"{self.word}: {name} {number}", f"within +-{LARGEST:g}")
 
-    @property
-    def centred(self) -> Scalar:
-        """Middle of the range."""
-        return 0.5 * (self.low + self.high)
-
 
 _COMMON = ("of", "low", "high")
 
 
-@dataclass(frozen=True)
 class Linear(Shape):
     """x."""
 
@@ -107,7 +96,6 @@ class Linear(Shape):
         return x
 
 
-@dataclass(frozen=True)
 class Square(Shape):
     """x^2."""
 
@@ -119,7 +107,6 @@ class Square(Shape):
         return x * x
 
 
-@dataclass(frozen=True)
 class SignedSquare(Shape):
     """x |x|."""
 
@@ -141,18 +128,18 @@ class Legendre(Shape):
     order: float = 1.0
 
     def value(self, x: Scalar) -> Scalar:
-        u = (x - self.centred) * (2.0 / (self.high - self.low))
+        u = (x - 0.5 * (self.low + self.high)) * (2.0 / (self.high - self.low))
         before, now = 1.0, u
         for n in range(1, int(self.order)):
             before, now = now, ((2 * n + 1.0) * u * now - float(n) * before) * (1.0 / (n + 1))
         return now
 
     def check(self) -> None:
-        if self.order not in range(1, MOST_ORDER + 1):
-            raise FunctionError(f"{self.word}: order {self.order:g}", f"1, 2, ..., {MOST_ORDER}")
+        if self.order not in range(1, _MOST_ORDER + 1):
+            raise FunctionError(f"{self.word}: order {self.order:g}", f"1, 2, ..., {_MOST_ORDER}")
 
 
-MOST_TURN = 1000.0
+_MOST_TURN = 1000.0
 """Phase of a wave over its range at most, rad: 160 periods are more than poses can show."""
 
 
@@ -163,8 +150,8 @@ class Wave(Shape):
     order: float = 1.0
 
     def check(self) -> None:
-        if not 0 < self.order * (self.high - self.low) <= MOST_TURN:
-            allowed = f"above 0, at most {MOST_TURN:g} rad over the range of {self.of}"
+        if not 0 < self.order * (self.high - self.low) <= _MOST_TURN:
+            allowed = f"above 0, at most {_MOST_TURN:g} rad over the range of {self.of}"
             raise FunctionError(f"{self.word}: order {self.order:g}", allowed)
 
     @property
@@ -172,7 +159,6 @@ class Wave(Shape):
         return f"{self.word}({'' if self.order == 1 else f'{self.order:g} '}{self.of})"
 
 
-@dataclass(frozen=True)
 class Cosine(Wave):
     """cos(order x)."""
 
@@ -182,7 +168,6 @@ class Cosine(Wave):
         return spatial.cos(self.order * x)
 
 
-@dataclass(frozen=True)
 class Sine(Wave):
     """sin(order x)."""
 
@@ -218,7 +203,6 @@ class Switch(Threshold):
             raise FunctionError(f"{self.word}: half {self.half}", "above 1e-9")
 
 
-@dataclass(frozen=True)
 class Above(Threshold):
     """How far the quantity is above the threshold, else 0: a contact, a taut cable."""
 
@@ -230,7 +214,6 @@ class Above(Threshold):
         return spatial.maximum(x - self.threshold, 0.0)
 
 
-@dataclass(frozen=True)
 class Below(Threshold):
     """How far the quantity is below the threshold, else 0."""
 

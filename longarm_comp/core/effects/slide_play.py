@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.effect import Arm, Posture, Twists, parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 

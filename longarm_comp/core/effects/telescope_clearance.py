@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.beam import Beam
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Parameter, parameter
+from longarm_comp.core.effects.effect import Arm, Parameter, Posture, Twists, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
 
 

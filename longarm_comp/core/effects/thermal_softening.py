@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Effect, Sites, parameter
+from longarm_comp.core.effects.effect import Arm, Effect, Posture, Sites, Twists, parameter
 from longarm_comp.core.effects.link_deflection import extra_sag
 
 

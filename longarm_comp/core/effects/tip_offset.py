@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import three
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
+from longarm_comp.core.effects.effect import Arm, Effect, Parameter, Sites, parameter, place
 from longarm_comp.core.effects.sites import markers
 
 

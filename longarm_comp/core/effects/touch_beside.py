@@ -6,10 +6,8 @@ import dataclasses
 from dataclasses import dataclass
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.spatial import Vec
-from longarm_comp.core.effects.effect import Bias, Parameter, form, parameter, place
+from longarm_comp.core.effects.effect import Arm, Bias, Parameter, Vec, form, parameter, place
 from longarm_comp.core.effects.touch_place import touched
 
 

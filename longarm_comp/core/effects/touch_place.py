@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.spatial import Scalar, Vec
-from longarm_comp.core.effects.effect import Bias, form, parameter, place
+from longarm_comp.core.effects.effect import Arm, Bias, Context, Scalar, Vec, form, parameter, place
 
 
 @dataclass(frozen=True)

@@ -10,29 +10,20 @@ from typing import Any
 
 from longarm_comp.core.arm.spatial import atan2, sqrt
 
-Buffer = Any  # list of floats, (k,) array, or (k, N) array
+_Buffer = Any  # list of floats, (k,) array, or (k, N) array
 
 
 def solve_damped(
-    J: Buffer,
-    e: Buffer,
-    free: Buffer,
-    damping: Any,
-    m: int,
-    n: int,
-    A: Buffer,
-    y: Buffer,
-    u: Buffer,
-) -> None:
+    J: _Buffer, e: _Buffer, free: _Buffer, damping: Any, m: int, n: int,
+    A: _Buffer, y: _Buffer, u: _Buffer,
+) -> None:  # fmt: skip
     """Smallest u with ``J F u = e`` in the damped sense: ``u = F J' (J F J' + damping 1)^-1 e``.
 
     Args:
-        J: m x n, row after row.
-        e: m.
+        J, e: m x n, row after row; m.
         free: n; 1 where an unknown is free, 0 where it is held (F is its diagonal).
         damping: above 0, so that the Cholesky factor exists.
-        A: m x m, work; keeps the factor (below the diagonal) and the inverse pivots.
-        y: m, work.
+        A, y: m x m, m, work; A keeps the factor (below the diagonal) and the inverse pivots.
         u: n, the result.
     """
     for i in range(m):
@@ -69,42 +60,21 @@ def solve_damped(
         u[k] = s * free[k]
 
 
-def rotation_error(R: Buffer, r: int, target: Buffer, t: int, e: Buffer, at: int) -> Any:
+def rotation_error(R: _Buffer, r: int, target: _Buffer, t: int, e: _Buffer, at: int) -> Any:
     """Rotation vector (rad, base frame) from R to the target, written to ``e[at:at+3]``.
 
-    Args:
-        R, target: axes n, o, a one after the other, 9 numbers each, from index r and t on.
-
-    Returns:
-        The angle (rad), 0 to pi.  At pi the vector is 0, as its direction is undefined.
+    Both hold axes n, o, a one after the other, 9 numbers each, from index r and t on.  Returns the
+    angle (rad), 0 to pi.  At pi the vector is 0, as its direction is undefined.
     """
-    x = 0.5 * (
-        R[r + 1] * target[t + 2]
-        - R[r + 2] * target[t + 1]
-        + R[r + 4] * target[t + 5]
-        - R[r + 5] * target[t + 4]
-        + R[r + 7] * target[t + 8]
-        - R[r + 8] * target[t + 7]
-    )
-    y = 0.5 * (
-        R[r + 2] * target[t]
-        - R[r] * target[t + 2]
-        + R[r + 5] * target[t + 3]
-        - R[r + 3] * target[t + 5]
-        + R[r + 8] * target[t + 6]
-        - R[r + 6] * target[t + 8]
-    )
-    z = 0.5 * (
-        R[r] * target[t + 1]
-        - R[r + 1] * target[t]
-        + R[r + 3] * target[t + 4]
-        - R[r + 4] * target[t + 3]
-        + R[r + 6] * target[t + 7]
-        - R[r + 7] * target[t + 6]
-    )
-    trace = R[r] * target[t] + R[r + 1] * target[t + 1] + R[r + 2] * target[t + 2]
-    trace = trace + R[r + 3] * target[t + 3] + R[r + 4] * target[t + 4] + R[r + 5] * target[t + 5]
-    trace = trace + R[r + 6] * target[t + 6] + R[r + 7] * target[t + 7] + R[r + 8] * target[t + 8]
+    x = y = z = trace = 0.0  # sum of the cross products of the axes, and of their scalar products
+    for k in (0, 3, 6):
+        a0, a1, a2 = R[r + k], R[r + k + 1], R[r + k + 2]
+        b0, b1, b2 = target[t + k], target[t + k + 1], target[t + k + 2]
+        x = x + (a1 * b2 - a2 * b1)
+        y = y + (a2 * b0 - a0 * b2)
+        z = z + (a0 * b1 - a1 * b0)
+        trace = trace + (a0 * b0 + a1 * b1 + a2 * b2)
+    x, y, z = 0.5 * x, 0.5 * y, 0.5 * z
     s = sqrt(x * x + y * y + z * z)
     angle = atan2(s, 0.5 * (trace - 1.0))
     ratio = angle / (s + 1e-300)
@@ -112,12 +82,9 @@ def rotation_error(R: Buffer, r: int, target: Buffer, t: int, e: Buffer, at: int
     return angle
 
 
-def skewness(R: Buffer, r: int) -> Any:
-    """How far the axes n, o, a (9 numbers from index r on) are from a right-handed rotation.
-
-    Returns:
-        Sum of the squares of ``R'R - 1`` (once each) and of ``n x o - a``.
-    """
+def skewness(R: _Buffer, r: int) -> Any:
+    """How far the axes n, o, a (9 numbers from index r on) are from a right-handed rotation: sum
+    of the squares of ``R'R - 1`` (once each) and of ``n x o - a``."""
     s = 0.0
     for i in range(3):
         for j in range(i + 1):

@@ -93,12 +93,6 @@ def warm_up(model: Model | None = None, context: Context | None = None) -> bool:
     return compiler_at_hand()
 
 
-def _worth_compiling(workload: float) -> bool:
-    """Whether to compile a program after a workload without compilation, in single targets."""
-    # workload, in single targets, after which a model is compiled
-    return compiler_at_hand() and (_LongLived.now or workload > 500)
-
-
 def is_compiled(kernel: Kernel, engine: Engine) -> bool:
     """Whether one target would be solved by machine code."""
     if engine is Engine.AUTO:
@@ -146,17 +140,18 @@ def _chosen(model: Model, layout: Layout, count: int) -> Engine:
     kernel = kernel_of(model, layout)
     # workload of one target in a batch, in single targets
     kernel.workload += count if count <= _FEW else (1 / 16) * count
-    if is_compiled(kernel, Engine.AUTO) or _worth_compiling(kernel.workload):
+    worth = _LongLived.now or kernel.workload > 500  # after so many a model is compiled
+    if is_compiled(kernel, Engine.AUTO) or (worth and compiler_at_hand()):
         return Engine.COMPILED
     return Engine.PYTHON if count <= _FEW else Engine.ARRAYS
 
 
-Programs = Mapping[str, Callable[[Any], None]]
-Given = dict[str, np.ndarray]
-Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints (K, n), residuals (K, 2), iterations
+_Programs = Mapping[str, Callable[[Any], None]]
+_Given = dict[str, np.ndarray]
+_Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints (K, n), residuals (K, 2), iterations
 
 
-def _given(context: Context, p: Problem, ids: np.ndarray, start: np.ndarray) -> Given:
+def _given(context: Context, p: Problem, ids: np.ndarray, start: np.ndarray) -> _Given:
     """Inputs of a search by name: (K, k), or one row for all."""
     return {
         "target": p.targets[ids],
@@ -178,20 +173,24 @@ def _filled(given: dict[str, np.ndarray], kernel: Kernel, count: int) -> np.ndar
     return s
 
 
-def _read(s: np.ndarray, kernel: Kernel) -> Found:
+def _read(s: np.ndarray, kernel: Kernel) -> _Found:
     q, size, used = (s[kernel.slice(name)] for name in ("q", "size", "used"))
     return q.T, size.T, used[0]
 
 
-class _Circumstance:
-    """State of one search as a list of floats, and the programs on it."""
+class _State:
+    """State of a search, or of several, and the programs on it."""
 
-    def __init__(self, programs: Programs, place: dict[str, range], s: list[float]) -> None:
+    def __init__(self, programs: _Programs, place: dict[str, range], s: Any) -> None:
         self.programs, self.place, self.s = programs, place, s
 
     def call(self, name: str) -> None:
         """Run a program."""
         self.programs[name](self.s)
+
+
+class _Column(_State):
+    """Of one search, as a list of floats."""
 
     def repeat(self, row: str, body: newton.Flow) -> None:
         """Run until the row is 0."""
@@ -200,13 +199,10 @@ class _Circumstance:
             newton.run(body, self.call, self.repeat)
 
 
-class Columns:
-    """State of K searches as rows (size, K), and the programs on them."""
+class _Columns(_State):
+    """Of K searches, as rows (size, K)."""
 
-    def __init__(
-        self, programs: Programs, place: dict[str, range], s: np.ndarray, thin: float = _THIN
-    ) -> None:
-        self.programs, self.place, self.s, self.thin = programs, place, s, thin
+    thin = _THIN
 
     def repeat(self, row: str, body: newton.Flow) -> None:
         """Run until the row is 0 everywhere. Finished columns are removed."""
@@ -221,23 +217,19 @@ class Columns:
             whole[:, which] = self.s
             self.s = whole
 
-    def call(self, name: str) -> None:
-        """Run a program."""
-        self.programs[name](self.s)
 
-
-def _arrays(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+def _arrays(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
     kernel = kernel_of(model, context.layout)
-    columns = Columns(kernel.arrays, kernel.place, _filled(given, kernel, count))
+    columns = _Columns(kernel.arrays, kernel.place, _filled(given, kernel, count))
     newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
     return _read(columns.s, kernel)
 
 
-def _python(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+def _python(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
     kernel = kernel_of(model, context.layout)
     results = []
     for s in _filled(given, kernel, count).T.tolist():
-        column = _Circumstance(kernel.floats, kernel.place, s)
+        column = _Column(kernel.floats, kernel.place, s)
         try:
             newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
         except ArithmeticError:  # beyond the range of numbers, where the other engines give NaN
@@ -247,7 +239,7 @@ def _python(model: Model, context: Context, p: Problem, given: Given, count: int
     return _read(np.array(results).T, kernel)
 
 
-def _compiled(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+def _compiled(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
     if not compiler_at_hand():
         allowed = "another engine: machine code needs llvmlite (pip install llvmlite)"
         raise InputError("ik", "engine", Engine.COMPILED.name, allowed)
@@ -278,7 +270,7 @@ def _compiled(model: Model, context: Context, p: Problem, given: Given, count: i
     return q, size, used[:, 0]
 
 
-def _model(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+def _model(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
     """The search on arrays, with the model's own code and all load passes at every step."""
     kernel = kernel_of(Model(model.arm), _NOTHING)
     out = kernel.slice("out")
@@ -290,7 +282,8 @@ def _model(model: Model, context: Context, p: Problem, given: Given, count: int)
 
     own: dict[str, Any] = {"rigid": evaluate, "tip": evaluate, "first": _nothing, "again": _nothing}
     s = _filled({**given, "c": np.zeros(0)}, kernel, count)
-    columns = Columns(ChainMap(own, kernel.arrays), kernel.place, s, thin=0.0)
+    columns = _Columns(ChainMap(own, kernel.arrays), kernel.place, s)
+    columns.thin = 0.0  # the context is of all columns
     newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
     return _read(s, kernel)
 
@@ -299,7 +292,7 @@ def _nothing(s: np.ndarray) -> None:
     """Placeholder: no twists are carried."""
 
 
-_SEARCH: dict[Engine, Callable[[Model, Context, Problem, Given, int], Found]] = {
+_SEARCH: dict[Engine, Callable[[Model, Context, Problem, _Given, int], _Found]] = {
     Engine.COMPILED: _compiled,
     Engine.PYTHON: _python,
     Engine.ARRAYS: _arrays,

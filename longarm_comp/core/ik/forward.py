@@ -18,8 +18,7 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
     """True tip poses as by `Model.pose`, in machine code if the model is compiled.
 
     Args:
-        q: joints (M, n), rad or m.
-        context: circumstances of the M postures, scalars or (M,) arrays.
+        q: joints (M, n), rad or m. context: of the M postures, scalars or (M,) arrays.
 
     Returns:
         (M, 4, 4), base frame.
@@ -39,11 +38,7 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
 
 
 def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
-    """`Model.posture` at joints (n,) or (M, n), without its load passes if the model is compiled.
-
-    Args:
-        context: circumstances of the M postures, scalars or (M,) arrays.
-    """
+    """`Model.posture` at joints (n,) or (M, n), without load passes if the model is compiled."""
     layout, rows = context.layout, np.atleast_2d(q)
     kernel = model.__dict__.get("_kernels", {}).get(layout) if layout.traceable else None
     if kernel is None or not is_compiled(kernel, Engine.AUTO) or not len(rows):

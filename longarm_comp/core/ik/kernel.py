@@ -29,8 +29,7 @@ from longarm_comp.core.model.model import Model
 def geometric(posture: Posture, tip: Vec, station: float = math.inf) -> list[tuple[Vec, Vec]]:
     """Tip velocity (m, base frame) and angular velocity (rad) per unit of each commanded joint.
 
-    Of another point than the tip, ``station`` is the one that carries it: rows after it are left
-    out.
+    Of another point ``station`` is the one that carries it: rows after it are left out.
 
     A revolute row turns all that follows about the z axis of its bearing; a prismatic row
     pushes it along the z axis of its frame.  Passive rows follow through the arm's mixing.
@@ -51,14 +50,12 @@ def geometric(posture: Posture, tip: Vec, station: float = math.inf) -> list[tup
             if weight != 0.0:
                 w = float(weight)
                 held = columns[k]
-                columns[k] = (
-                    spatial.add(held[0], spatial.scale(w, linear)),
-                    spatial.add(held[1], spatial.scale(w, angular)),
-                )
+                shift, turn = spatial.scale(w, linear), spatial.scale(w, angular)
+                columns[k] = spatial.add(held[0], shift), spatial.add(held[1], turn)
     return columns
 
 
-Fixed = dict[tuple[int, int], float]
+_Fixed = dict[tuple[int, int], float]
 _Slots = dict[tuple[int, int], int]
 _Work = Callable[[newton.State], newton.Outcome]
 _Program = tuple[Graph, emit.Outputs]
@@ -142,7 +139,7 @@ class Kernel:
             works[f"round{m}"] = partial(newton.step_in_box, span=span, m=m)
         return works
 
-    def _model_works(self, model: Model, fixed: Fixed, slot: _Slots) -> dict[str, _Work]:
+    def _model_works(self, model: Model, fixed: _Fixed, slot: _Slots) -> dict[str, _Work]:
         def seen(posture: Posture) -> newton.Outcome:
             return {"out": tip_and_jacobian(model, posture)}
 
@@ -230,7 +227,7 @@ def characteristic_length(model: Model) -> float:
     return max(0.25 * size, 0.01)
 
 
-def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, _Slots]:
+def _twist_slots(model: Model, layout: Layout) -> tuple[_Fixed, _Slots]:
     """Components of twists (station, number): constant ones, and places of the others.
 
     The constant ones depend neither on joints nor on context or loads.
@@ -241,7 +238,7 @@ def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, _Slots]:
     start = model.twists(model.unsagged(q, context))
     free = {s: tuple(graph.input(f"x{s}, {i}") for i in range(6)) for s in start}
     again = model.twists(model.loaded(q, context, free))  # type: ignore[arg-type]
-    fixed: Fixed = {}
+    fixed: _Fixed = {}
     slot: _Slots = {}
     for s in sorted(start):
         for i in range(6):

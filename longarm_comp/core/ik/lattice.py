@@ -15,14 +15,9 @@ import numpy as np
 _SLACK = 1e-9  # of a step
 
 
-class Points(NamedTuple):
-    """The best points of a lattice, nearest first.
-
-    Attributes:
-        k: integers, (P, n).
-        distance2: ``|R k + y|^2``, (P,).
-        nodes: number of visited nodes of the search tree.
-    """
+class _Points(NamedTuple):
+    """The best points of a lattice, nearest first: integers (P, n), ``|R k + y|^2`` (P,), and the
+    number of visited nodes of the search tree."""
 
     k: np.ndarray
     distance2: np.ndarray
@@ -31,7 +26,7 @@ class Points(NamedTuple):
 
 def nearest(
     R: np.ndarray, low: np.ndarray, high: np.ndarray, *, kept: int = 16, max_nodes: int = 4000
-) -> Points:
+) -> _Points:
     """The points nearest to zero, `kept` at most.
 
     They are searched within the radius that holds twice as many on average (the ball's volume
@@ -45,7 +40,7 @@ def nearest(
     tree = _Tree(R, low, high, kept, max_nodes)
     tree.search()
     points = np.array([k for _, k in tree.best]).reshape(-1, len(low))
-    return Points(points, np.array([d2 for d2, _ in tree.best]), tree.nodes)
+    return _Points(points, np.array([d2 for d2, _ in tree.best]), tree.nodes)
 
 
 class _Tree:

@@ -20,12 +20,12 @@ from typing import Any, NamedTuple
 from longarm_comp.core.arm.spatial import absolute, maximum, minimum, sqrt, where
 from longarm_comp.core.ik.box_step import rotation_error, skewness, solve_damped
 
-Scalars = Sequence[Any]
-State = Mapping[str, Scalars]
-Outcome = dict[str, Scalars]
+_Scalars = Sequence[Any]
+State = Mapping[str, _Scalars]
+Outcome = dict[str, _Scalars]
 
 UNKNOWN = 1e300  # energy (m^2) before the first evaluation
-FLOOR = 1e-13  # least damping, in (m per joint range)^2
+_FLOOR = 1e-13  # least damping, in (m per joint range)^2
 ROTATION_TOLERANCE = 1e-6
 
 
@@ -61,7 +61,7 @@ def rows(n: int, context: int, twists: int) -> dict[str, range]:
     """
     sizes = {
         "given": 16, "seed": n, "live": 1, "tol": 1, "permitted": 1, "lower": n, "upper": n,
-        "c": context, "q": n, "size": 2, "used": 1, "stuck": 1, "fault": 1, "target": 12,
+        "c": context, "q": n, "size": 2, "used": 1, "fault": 1, "target": 12,
         "trial": n, "x": twists, "out": 12 + 6 * n, "e": 6, "J": 6 * n, "sag": 6 * n, "left": 6,
         "free": n, "energy": 1, "mu": 1, "marked": 1, "since": 1, "open": 1, "more": 1,
     }  # fmt: skip
@@ -159,11 +159,8 @@ def judge(s: State, span: Sequence[float], length: float, m: int, level: Level) 
     ended = (used >= s["permitted"][0]) + (since >= 6) + arrived
     if level.hasty:
         ended = ended + poor
-    stuck: Any = 0.0
-    for v, low, high in zip(q, s["lower"], s["upper"], strict=True):
-        stuck = stuck + where(minimum(v - low, high - v) <= 0.0, 1.0, 0.0)
     return {
-        "q": q, "e": e, "J": J, "sag": learnt, "size": size, "used": [used], "stuck": [stuck],
+        "q": q, "e": e, "J": J, "sag": learnt, "size": size, "used": [used],
         "energy": [energy], "mu": [where(go_on, changed, mu)],
         "marked": [where(moved, energy, s["marked"][0])], "since": [since],
         "open": [where(ended, 0.0, is_open)],
@@ -181,7 +178,7 @@ def step_in_box(s: State, span: Sequence[float], m: int) -> Outcome:
     n, free, left = len(span), s["free"], s["left"]
     J = [a + b for a, b in zip(s["J"][: m * n], s["sag"], strict=False)]
     u: list[Any] = [0.0] * n
-    damping = s["mu"][0] * sqrt(s["energy"][0]) + FLOOR
+    damping = s["mu"][0] * sqrt(s["energy"][0]) + _FLOOR
     solve_damped(J, left, free, damping, m, n, [0.0] * (m * m), [0.0] * m, u)
     trial, out_by = [], []
     for j in range(n):

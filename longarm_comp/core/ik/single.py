@@ -14,9 +14,9 @@ from longarm_comp.core.ik.engines import Engine, is_compiled
 from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.model.model import Model
 
-Key = tuple[Layout | None, int, float, int]  # layout, equations, tolerance, iterations
-# joints (n,); position (m) and angle (rad) residuals, iterations, joints at limits, fault
-Found = tuple[np.ndarray, list[float]]
+_Key = tuple[Layout | None, int, float, int]  # layout, equations, tolerance, iterations
+# joints (n,); position (m) and angle (rad) residuals, iterations, fault
+_Found = tuple[np.ndarray, list[float]]
 
 _NOTHING = Context.empty().layout
 
@@ -24,7 +24,7 @@ _NOTHING = Context.empty().layout
 class _Workspace:
     """A block of columns, of which the first is used, and views of its inputs and results."""
 
-    def __init__(self, kernel: Kernel, key: Key) -> None:
+    def __init__(self, kernel: Kernel, key: _Key) -> None:
         _, m, tol, max_iterations = key
         block = np.zeros((kernel.size, kernel.code.width))
         column = block[:, 0]
@@ -46,11 +46,11 @@ class _Workspace:
 class _Task:
     """Single searches that differ only in target, seed and numbers of the context."""
 
-    def __init__(self, kernel: Kernel, key: Key) -> None:
+    def __init__(self, kernel: Kernel, key: _Key) -> None:
         self.kernel, self.key = kernel, key
         self.spare = [_Workspace(kernel, key)]
 
-    def run(self, target: np.ndarray, seed: np.ndarray, context: Context | None) -> Found | None:
+    def run(self, target: np.ndarray, seed: np.ndarray, context: Context | None) -> _Found | None:
         """Search from the seed alone; None if the target or the seed is invalid."""
         if seed.shape != self.kernel.mid.shape:
             return None
@@ -80,7 +80,7 @@ def solve_compiled(
     context: Context | None,
     options: tuple[int, float, int],
     engine: Engine,
-) -> Found | None:
+) -> _Found | None:
     """Search from a seed (default mid-range) in machine code; options: m, tolerance, iterations.
 
     None if the request needs the general solver: the model is not compiled, the context has text

@@ -19,13 +19,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.box_step import skewness
-from longarm_comp.core.ik.engines import (
-    Engine,
-    Problem,
-    restart_points,
-    run,
-    warm_up,
-)
+from longarm_comp.core.ik.engines import Engine, Problem, restart_points, run, warm_up
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.ik.newton import ROTATION_TOLERANCE
 from longarm_comp.core.ik.single import solve_compiled
@@ -64,7 +58,6 @@ class Solution(NamedTuple):
         reason: why the search ended.
         position_residual_m, angle_residual_rad: residuals at q (0 rad for position tasks).
         iterations: total number over all starts.
-        active_limits: names of the joints at a limit.
         starts: number of starts; 1 means that the seed sufficed.
     """
 
@@ -74,7 +67,6 @@ class Solution(NamedTuple):
     position_residual_m: float
     angle_residual_rad: float
     iterations: int
-    active_limits: tuple[str, ...]
     starts: int
 
 
@@ -88,25 +80,16 @@ class Solutions:
     position_residual_m: np.ndarray
     angle_residual_rad: np.ndarray
     iterations: np.ndarray
-    at_limit: np.ndarray
     starts: np.ndarray
-    joint_names: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.q)
 
     def __getitem__(self, i: int) -> Solution:
-        names = tuple(n for n, at in zip(self.joint_names, self.at_limit[i], strict=True) if at)
         return Solution(
-            self.q[i],
-            bool(self.ok[i]),
-            self.reason[i],
-            float(self.position_residual_m[i]),
-            float(self.angle_residual_rad[i]),
-            int(self.iterations[i]),
-            names,
-            int(self.starts[i]),
-        )
+            self.q[i], bool(self.ok[i]), self.reason[i], float(self.position_residual_m[i]),
+            float(self.angle_residual_rad[i]), int(self.iterations[i]), int(self.starts[i]),
+        )  # fmt: skip
 
 
 def solve(
@@ -118,7 +101,6 @@ def solve(
     position_only: bool = False,
     locked: Sequence[int | str] = (),
     tol: float = TOLERANCE,
-    max_iterations: int = _MAX_ITERATIONS,
     max_starts: int = MAX_STARTS,
     engine: Engine = Engine.AUTO,
 ) -> Solution:
@@ -130,26 +112,16 @@ def solve(
         raise InputError("ik.solve", "target", f"shape {target.shape}", "shape (3,) or (4, 4)")
     if not locked and engine in _MACHINE:
         m = 3 if position_only or target.size == 3 else 6
-        found = solve_compiled(model, target, seed, context, (m, tol, max_iterations), engine)
+        found = solve_compiled(model, target, seed, context, (m, tol, _MAX_ITERATIONS), engine)
         if found is not None:
-            q, (position, angle, iterations, stuck, _) = found
+            q, (position, angle, iterations, _) = found
             reached = max(tol, REACHED)
             if position <= reached and angle <= reached:
-                at = _active(model, q) if stuck else ()
-                return Solution(q, True, _CONVERGED, position, angle, int(iterations), at, 1)
-    many = solve_many(
-        model,
-        target[None],
-        seed=seed,
-        context=context,
-        position_only=position_only,
-        locked=locked,
-        tol=tol,
-        max_iterations=max_iterations,
-        max_starts=max_starts,
-        engine=engine,
-    )
-    return many[0]
+                return Solution(q, True, _CONVERGED, position, angle, int(iterations), 1)
+    return solve_many(
+        model, target[None], seed=seed, context=context, position_only=position_only,
+        locked=locked, tol=tol, max_starts=max_starts, engine=engine,
+    )[0]  # fmt: skip
 
 
 def solve_many(
@@ -161,7 +133,6 @@ def solve_many(
     position_only: bool = False,
     locked: Sequence[int | str] = (),
     tol: float = TOLERANCE,
-    max_iterations: int = _MAX_ITERATIONS,
     max_starts: int = MAX_STARTS,
     engine: Engine = Engine.AUTO,
     threads: int = 1,
@@ -176,7 +147,6 @@ def solve_many(
         position_only: leave the orientation free (always so for (N, 3)).
         locked: joints that stay at their seed: 0-based numbers in q, or names.
         tol: tolerance of the search on the position (m) and on the angle (rad).
-        max_iterations: per start.
         max_starts: number of starts including the seed; 1 never leaves the seed's branch.
         engine: how to run the search; see `warm_up` for the compiled one.
         threads: number of threads, in machine code only.
@@ -196,20 +166,22 @@ def solve_many(
     if axes is not None:
         targets[:, 3:] = axes
     problem = Problem(
-        targets,
-        3 if axes is None else 6,
-        start,
-        lower,
-        upper,
-        points,
-        characteristic_length(model),
-        float(tol),
-        max(float(tol), REACHED),
-        int(max_iterations),
+        targets, 3 if axes is None else 6, start, lower, upper, points,
+        characteristic_length(model), float(tol), max(float(tol), REACHED), _MAX_ITERATIONS,
         max(1, threads),
-    )
+    )  # fmt: skip
     q, report = run(model, context or Context.empty(), problem, engine)
-    return _collect(model, q, report, problem)
+    position, angle = report[:, 0], report[:, 1]
+    iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
+    ok = (position <= problem.reached) & (angle <= problem.reached)
+    reasons = [Reason.CONVERGED] * len(q)
+    for i in np.flatnonzero(~ok):
+        if iterations[i] >= starts[i] * _MAX_ITERATIONS:
+            reasons[i] = Reason.ITERATIONS
+        else:
+            at_limit = (q[i] <= arm.lower) | (q[i] >= arm.upper)
+            reasons[i] = Reason.AT_LIMITS if at_limit.any() else Reason.OUT_OF_REACH
+    return Solutions(q, ok, tuple(reasons), position, angle, iterations, starts)
 
 
 def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[str]:
@@ -221,7 +193,7 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
     turned = np.ones(len(targets), bool)
     if targets.ndim == 3 and not position_only:
         T = np.where(finite[:, None, None], targets, 0.0)
-        columns = _axes(T).T  # of one target as floats, which are quicker than arrays of one
+        columns = axes_of(T).T  # of one target as floats, which are quicker than arrays of one
         skew = skewness(columns[:, 0].tolist() if len(T) == 1 else columns, 0)
         turned &= skew < ROTATION_TOLERANCE**2
         turned &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1)
@@ -233,24 +205,24 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
     ]
 
 
-def _axes(T: np.ndarray) -> np.ndarray:
+def axes_of(T: np.ndarray) -> np.ndarray:
     """n, o, a one after the other (N, 9) of poses (N, 4, 4)."""
     return T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
 
 
 def _checked_targets(
-    targets: np.ndarray, position_only: bool, where: str = "ik.solve_many"
+    targets: np.ndarray, position_only: bool
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Checked positions (N, 3) and axes n, o, a (N, 9) or None."""
     targets = np.asarray(targets, dtype=float)
-    faults = target_faults(targets, position_only, where)
+    faults = target_faults(targets, position_only, "ik.solve_many")
     if any(faults):
         i = next(i for i, fault in enumerate(faults) if fault)
         allowed = f"finite numbers in m, a rotation and [0, 0, 0, 1]: {faults[i]}"
-        raise InputError(where, f"target {i}", targets[i].tolist(), allowed)
+        raise InputError("ik.solve_many", f"target {i}", targets[i].tolist(), allowed)
     if targets.ndim == 2:
         return targets, None
-    return targets[:, :3, 3], None if position_only else _axes(targets)
+    return targets[:, :3, 3], None if position_only else axes_of(targets)
 
 
 def checked_seed(
@@ -280,30 +252,3 @@ def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
             allowed = f"0..{model.arm.n - 1} or one of {', '.join(names)}"
             raise InputError("ik.solve_many", "locked", joint, allowed)
     return indices
-
-
-def _active(model: Model, q: np.ndarray) -> tuple[str, ...]:
-    at_limit = (q <= model.arm.lower) | (q >= model.arm.upper)
-    return tuple(n for n, at in zip(model.arm.joint_names, at_limit, strict=True) if at)
-
-
-def _reason(ok: bool, exhausted: bool, at_limit: bool) -> Reason:
-    if ok:
-        return Reason.CONVERGED
-    if exhausted:
-        return Reason.ITERATIONS
-    return Reason.AT_LIMITS if at_limit else Reason.OUT_OF_REACH
-
-
-def _collect(model: Model, q: np.ndarray, report: np.ndarray, problem: Problem) -> Solutions:
-    position, angle = report[:, 0], report[:, 1]
-    iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
-    at_limit = (q <= model.arm.lower) | (q >= model.arm.upper)
-    ok = (position <= problem.reached) & (angle <= problem.reached)
-    reasons = [Reason.CONVERGED] * len(q)
-    for i in np.flatnonzero(~ok):
-        exhausted = iterations[i] >= starts[i] * problem.max_iterations
-        reasons[i] = _reason(False, bool(exhausted), bool(at_limit[i].any()))
-    return Solutions(
-        q, ok, tuple(reasons), position, angle, iterations, at_limit, starts, model.arm.joint_names
-    )

@@ -14,7 +14,7 @@ from longarm_comp.core.arm.posture import Chain, Twists
 from longarm_comp.core.arm.spatial import ZERO_TWIST, Scalar
 from longarm_comp.core.effects.effect import Bias, Effect
 
-BEFORE: Mapping[str, frozenset[str]] = {
+_BEFORE: Mapping[str, frozenset[str]] = {
     "motor": frozenset({"servo"}),
     "joint": frozenset({"servo", "gear"}),
 }
@@ -27,7 +27,7 @@ Parts = Iterable[tuple[Effect, Twists]]
 def sees(arm: Arm, row: int, term: Effect | Bias) -> bool:
     """Whether the encoder of a commanded row sees what a term does to its joint."""
     mine = not term.joints or row in term.joints
-    return isinstance(term, Effect) and mine and term.acts in BEFORE[arm.joints[row - 1].encoder]
+    return isinstance(term, Effect) and mine and term.acts in _BEFORE[arm.joints[row - 1].encoder]
 
 
 def tell_apart(arm: Arm, rows: Iterable[int], one: Effect | Bias, other: Effect | Bias) -> bool:

@@ -18,10 +18,9 @@ def entered(model: Model, path: np.ndarray) -> str:
     The arm is the line through its stations, from the foot to the tip: a box must be larger than
     the thing that it protects by the arm's radius. Between way-points joints move straight.
     """
-    boxes = model.arm.keep_out
     # Postures looked at from one way-point to the next
     shares = np.linspace(0.0, 1.0, 16 + 1)[1:, None]
-    for start, end in pairwise(path) if boxes else ():
+    for start, end in pairwise(path) if model.arm.keep_out else ():
         if found := entered_at(model, start + shares * (end - start)):
             return found
     return ""

@@ -35,8 +35,7 @@ def reach(model: Model) -> tuple[np.ndarray, float]:
 
 def exaggerated(hanging: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
     """Points (k, 3) of an arm whose sag is enlarged by a factor."""
-    drawn: np.ndarray = declared + factor * (hanging - declared)
-    return drawn
+    return np.asarray(declared + factor * (hanging - declared))
 
 
 BASE_LINK, TIP = "base_link", "tip"

@@ -183,11 +183,9 @@ class Model:
         return self._passed(self.unsagged(q, context), self.load_passes)
 
     def posture_near(self, known: Posture, close: bool = False) -> Posture:
-        """`posture` at the joints and circumstances of a known one, in fewer load passes.
+        """`posture` at the joints and circumstances of a known one of a similar model.
 
-        Args:
-            known: of a similar model; its loads save a pass.
-            close: whether its loads differ so little that one pass will do.
+        Its loads save a pass; where they differ so little (`close`), one pass will do.
         """
         if any(e.changes_loads for e in self.effects):
             known = self._weighed(known)

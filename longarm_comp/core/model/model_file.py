@@ -29,14 +29,14 @@ from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, r
 MOST_PASSES, MOST_ELEMENTS = 50, 64
 """More load passes, or more elements a beam, change no digit and take minutes."""
 
-Three = tuple[float, float, float]
-Square = tuple[Three, Three, Three]
+_Three = tuple[float, float, float]
+_Square = tuple[_Three, _Three, _Three]
 
 AS_DECLARED = 0
 """Version of a file that holds the arm as declared, for a first change to be undone."""
 
 
-class StoredValue(Declared):
+class _StoredValue(Declared):
     """One parameter: SI value, unit and 95 % interval."""
 
     value: float
@@ -44,45 +44,45 @@ class StoredValue(Declared):
     ci95: tuple[float, float] | None = None
 
     @model_validator(mode="after")
-    def _ordered(self) -> StoredValue:
+    def _ordered(self) -> _StoredValue:
         if self.ci95 is not None and not self.ci95[0] <= self.ci95[1]:
             raise Misdeclared("ci95", list(self.ci95), "[lower, upper] with lower <= upper")
         return self
 
 
-class StoredTerm(Declared):
+class _StoredTerm(Declared):
     """One effect or bias: canonical name, place, form, values, origin."""
 
     effect: str
     where: str
     form: dict[str, int | float | str] = Field(default_factory=dict)
-    parameters: dict[str, StoredValue] = Field(default_factory=dict)
+    parameters: dict[str, _StoredValue] = Field(default_factory=dict)
     origin: str = ""
 
 
-class ArmReference(Declared):
+class _ArmReference(Declared):
     """The arm that a model belongs to."""
 
     name: str
     hash: str
 
 
-class StoredBase(Declared):
+class _StoredBase(Declared):
     """Where a base stands in the frame of the measurements (m; fixed-axis roll, pitch, yaw)."""
 
-    xyz_m: tuple[float, float, float]
-    rpy_deg: tuple[float, float, float]
+    xyz_m: _Three
+    rpy_deg: _Three
 
 
-class StoredUncertainty(Declared):
+class _StoredUncertainty(Declared):
     """How far off the tip may be (`ModelUncertainty`). Parameters in the order of the file."""
 
     factor: list[str] = Field(description="triangle of the covariance, rows in base 64")
     stretch: float = Field(ge=1.0)
     growth: float = Field(1.0, ge=1.0)
     typical_m: float = Field(1.0, gt=0.0)
-    structure_m2: Square
-    noise_m2: Square
+    structure_m2: _Square
+    noise_m2: _Square
     largest_m: float = Field(ge=0.0)
     rows: int = Field(ge=0)
 
@@ -92,18 +92,18 @@ class StoredModel(Declared):
 
     schema_: Literal["longarm/model/1"] = Field(alias="schema")
     version: int = Field(ge=0)
-    arm: ArmReference
+    arm: _ArmReference
     passes: int = Field(ge=1, le=MOST_PASSES)
     elements_per_beam: int = Field(ge=1, le=MOST_ELEMENTS)
-    geometry: list[StoredTerm]
-    effects: list[StoredTerm]
-    camera: list[StoredTerm]
+    geometry: list[_StoredTerm]
+    effects: list[_StoredTerm]
+    camera: list[_StoredTerm]
     provenance: dict[str, str | int | float]
     arrivals: tuple[tuple[int, int], ...] = ()
-    placement: dict[str, StoredBase] = Field(
+    placement: dict[str, _StoredBase] = Field(
         default_factory=dict, description="for people and other programs; `geometry` is what counts"
     )
-    uncertainty: StoredUncertainty | None = None
+    uncertainty: _StoredUncertainty | None = None
 
 
 def store(
@@ -118,9 +118,8 @@ def store(
     """The stored form of a model.
 
     Args:
-        model: the model.
         standard_errors: (p,) of its parameters, for normal intervals.
-        version: version number of the file; 0 is the arm as declared (`AS_DECLARED`).
+        version: of the file; `AS_DECLARED` is the arm as declared.
         provenance: session hash, date, verdict, seed, ...
         origins: by term number, the origin of that term.
         intervals: by (term number, parameter), 95 % intervals that replace the normal ones.
@@ -129,7 +128,7 @@ def store(
     if standard_errors is not None:
         for slot, se in zip(model.slots, standard_errors, strict=True):
             half[slot.term, slot.parameter.name] = 1.96 * float(se)
-    sides: dict[str, list[StoredTerm]] = {"geometry": [], "effects": [], "camera": []}
+    sides: dict[str, list[_StoredTerm]] = {"geometry": [], "effects": [], "camera": []}
     for number, term in enumerate(model.terms):
         if term.passing:
             continue
@@ -140,32 +139,23 @@ def store(
             ci = (intervals or {}).get((number, p.name))
             if ci is None and width is not None:
                 ci = (max(value - width, p.lower), min(value + width, p.upper))
-            parameters[p.name] = StoredValue(value=value, unit=p.unit, ci95=ci)
+            parameters[p.name] = _StoredValue(value=value, unit=p.unit, ci95=ci)
         side = "camera" if isinstance(term, Bias) else "geometry" if term.geometry else "effects"
-        sides[side].append(
-            StoredTerm(
-                effect=term.name,
-                where=term.where,
-                form=term.placement,
-                parameters=parameters,
-                origin=(origins or {}).get(number, ""),
-            )
-        )
+        stored = _StoredTerm(
+            effect=term.name, where=term.where, form=term.placement, parameters=parameters,
+            origin=(origins or {}).get(number, ""),
+        )  # fmt: skip
+        sides[side].append(stored)
+    arm = _ArmReference(name=model.arm.name, hash=model.arm.hash)
     return StoredModel(
-        schema="longarm/model/1",
-        version=version,
-        arm=ArmReference(name=model.arm.name, hash=model.arm.hash),
-        passes=model.passes,
-        elements_per_beam=model.elements_per_beam,
-        provenance={**(provenance or {}), **_sources(model)},
-        arrivals=model.arrivals,
-        placement=_bases(model),
-        uncertainty=_stored_uncertainty(model),
-        **sides,
-    )
+        schema="longarm/model/1", version=version, arm=arm, passes=model.passes,
+        elements_per_beam=model.elements_per_beam, arrivals=model.arrivals,
+        provenance={**(provenance or {}), **_sources(model)}, placement=_bases(model),
+        uncertainty=_stored_uncertainty(model), **sides,
+    )  # fmt: skip
 
 
-def _stored_uncertainty(model: Model) -> StoredUncertainty | None:
+def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
     """What the model's record says, its parameters in the order in which `restore` has them."""
     known = model.uncertainty
     if known is None:
@@ -176,26 +166,21 @@ def _stored_uncertainty(model: Model) -> StoredUncertainty | None:
     for k, identity in enumerate(order):
         if identity in row:
             factor[k] = known.factor[row[identity]]
-    return StoredUncertainty(
-        factor=written(triangular(factor)),
-        stretch=known.stretch.factor,
-        growth=known.stretch.growth,
-        typical_m=known.stretch.typical_m,
-        structure_m2=known.structure.tolist(),
-        noise_m2=known.noise.tolist(),
-        largest_m=known.largest_m,
-        rows=known.rows,
-    )
+    return _StoredUncertainty(
+        factor=written(triangular(factor)), stretch=known.stretch.factor,
+        growth=known.stretch.growth, typical_m=known.stretch.typical_m,
+        structure_m2=known.structure.tolist(), noise_m2=known.noise.tolist(),
+        largest_m=known.largest_m, rows=known.rows,
+    )  # fmt: skip
 
 
 def _in_file(model: Model) -> list[Effect | Bias]:
     """The terms as they stand in the file, and in a model that is read from it."""
-    terms: list[Effect | Bias] = [*model.effects, *model.biases]
-    kept = [t for t in terms if not t.passing]
+    kept = [t for t in model.terms if not t.passing]
     return sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
 
 
-def _bases(model: Model) -> dict[str, StoredBase]:
+def _bases(model: Model) -> dict[str, _StoredBase]:
     """Where every base stands, as `base` of arm.yaml would say it."""
     made = {}
     for effect in model.effects:
@@ -204,28 +189,22 @@ def _bases(model: Model) -> dict[str, StoredBase]:
             matrix = frame.matrix()
             x, y, z = (round(float(v), 7) for v in matrix[:3, 3])
             roll, pitch, yaw = (round(math.degrees(v), 6) for v in roll_pitch_yaw(matrix[:3, :3]))
-            made[effect.where] = StoredBase(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
+            made[effect.where] = _StoredBase(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
     return made
 
 
 def _sources(model: Model) -> dict[str, str]:
     """Origins of effects from outside the package, which the user must provide again."""
     known = {term.name: origin(type(term)) for term in model.terms}
-    return {_source_key(name): source for name, source in known.items() if source}
-
-
-def _source_key(effect: str) -> str:
-    return f"{effect}_from"
+    return {f"{name}_from": source for name, source in known.items() if source}
 
 
 def save_model(path: str | Path, stored: StoredModel) -> None:
     """Write atomically. An existing file becomes the previous version."""
     data = stored.model_dump(mode="json", by_alias=True)
-    text = (
-        "# Written by longarm; values in SI units. Geometry, effects and measuring-side biases.\n"
-        + yaml.safe_dump(data, sort_keys=False, width=100)
-    )
-    put(path, text.encode())
+    text = yaml.safe_dump(data, sort_keys=False, width=100)
+    head = "Written by longarm; values in SI units. Geometry, effects and measuring-side biases."
+    put(path, f"# {head}\n{text}".encode())
 
 
 def undo(path: str | Path) -> None:
@@ -256,23 +235,19 @@ def load_model(path: str | Path, arm: Arm) -> Model:
 def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
     """A model from its stored form."""
     if stored.arm.hash != arm.hash:
-        raise InputError(
-            where,
-            "arm.hash",
-            f"{stored.arm.name} {stored.arm.hash[:12]}",
-            f"the arm given: {arm.name} {arm.hash[:12]} (calibrate again after editing arm.yaml)",
-        )
+        mine = f"the arm given: {arm.name} {arm.hash[:12]}"
+        allowed = f"{mine} (calibrate again after editing arm.yaml)"
+        raise InputError(where, "arm.hash", f"{stored.arm.name} {stored.arm.hash[:12]}", allowed)
     terms: list[Effect | Bias] = []
     held: set[tuple[str, ...]] = set()
     for entry in (*stored.geometry, *stored.effects, *stored.camera):
-        known_from = str(stored.provenance.get(_source_key(entry.effect), ""))
+        known_from = str(stored.provenance.get(f"{entry.effect}_from", ""))
         kind = effect_class(entry.effect, where, known_from)
         known = {f.name for f in dataclasses.fields(kind)}
         for name in (*entry.form, *entry.parameters):
             if name not in known:
-                raise InputError(
-                    where, f"{entry.effect}.{name}", "unknown", ", ".join(sorted(known))
-                )
+                allowed = ", ".join(sorted(known))
+                raise InputError(where, f"{entry.effect}.{name}", "unknown", allowed)
         values = {name: stored_value.value for name, stored_value in entry.parameters.items()}
         try:
             term = kind(**entry.form, **values)
@@ -292,14 +267,11 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
             if not p.lower <= value <= p.upper:
                 raise InputError(where, field, value, f"{p.lower}..{p.upper}")
         terms.append(term)
-    model = Model(
-        arm,
-        tuple(t for t in terms if isinstance(t, Effect)),
-        tuple(t for t in terms if isinstance(t, Bias)),
-        stored.passes,
-        stored.elements_per_beam,
-        _arrivals(stored, arm, where),
-    )
+    bare = Model(
+        arm, passes=stored.passes, elements_per_beam=stored.elements_per_beam,
+        arrivals=_arrivals(stored, arm, where),
+    )  # fmt: skip
+    model = bare.with_terms(terms)
     return dataclasses.replace(model, uncertainty=_uncertainty(stored, model, where))
 
 

@@ -27,7 +27,7 @@ _H = 1e-3
 """Step (of a unit parameter, of a rad) of differences through the measuring side."""
 
 
-class Sensor(Protocol):
+class _Sensor(Protocol):
     """What reports the tip: a model's measuring side."""
 
     def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec: ...
@@ -49,8 +49,8 @@ class _Moved:
 class Reseen:
     """A change of the measuring side: ``per`` times the difference of two sensors' reports."""
 
-    raised: Sensor
-    lowered: Sensor
+    raised: _Sensor
+    lowered: _Sensor
     per: float
     sees: frozenset[str]
 
@@ -107,7 +107,7 @@ class TipMotion:
             side, both when they are asked for.
     """
 
-    sensor: Sensor
+    sensor: _Sensor
     frame: Frame
     context: Context
     changes: Sequence[_Moved | Reseen]

@@ -136,11 +136,7 @@ def written(factor: np.ndarray) -> list[str]:
 
 
 def read(lines: Sequence[str]) -> np.ndarray:
-    """The triangle that `written` wrote.
-
-    Raises:
-        ValueError: a line is not what it wrote, with its number.
-    """
+    """The triangle that `written` wrote. Raises `ValueError` with the number of a wrong line."""
     made = np.zeros((len(lines), len(lines)))
     for k, line in enumerate(lines):
         try:

@@ -37,7 +37,7 @@ def module(
     lines = writer.outside()
     for name, (graph, outputs) in programs.items():
         lines += [f"define void @{name}(ptr %s) #0 {{"]
-        lines += [*writer.program(*lowered(graph, outputs)), "ret void", "}"]
+        lines += [*writer.program(*_lowered(graph, outputs)), "ret void", "}"]
     for name, work in flows.items():
         lines += [f"define void @{name}(ptr %s) #0 {{"]
         lines += [*writer.flow(work, place, count()), "ret void", "}"]
@@ -49,7 +49,7 @@ def module(
     )
 
 
-def lowered(graph: Graph, outputs: Outputs) -> tuple[Graph, Outputs]:
+def _lowered(graph: Graph, outputs: Outputs) -> tuple[Graph, Outputs]:
     """The graph with trigonometric functions as arithmetic, which works on all lanes at once."""
     low = Graph()
     nodes: dict[int, Any] = {}

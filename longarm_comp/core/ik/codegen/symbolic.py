@@ -23,7 +23,9 @@ _FOLD: dict[str, Callable[..., float]] = {
     "mul": lambda a, b: a * b,
     "div": lambda a, b: a / b,
 }
+_ALIKE = ("sin", "cos", "tan", "tanh", "exp", "log", "sqrt", "floor", "sign", "minimum", "maximum")
 _UFUNCS = {
+    **{getattr(np, name): name for name in _ALIKE},
     np.add: "add",
     np.subtract: "sub",
     np.multiply: "mul",
@@ -31,18 +33,7 @@ _UFUNCS = {
     np.negative: "neg",
     np.absolute: "fabs",
     np.fabs: "fabs",
-    np.sin: "sin",
-    np.cos: "cos",
-    np.tan: "tan",
-    np.tanh: "tanh",
-    np.exp: "exp",
-    np.log: "log",
-    np.sqrt: "sqrt",
-    np.floor: "floor",
     np.arctan2: "atan2",
-    np.sign: "sign",
-    np.minimum: "minimum",
-    np.maximum: "maximum",
     np.less: "lt",
     np.less_equal: "le",
     np.power: "pow",
@@ -81,10 +72,6 @@ class Graph:
             self._symbols[node] = Symbol(self, node)
         return self._symbols[node]
 
-    def operation(self, node: int) -> tuple[str, tuple[Operand, ...]]:
-        """Operation and operands of a node."""
-        return self.nodes[node]
-
     def needed(self, outputs: Sequence[Any]) -> list[int]:
         """The nodes that the outputs depend on, in order."""
         keep = [False] * len(self.nodes)
@@ -99,6 +86,18 @@ class Graph:
         return [node for node, kept in enumerate(keep) if kept]
 
 
+def _both(op: str) -> tuple[Any, Any]:
+    """An operation of a symbol with another number, and of that number with the symbol."""
+
+    def first(self: Symbol, other: Any) -> Any:
+        return self.graph.apply(op, self, other)
+
+    def second(self: Symbol, other: Any) -> Any:
+        return self.graph.apply(op, other, self)
+
+    return first, second
+
+
 class Symbol:
     """A traced number."""
 
@@ -107,29 +106,12 @@ class Symbol:
     def __init__(self, graph: Graph, node: int) -> None:
         self.graph, self.node = graph, node
 
-    def __add__(self, other: Any) -> Any:
-        return self.graph.apply("add", self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return self.graph.apply("add", other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return self.graph.apply("sub", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self.graph.apply("sub", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return self.graph.apply("mul", self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return self.graph.apply("mul", other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return self.graph.apply("div", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return self.graph.apply("div", other, self)
+    __add__, __radd__ = _both("add")
+    __sub__, __rsub__ = _both("sub")
+    __mul__, __rmul__ = _both("mul")
+    __truediv__, __rtruediv__ = _both("div")
+    __lt__, __gt__ = _both("lt")
+    __le__, __ge__ = _both("le")
 
     def __pow__(self, other: Any) -> Any:
         if isinstance(other, int) and 1 <= other <= 8:
@@ -147,18 +129,6 @@ class Symbol:
 
     def __abs__(self) -> Any:
         return self.graph.apply("fabs", self)
-
-    def __lt__(self, other: Any) -> Any:
-        return self.graph.apply("lt", self, other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.graph.apply("le", self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.graph.apply("lt", other, self)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.graph.apply("le", other, self)
 
     def where(self, yes: Any, no: Any) -> Any:
         """`yes` where this condition holds, else `no`."""
@@ -221,7 +191,7 @@ def _negated(graph: Graph, x: Any) -> Any:
     """y where x is the symbol -y, else None."""
     if not isinstance(x, Symbol):
         return None
-    op, operands = graph.operation(x.node)
+    op, operands = graph.nodes[x.node]
     return graph._symbols[operands[0]] if op == "neg" else None
 
 
