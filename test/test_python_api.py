@@ -7,6 +7,7 @@ import inspect
 import logging
 import re
 import xml.etree.ElementTree as ET
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -111,11 +112,16 @@ def test_ten_lines_diagnose_train_compensate_and_reach(tmp_path: Path) -> None:
 def test_the_page_says_what_runs(
     work: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The program of docs/python.md, beside the files that it names; every name has its row."""
+    """The program of docs/python.md, beside the files that it names; every name has its row.
+
+    Its networks are small, and the diagnosis trains none.
+    """
     page = (Path(__file__).parents[1] / "docs" / "python.md").read_text("utf-8")
     program = re.search(r"```python\n(.*?)```", page, re.DOTALL)
     assert program is not None
     monkeypatch.chdir(work)
+    monkeypatch.setattr(la, "train", partial(la.train, ensemble=2, hidden=10))
+    monkeypatch.setattr(la, "diagnose", partial(la.diagnose, network=False))
     names: dict[str, object] = {}
     exec(program[1], names)
     said = capsys.readouterr().out
