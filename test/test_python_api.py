@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from cli_shell import Shell, real
 from hidden_arm import at, session, tip
 from small_arm import ARM, measured
@@ -110,16 +111,21 @@ def test_ten_lines_diagnose_train_compensate_and_reach(tmp_path: Path) -> None:
 
 
 def test_the_page_says_what_runs(
-    work: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The program of docs/python.md, beside the files that it names; every name has its row.
 
-    Its networks are small, and the diagnosis trains none.
+    The arm has a wrong gain; the networks are small, and the diagnosis trains none.
     """
+    gain = (drives.JointGain(at(2, 0.02)),)
+    data = ARM.model_dump(mode="json", exclude_defaults=True)
+    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(data))
+    write_csv(session(gain), tmp_path / "samples.csv")
+    write_csv(session(gain, n=40, seed=2), tmp_path / "test.csv")
     page = (Path(__file__).parents[1] / "docs" / "python.md").read_text("utf-8")
     program = re.search(r"```python\n(.*?)```", page, re.DOTALL)
     assert program is not None
-    monkeypatch.chdir(work)
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(la, "train", partial(la.train, ensemble=2, hidden=10))
     monkeypatch.setattr(la, "diagnose", partial(la.diagnose, network=False))
     names: dict[str, object] = {}

@@ -61,7 +61,6 @@ Told = tuple[record.DiagnosisReport, Page]
 SETS = {
     "simulated": ((real, in_doubt), range(100)),
     "more simulated": ((real, in_doubt), range(100, 500)),
-    "a Panda": ((panda_7,), range(0)),
     "Pandas": ((panda_3, panda_7), range(20)),
     "Justin": ((justin,), range(20)),
 }
