@@ -29,7 +29,7 @@ from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.workflows.calibrate import kind_from
 
 NAMES = ("1", "2", "3", "4", "6", "7")
-ROWS, DRAWS = 6, 2
+ROWS, DRAWS = 6, 4
 
 
 def touches(name: str) -> Session:
