@@ -142,7 +142,7 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     at_work(client, files, Model(ARM))
     client.set_parameter("kinematics", "method", "both")
     kept = (files / "model.yaml").read_bytes()
-    words = ("loop", files / "arm.yaml", "-o", "loop", "--rounds", 1, "--poses", 40, "--targets", 3)
+    words = ("loop", files / "arm.yaml", "-o", "loop", "--rounds", 1, "--poses", 60, "--targets", 3)
     out = shell.folder / "loop"
     assert shell(*words, *QUICK) == 3 and "there was no answer yes" in shell.err
     assert "joint_gain" in shell.err
