@@ -58,7 +58,7 @@ $(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins
 test: setup
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
-# Every test, those that take a minute too.
+# Every test: those that take a minute, and those that ask the same in another form, too.
 long: setup
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
