@@ -1,6 +1,7 @@
 # Everything runs from .venv, which `make setup` builds from nothing out of the package registry.
 PYTHON ?= python3
-PYTEST_ARGS ?= -m 'not long' -n 2 --dist loadfile --no-loadscope-reorder
+# Three on two cores: tests of graphs wait for each other's nodes while others compute.
+PYTEST_ARGS ?= -m 'not long' -n 3 --dist loadfile --no-loadscope-reorder
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -57,11 +58,11 @@ $(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins
 test: setup
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
-# Every test, those that take a minute too.
+# Every test: those that take a minute, and those that ask the same in another form, too.
 long: setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-# Damaged files given to every command that reads one; `make test` runs a tenth of it.
+# Damaged files given to every command that reads one; `make test` runs a few.
 fuzz: setup
 	LONGARM_FUZZ_RUNS=3000 $(BIN)/python -m pytest $(PYTEST_ARGS) test/test_fuzz.py
 

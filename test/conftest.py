@@ -32,16 +32,15 @@ ROS_DOMAINS = range(1, 102)
 
 
 LONGEST = (
-    "test_package",
-    "test_fuzz",
-    "test_loop_graph",
-    "test_demo",
-    "test_fleet",
-    "test_nodes_paths",
-    "test_nodes_graph",
-    "test_diagnose",
+    *("test_readings_on_the_graph", "test_package", "test_nodes_servo_driver", "test_diagnose"),
+    *("test_loop_graph", "test_explain", "test_collect", "test_hidden_effect"),
+    *("test_nodes_predictor", "test_fuzz", "test_nodes_kinematics", "test_python_api"),
+    *("test_collect_run", "test_diagnosed", "test_nodes_away", "test_functions"),
+    *("test_nodes_ready", "test_readings", "test_arm_folder_graph", "test_fleet"),
+    *("test_demo", "test_study_real", "test_nodes_paths", "test_nodes_graph"),
 )
-"""Files that take minutes. They begin first: no worker is left alone with one."""
+"""Files that take longest, those that wait for nodes between those that compute. They begin first:
+no worker is left alone with one."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

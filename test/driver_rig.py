@@ -174,7 +174,7 @@ class Rig:
         return ""
 
     def refused(self) -> int:
-        """How many trajectories it says it refused."""
+        """How many trajectories it says it refused; -1 where it has told nothing yet."""
         for array in reversed(self.diagnostics):
             for status in array.status:
                 for value in status.values:

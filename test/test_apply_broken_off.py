@@ -154,7 +154,7 @@ def test_undo_broken_off_anywhere_is_finished_by_the_next(versions: Versions) ->
         assert (versions.model.read_bytes(), versions.predictor.read_bytes()) == versions.one
 
 
-@pytest.mark.parametrize("before", [True, False])
+@pytest.mark.parametrize("before", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_process_that_is_killed_loses_nothing(before: bool, versions: Versions) -> None:
     """As above with a process that really ends, without any clean-up."""
     for at in range(1, 9):

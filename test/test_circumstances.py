@@ -38,7 +38,6 @@ from longarm_comp.sessions.targets import Targets
 
 N = 6
 ENGINES = [e for e in Engine if e is not Engine.COMPILED or compiler_at_hand()]
-COMPILING = (Engine.COMPILED, Engine.AUTO)
 KINDS = [kind for kind in BUILT_IN.values() if issubclass(kind, Effect)]
 
 
@@ -101,7 +100,7 @@ def demo(demo_arm_path) -> Arm:
 
 @pytest.mark.parametrize(
     "engine",
-    [pytest.param(e, marks=[pytest.mark.long] * (e in COMPILING)) for e in ENGINES],
+    [pytest.param(e, marks=[pytest.mark.long] * (e != Engine.PYTHON)) for e in ENGINES],
 )
 def test_every_engine_reaches_the_plain_model_in_every_form(demo: Arm, engine: Engine) -> None:
     covered = set()

@@ -59,14 +59,21 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_the_arm_that_was_knocked_is_told(folders: Path, tmp_path: Path) -> None:
-    found = {m.name: m.session.name for m in members(folders)}
-    assert found == {"broken": "rows.csv", "knocked": "later.csv", "sound": "later.csv"}
-    out = tmp_path / "out"
+@pytest.fixture(scope="module")
+def told(folders: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """What `longarm fleet` wrote of the arms, and what it printed."""
+    out = tmp_path_factory.mktemp("out")
     words = [str(folders), "-o", str(out), "--no-network", "--jobs", "2", "--json"]
     done = CliRunner().invoke(command, words)
     assert done.exit_code == 0, (done.output, done.exception)
-    arms = {row["name"]: row for row in json.loads(done.stdout)["arms"]}
+    return out, done.stdout
+
+
+def test_the_arm_that_was_knocked_is_told(folders: Path, told: tuple[Path, str]) -> None:
+    found = {m.name: m.session.name for m in members(folders)}
+    assert found == {"broken": "rows.csv", "knocked": "later.csv", "sound": "later.csv"}
+    out, printed = told
+    arms = {row["name"]: row for row in json.loads(printed)["arms"]}
     assert {name: row["drifted"] for name, row in arms.items()} == {
         "broken": False, "knocked": True, "sound": False,
     }  # fmt: skip
@@ -129,10 +136,13 @@ def test_folders_without_arms_are_refused(tmp_path: Path) -> None:
     assert isinstance(done.exception, JobError)
 
 
-def test_it_goes_on_where_it_was_ended(folders: Path, tmp_path: Path) -> None:
+def test_it_goes_on_where_it_was_ended(
+    folders: Path, told: tuple[Path, str], tmp_path: Path
+) -> None:
+    """Beside the first call: what failed is tried again, what was done is not."""
     arms, out = tmp_path / "arms", tmp_path / "out"
-    shutil.copytree(folders / "sound", arms / "sound")
-    shutil.copytree(folders / "sound", arms / "twin")
+    shutil.copytree(folders, arms)
+    shutil.copytree(told[0], out)
     seen: list[str] = []
 
     def run() -> list[Diagnosed]:
@@ -140,21 +150,28 @@ def test_it_goes_on_where_it_was_ended(folders: Path, tmp_path: Path) -> None:
         return fleet(arms, out, network=False, progress=lambda name, share: seen.append(name))
 
     first = run()
-    assert seen == ["sound", "twin"]
-    assert run() == first and seen == []
-    write_csv(rows_of(0.002, 11), arms / "twin" / "later.csv")
+    assert seen == ["broken"]
+    shutil.rmtree(arms / "broken")
+    assert run() == first[1:] and seen == []
+    write_csv(rows_of(0.002, 11), arms / "knocked" / "later.csv")
     again = run()
-    assert seen == ["twin"]
-    assert again[0] == first[0] and again[1].made_of != first[1].made_of
-    shutil.rmtree(arms / "twin")
+    assert seen == ["knocked"]
+    assert again[1] == first[2] and again[0].made_of != first[1].made_of
+    shutil.rmtree(arms / "knocked")
     (out / "fleet.json").write_text("{", encoding="utf-8")
-    assert run() == again[:1] and seen == ["sound"]
+    (one,) = run()
+    assert seen == ["sound"]
+    assert dataclasses.replace(one, session=first[2].session, kind=first[2].kind) == first[2]
 
 
-def test_a_dask_cluster_says_the_same(folders: Path, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("dask.distributed")
+def test_an_address_without_a_scheduler_is_refused(folders: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--dask"):
         fleet(folders, tmp_path / "none", dask="no scheduler")
+
+
+@pytest.mark.long
+def test_a_dask_cluster_says_the_same(folders: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("dask.distributed")
     arms = tmp_path / "arms"
     shutil.copytree(folders / "knocked", arms / "knocked")
     here = fleet(arms, tmp_path / "here", network=False)

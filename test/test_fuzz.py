@@ -1,6 +1,6 @@
 """Damaged files given to every command that reads one: an answer or one line, never a traceback.
 
-``make fuzz`` runs 3,000 of them; the ordinary tests 200.
+``make fuzz`` runs 3,000 of them; the ordinary tests 60.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sim.cameras import CameraPair
 from longarm_comp.sim.servo_emulator.joints import read_arm
 
-RUNS = int(os.environ.get("LONGARM_FUZZ_RUNS", "100"))
+RUNS = int(os.environ.get("LONGARM_FUZZ_RUNS", "60"))
 PARTS = 10
 HANG_S = 120
 

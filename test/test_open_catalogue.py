@@ -111,6 +111,7 @@ def test_a_model_file_never_runs_code(example: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "ran").exists()
 
 
+@pytest.mark.long
 def test_with_its_file_the_real_tip_lands_on_targets(example: Path) -> None:
     sys.path.insert(0, str(ROOT / "examples"))
     try:
@@ -132,7 +133,13 @@ def test_with_its_file_the_real_tip_lands_on_targets(example: Path) -> None:
     assert missed["with"] < 0.2 * missed["without"]
 
 
-@pytest.mark.parametrize("command", ["calibrate", "evaluate", "compensate", "train", "effects"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        *("calibrate", "evaluate", "effects"),
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("compensate", "train")),
+    ],
+)
 def test_commands_take_the_file(example: Path, tmp_path: Path, command: str) -> None:
     arm, model = example / "arm.yaml", example / "diagnosis" / "model.yaml"
     words: dict[str, tuple[object, ...]] = {

@@ -239,7 +239,7 @@ def test_the_source_distribution_builds_the_same_wheel(wheel: Path, tmp_path: Pa
 
 
 WITHOUT_ROS = """
-import importlib.abc, sys
+import contextlib, importlib.abc, io, json, sys
 ros = set(sys.argv[1].split())
 class Bare(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
@@ -247,7 +247,13 @@ class Bare(importlib.abc.MetaPathFinder):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Bare())
 from longarm_comp.cli.run import run
-sys.exit(run(sys.argv[2:]))
+done = []
+for words in json.loads(sys.argv[2]):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run(words)
+    done.append((code, out.getvalue(), err.getvalue()))
+print(json.dumps(done))
 """
 
 
@@ -257,29 +263,29 @@ def test_without_ros_files_are_worked_on_and_the_rest_says_what_it_lacks(
     """The installed wheel, where nothing of ROS can be imported."""
     ros = " ".join(ros_depends() | set(test_rooms.ROS))
 
-    def longarm(*words: object) -> subprocess.CompletedProcess[str]:
-        return below(prefix, sys.executable, "-c", WITHOUT_ROS, ros, *words)
-
-    assert longarm("--version").stdout == f"longarm, version {longarm_comp.__version__}\n"
     arm, session = work / "arm.yaml", work / "samples.csv"
     write_bag(read_csv(session, ARM), tmp_path / "bag", ARM)
-    for words in (
+    works = (
+        ("--version",),
         ("init", tmp_path / "mine", "--arm", arm),
         ("plan", arm, "--kind", "sobol", "-n", 8, "-o", tmp_path / "poses.csv"),
         ("evaluate", arm, "--test", tmp_path / "bag", "--model", work / "model.yaml"),
         ("bag", "to-csv", arm, tmp_path / "bag", "-o", tmp_path / "back.csv"),
-    ):
-        done = longarm(*words)
-        assert done.returncode == 0, done.stderr
-    for words in (
+    )
+    lacks = (
         ("up", arm, "--sim"),
         ("collect", arm, tmp_path / "poses.csv", "-o", tmp_path / "session"),
         ("demo", "--out", tmp_path / "demo"),
-    ):
-        done = longarm(*words)
-        assert done.returncode == 3, done.stderr
-        assert done.stderr.startswith("longarm: this command needs ROS 2 (")
-        assert len(done.stderr.splitlines()) == 1
+    )
+    asked = json.dumps([[*map(str, words)] for words in (*works, *lacks)])
+    made = below(prefix, sys.executable, "-c", WITHOUT_ROS, ros, asked)
+    assert made.returncode == 0, made.stderr
+    done = json.loads(made.stdout)
+    assert done[0][1] == f"longarm, version {longarm_comp.__version__}\n"
+    assert [code for code, *_ in done] == [0] * len(works) + [3] * len(lacks), done
+    for _, _, said in done[len(works) :]:
+        assert said.startswith("longarm: this command needs ROS 2 (")
+        assert len(said.splitlines()) == 1
     assert not (tmp_path / "session").exists() and not (tmp_path / "demo").exists()
 
 
@@ -363,6 +369,7 @@ def test_an_installed_graph_comes_up_and_ends_as_it_is_told(prefix: Path, tmp_pa
         assert all(map(gone, pids))
 
 
+@pytest.mark.long
 def test_colcon_installs_what_ros2_run_and_launch_look_for(tmp_path: Path) -> None:
     colcon = Path(sys.executable).with_name("colcon")
     if not colcon.exists():

@@ -39,6 +39,7 @@ def test_a_payload_that_does_for_soft_beams_too_is_found(demo_arm_path: Path) ->
     assert found["errors_mm"]["with_effects"] < 1.3 * found["errors_mm"]["true_effects"]
 
 
+@pytest.mark.long
 def test_an_effect_that_stands_alone_is_found_with_its_size(demo_arm_path: Path) -> None:
     """At the few levels of this grid an eccentric gear does as well, and the set says so."""
     gain = result(demo_arm_path, "joint_gain", group="single")

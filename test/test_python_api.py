@@ -7,6 +7,7 @@ import inspect
 import logging
 import re
 import xml.etree.ElementTree as ET
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -108,14 +109,30 @@ def test_ten_lines_diagnose_train_compensate_and_reach(tmp_path: Path) -> None:
     assert la.load_model(tmp_path / "model.yaml", ARM) == calibrated.model
 
 
+def of_a_gain(folder: Path) -> tuple[Path, Path, Path]:
+    """Files of an arm with a wrong gain: itself, a session, and one to test with."""
+    gain = (drives.JointGain(at(2, 0.02)),)
+    arm, samples, test = (folder / name for name in ("arm.yaml", "samples.csv", "test.csv"))
+    arm.write_text(ARM.model_dump_json(exclude_defaults=True))
+    write_csv(session(gain), samples)
+    write_csv(session(gain, n=40, seed=2), test)
+    return arm, samples, test
+
+
 def test_the_page_says_what_runs(
-    work: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The program of docs/python.md, beside the files that it names; every name has its row."""
+    """The program of docs/python.md, beside the files that it names; every name has its row.
+
+    The arm has a wrong gain; the networks are small, and the diagnosis trains none.
+    """
+    of_a_gain(tmp_path)
     page = (Path(__file__).parents[1] / "docs" / "python.md").read_text("utf-8")
     program = re.search(r"```python\n(.*?)```", page, re.DOTALL)
     assert program is not None
-    monkeypatch.chdir(work)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(la, "train", partial(la.train, ensemble=2, hidden=10))
+    monkeypatch.setattr(la, "diagnose", partial(la.diagnose, network=False))
     names: dict[str, object] = {}
     exec(program[1], names)
     said = capsys.readouterr().out
@@ -173,11 +190,7 @@ def test_evaluate_is_the_command(work: Path, shell: Shell, arm: la.Arm) -> None:
 
 
 def test_diagnose_is_the_command(tmp_path: Path) -> None:
-    gain = (drives.JointGain(at(2, 0.02)),)
-    arm, samples, test = (tmp_path / name for name in ("arm.yaml", "samples.csv", "test.csv"))
-    arm.write_text(ARM.model_dump_json(exclude_defaults=True))
-    write_csv(session(gain), samples)
-    write_csv(session(gain, n=40, seed=2), test)
+    arm, samples, test = of_a_gain(tmp_path)
     words = ("--test", test, "--no-network", "-o", tmp_path / "command")
     assert Shell(tmp_path)("diagnose", arm, samples, *words) == 0
     declared = la.Arm.load(arm)

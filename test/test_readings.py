@@ -209,7 +209,9 @@ def test_poses_to_measure_ask_for_nothing_that_readings_tell() -> None:
     ("hidden", "name", "places"),
     [
         ((soft(3),), "joint_compliance", ["joint 3"]),
-        ((drives.Backlash(at(3, 3e-3), np.inf),), None, ["joint 3"]),
+        pytest.param(
+            (drives.Backlash(at(3, 3e-3), np.inf),), None, ["joint 3"], marks=pytest.mark.long
+        ),
     ],
 )
 def test_a_reading_names_what_no_pose_can(hidden, name, places) -> None:

@@ -107,10 +107,15 @@ def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]
                 base = ".".join([*module.split(".")[: -node.level], *filter(None, [base])])
             full = [f"{base}.{alias.name}" for alias in node.names]
             names = sorted({name if name in known else base for name in full})
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        elif isinstance(node, ast.Call) and called(node.func) == "import_module":
             names = [a.value for a in node.args if isinstance(a, ast.Constant)]
         for name in names:
             yield Import(node.lineno, name)
+
+
+def called(function: ast.expr) -> str:
+    """Last name of what is called."""
+    return str(getattr(function, "attr", getattr(function, "id", "")))
 
 
 def maths(source: str) -> Iterator[tuple[int, str]]:
@@ -180,6 +185,7 @@ def known() -> frozenset[str]:
     return frozenset(module.removesuffix(".__init__") for module in sources())
 
 
+@cache
 def read(module: str) -> list[Import]:
     return list(imports(sources()[module].read_text("utf-8"), module, known()))
 

@@ -28,6 +28,7 @@ def worn() -> day.DayOutcome:
     return day.one_day(SETTING, 0)
 
 
+@pytest.mark.long
 def test_each_knowledge_lowers_the_error_of_the_true_tip(worn: day.DayOutcome) -> None:
     none, once, told, free, again, learned = 1e3 * np.nanmean(worn.error, axis=1)
     assert none > 3.0
@@ -37,6 +38,7 @@ def test_each_knowledge_lowers_the_error_of_the_true_tip(worn: day.DayOutcome) -
     assert learned < 0.4 * told
 
 
+@pytest.mark.long
 def test_standing_still_is_charged(worn: day.DayOutcome) -> None:
     _, _, told, free, again, learned = day.table([worn], SETTING.hours)
     assert free["poses"] > 0 and free["not_served"] == 0
@@ -47,6 +49,7 @@ def test_standing_still_is_charged(worn: day.DayOutcome) -> None:
     assert told["poses"] == learned["poses"] == learned["not_served"] == 0
 
 
+@pytest.mark.long
 def test_the_joint_that_wears_is_named_without_a_stop(worn: day.DayOutcome) -> None:
     grows = float(worn.t_h[np.argmax(worn.play_rad > worn.play_rad[0])])
     (hour, said), *others = worn.changes
@@ -55,6 +58,7 @@ def test_the_joint_that_wears_is_named_without_a_stop(worn: day.DayOutcome) -> N
     assert grows <= hour < grows + 15 / SETTING.moves
 
 
+@pytest.mark.long
 def test_the_monitor_asks_after_the_play_has_grown_and_not_before(worn: day.DayOutcome) -> None:
     grows = float(worn.t_h[np.argmax(worn.play_rad > worn.play_rad[0])])
     asked = worn.asked("with re-diagnosis")
@@ -77,9 +81,11 @@ def test_without_wear_nothing_is_named_and_nothing_is_lost() -> None:
     assert learned < before + 0.02
 
 
-def test_command_prints_the_table_and_draws(
-    worn: day.DayOutcome, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_an_hour_of_every_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is known beside the model helps; the command's table and files are of the days lived."""
+    worn = day.one_day(day.replace(SETTING, hours=1), 0)
+    none, once, told, *_ = 1e3 * np.nanmean(worn.error, axis=1)
+    assert none > 2.0 and once < 0.5 * none and told < once
     asked: list[tuple[day.DaySetting, int]] = []
 
     def lived(setting: day.DaySetting, seed: int, ways: Sequence[day.Way]) -> day.DayOutcome:

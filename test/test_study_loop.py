@@ -142,7 +142,7 @@ def study(arm, tmp_path_factory):
         case(effects=("friction_hysteresis",), one_place=True, rows=60),
         case("none", (), spoiled="clean"),
     ]
-    return cases, out, loop.run(cases, arm, out, jobs=2)
+    return cases, out, loop.run(cases, arm, out, jobs=1)
 
 
 def test_results_say_what_was_hidden_and_found(study):
@@ -194,6 +194,13 @@ def test_an_error_is_a_result(arm, monkeypatch):
     assert "here" in line["error"]
     assert failures([line])
     assert not summary([line])
+
+
+@pytest.mark.long
+def test_processes_give_the_same_lines(study, arm, tmp_path):
+    cases, _, lines = study
+    made = loop.run(cases, arm, tmp_path / "a.jsonl", jobs=2)
+    assert [x["result"] for x in made] == [x["result"] for x in lines]
 
 
 @pytest.mark.long

@@ -19,9 +19,7 @@ RUNGS = [
 ]  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def study(data_dir: Path) -> dict[str, dict[str, dict]]:
-    """What ``longarm study real --json`` prints, by robot and model."""
+def printed_of(data_dir: Path) -> dict[str, dict[str, dict]]:
     done = CliRunner().invoke(command, ["--data", str(data_dir / "real"), "--json"])
     assert done.exit_code == 0, done.output
     printed = json.loads(done.stdout)
@@ -29,6 +27,25 @@ def study(data_dir: Path) -> dict[str, dict[str, dict]]:
     return {robot: {line["model"]: line for line in lines} for robot, lines in printed.items()}
 
 
+@pytest.fixture(scope="module")
+def study(data_dir: Path) -> dict[str, dict[str, dict]]:
+    """What ``longarm study real --json`` prints, by robot and model."""
+    return printed_of(data_dir)
+
+
+@pytest.fixture(scope="module")
+def wam(data_dir: Path) -> dict[str, dict]:
+    """The same of the one robot with few rows."""
+
+    def alone(folder: Path, say: real.Progress) -> dict[str, list[real.Line]]:
+        return {"wam": real.judged(laser_tracked(folder, "wam"), say)}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(real, "study", alone)
+        return printed_of(data_dir)["wam"]
+
+
+@pytest.mark.long
 def test_justin(study: dict[str, dict[str, dict]]) -> None:
     """Published 10.5, 5.64, 3.12 mm; both arms' 150 held-out postures each."""
     lines = study["dlr_justin"]
@@ -42,9 +59,10 @@ def test_justin(study: dict[str, dict[str, dict]]) -> None:
     assert set(lines["diagnosed"]["effects"]) == {"joint_compliance", "bearing_tilt"}
 
 
-def test_wam(study: dict[str, dict[str, dict]]) -> None:
-    """A cable drive: the training rows ask for play."""
-    lines = study["wam"]
+def test_wam(wam: dict[str, dict]) -> None:
+    """A cable drive: the training rows ask for play, and a command is no worse for it."""
+    lines = wam
+    no_worse(lines["diagnosed"])
     assert lines["frames_only"]["n"] == 20
     assert lines["frames_only"]["mean_mm"] < 4.1
     assert lines["rigid"]["mean_mm"] <= 3.1
@@ -52,6 +70,7 @@ def test_wam(study: dict[str, dict[str, dict]]) -> None:
     assert set(lines["diagnosed"]["effects"]) & {"backlash", "friction_hysteresis", "servo_droop"}
 
 
+@pytest.mark.long
 def test_ur5_is_rigid(study: dict[str, dict[str, dict]]) -> None:
     """The negative control: a tenth of a millimetre, and nothing that gives under load."""
     lines = study["ur5"]
@@ -61,15 +80,19 @@ def test_ur5_is_rigid(study: dict[str, dict[str, dict]]) -> None:
     assert not soft & set(lines["diagnosed"]["effects"])
 
 
+def no_worse(line: dict) -> None:
+    """What is written helps a command on rows that were not fitted."""
+    assert line["commanded_mm"] <= line["calibrated_commanded_mm"]
+    low, high = line["commanded_gain_ci95_mm"]
+    assert low <= line["calibrated_commanded_mm"] - line["commanded_mm"] <= high
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("robot", ["dlr_justin", "wam", "ur5"])
 def test_commands_are_never_worse_than_calibrated(
     study: dict[str, dict[str, dict]], robot: str
 ) -> None:
-    """What is written helps a command on rows that were not fitted, on every real set."""
-    line = study[robot]["diagnosed"]
-    assert line["commanded_mm"] <= line["calibrated_commanded_mm"]
-    low, high = line["commanded_gain_ci95_mm"]
-    assert low <= line["calibrated_commanded_mm"] - line["commanded_mm"] <= high
+    no_worse(study[robot]["diagnosed"])
 
 
 def test_no_stiffness_is_negative_and_the_torso_is_one(data_dir: Path) -> None:

@@ -10,6 +10,8 @@ from click.testing import CliRunner
 
 from studies.commands.realisable import command
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def study() -> dict[str, Any]:
@@ -20,7 +22,6 @@ def study() -> dict[str, Any]:
     return printed
 
 
-@pytest.mark.long
 def test_arms(study: dict[str, Any]) -> None:
     rows = {(r["arm"], r["target"]): r for r in study["arms"]}
     assert all(r["targets"] == 14 for r in rows.values())
