@@ -18,6 +18,7 @@ from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv, write_csv
+from longarm_comp.sessions.names import nearest
 from longarm_comp.sessions.targets import Targets, read_targets
 from studies.real_sessions import declared
 
@@ -323,3 +324,21 @@ def test_bad_targets(lines: tuple[str, ...], words: str, tmp_path: Path) -> None
 def test_bad_target_on_the_command_line(numbers: list[float]) -> None:
     with pytest.raises(InputError, match="target"):
         Targets.one(numbers)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("run_wp_q1", "run_up_q1"),  # one letter of seven
+        ("payloda_gk", "payload_kg"),  # two of nine
+        ("pxyxoxd_kg", None),  # three
+        ("anchoor", "anchor"),
+        ("read", None),  # two letters short
+        ("rxad_qx", None),  # two of six
+        ("x1", None),
+    ],
+)
+def test_a_name_is_taken_for_another_one_where_a_letter_is_wrong(
+    name: str, meant: str | None
+) -> None:
+    assert nearest(name, ("x", "run_up_q1", "read_q1", "payload_kg", "anchor")) == meant

@@ -13,9 +13,6 @@ from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 
-_RANGES = (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0)
-"""Ranges of turning joints that are tried, deg, the largest first."""
-
 
 def narrowed(
     data: Mapping[str, Any], range_deg: float, home_deg: Mapping[str, float]
@@ -55,7 +52,7 @@ def in_sight(data: Mapping[str, Any], home_deg: Mapping[str, float]) -> float:
 
     They stand within one and a half times the arm's reach then, and the marker is small.
     """
-    for range_deg in _RANGES:
+    for range_deg in (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0):
         arm = Arm.parse(narrowed(data, range_deg, home_deg)[0], "arm.yaml")
         tip = declared_model(arm, deflection=False).tip(arm.mid)
         if np.linalg.norm(tip - head_for(arm).position_m) <= 1.5 * reach(arm):

@@ -15,8 +15,6 @@ from longarm_comp.core.errors import InputError
 if TYPE_CHECKING:
     from longarm_comp.arm_folder.make import Source
 
-_SOURCES = "--urdf FILE, --like demo, --arm FILE, --joint ROW --joint ROW ..."
-
 
 @click.command()
 @click.argument("out", type=click.Path(path_type=Path), metavar="DIR")
@@ -146,7 +144,8 @@ def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Seq
     given = [k for k, v in zip(("--urdf", "--like", "--arm", "--joint"), (urdf, like, arm, rows),
                                strict=True) if v]  # fmt: skip
     if len(given) != 1:
-        raise InputError("init", "source", " and ".join(given) or "none", f"one of {_SOURCES}")
+        allowed = "one of --urdf FILE, --like demo, --arm FILE, --joint ROW --joint ROW ..."
+        raise InputError("init", "source", " and ".join(given) or "none", allowed)
 
 
 def _home(text: str) -> tuple[str, float]:

@@ -68,10 +68,6 @@ _STOPPED = {
 }
 
 
-_SETTLED_NS = 50_000_000
-"""A sighting counts if it was taken so long after the joints came to rest, ns."""
-
-
 class ArmClient(GraphClient):
     """One arm on a graph: its joints, the sightings of its tip (or what else tells it), moves."""
 
@@ -225,7 +221,8 @@ class ArmClient(GraphClient):
             asks for or fewer, without lost ones.
         """
         self.spin(0.05)  # the driver has taken it up when its joints move
-        after_ns = self.arrive(path, pace, start) + _SETTLED_NS
+        # A sighting counts if it was taken 50 ms after the joints came to rest
+        after_ns = self.arrive(path, pace, start) + 50_000_000
 
         def taken() -> list[np.ndarray]:
             return [xyz for xyz in told() if np.isfinite(xyz).all()]

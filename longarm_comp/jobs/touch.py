@@ -23,8 +23,6 @@ from longarm_comp.nodes.interfaces import CONTACT, JOINT_STATES
 
 READINGS = 10
 """Joint readings that a row is the mean of."""
-STILL = 2e-3
-"""Share of a joint's range within which it is at rest: a hand is less still than a servo."""
 PATIENCE_S = 30.0
 """Patience with an arm that comes to rest under a hand."""
 ENOUGH = 8
@@ -125,7 +123,8 @@ def resting(client: ArmClient) -> np.ndarray:
     """
     client.joints = None
     client.until(lambda: client.joints is not None, PATIENCE_S, "no joint_states")
-    room = STILL * (client.arm.upper - client.arm.lower)
+    # Share of a joint's range within which it is at rest: a hand is less still than a servo
+    room = 2e-3 * (client.arm.upper - client.arm.lower)
     held: list[np.ndarray] = []
     last, waiting = client.joints, JOINT_STATES.depth
 

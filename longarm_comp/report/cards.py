@@ -16,23 +16,11 @@ from longarm_comp.report.words import change, interval, listed, millimetres, num
 
 CERTAIN, LIKELY = 0.999, 0.95
 """Probability from which on something is called certain, and likely."""
-FEW = 0.05
-"""Share of a mean error below which a change of it is no improvement worth a word."""
 MOST_SIZES = 8
 WORTH_MM = 0.5
 """Gain of the mean error from which on a repair is advised, mm: shims, clamps and preloads are set
 by hand to a few tenths at the tip, and software compensates what is smaller."""
 DUTIES = ("Do", "Do only if", "Leave alone")
-
-
-@dataclass(frozen=True)
-class Size:
-    """One parameter in the unit that people read."""
-
-    where: str
-    name: str
-    value: str
-    ci95: str
 
 
 @dataclass(frozen=True)
@@ -50,10 +38,7 @@ class _Card:
     """
 
     title: str
-    names: str
     where: str
-    sizes: tuple[Size, ...]
-    more: int
     reading: str
     tip: str
     sure: str
@@ -64,6 +49,9 @@ class _Card:
     action: str
     software: str
     improves: str
+    names: str = ""
+    sizes: tuple[tuple[str, ...], ...] = ()
+    more: int = 0
     figure: str = "mean error without → with it"
 
 
@@ -118,10 +106,7 @@ def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
     duty, why = _duty(gain, "you find something there that acts like this.", report)
     return _Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
-        names="",
         where=found.frame,
-        sizes=(),
-        more=0,
         reading=f"{found.formula}. {found.reading[:1].upper()}{found.reading[1:]}.",
         tip=tip,
         sure=word + ("; the place is open" if others else _with_doubts(found.doubts)),
@@ -170,13 +155,14 @@ def _places(where: list[str]) -> str:
     return f"{kinds.pop()}s {', '.join(values[:-1])} and {values[-1]}"
 
 
-def _size(parameter: FindingParameter) -> Size:
+def _size(parameter: FindingParameter) -> tuple[str, ...]:
+    """Where, name, value and interval of a parameter in the unit that people read."""
     times, unit = for_people(parameter.unit)
     gap = "" if unit == "°" else " "
     shown = f"{number(times * parameter.value, 3)}{gap}{unit}"
     pair = parameter.ci95
     said = "" if pair is None else interval((times * pair[0], times * pair[1]), 3)
-    return Size(parameter.where, parameter.name, shown, said)
+    return parameter.where, parameter.name, shown, said
 
 
 def _tip(finding: ReportFinding) -> str:
@@ -240,4 +226,4 @@ def _improves(finding: ReportFinding) -> str:
 
 def _helps(pair: tuple[float, float]) -> bool:
     """Whether an error falls by a share worth a word."""
-    return pair[1] < (1 - FEW) * pair[0]
+    return pair[1] < 0.95 * pair[0]

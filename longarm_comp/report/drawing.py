@@ -73,8 +73,6 @@ def _points(
     return [stack(posture.frames[k].p) for k in stations] or [stack(model.tip_frame(posture).p)]
 
 
-ARMS = 6
-"""Number of arms drawn in the scene."""
 SPLITS = 3.0
 """Smallest expected log odds for which poses are worth measuring."""
 UNITS = {"temperature_c": "°C", "payload_kg": "kg", "t_s": "s"}
@@ -127,7 +125,8 @@ def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     predicted = diagnosis.model.measured(held.q, held.context())
     near = predicted + diagnosis.errors[diagnosis.written]
     seen = np.where(held.located[:, None], held.xyz, near)
-    shown = np.unique(np.linspace(0, len(held) - 1, min(ARMS, len(held))).astype(int))
+    # So many arms are drawn in the scene
+    shown = np.unique(np.linspace(0, len(held) - 1, min(6, len(held))).astype(int))
     context, model = held.context(), diagnosis.model
     arms = tuple(outline(model, held.q[k], context.take(int(k))) for k in shown)
     return SeenRows(held.index, seen, diagnosis.errors, _inputs(held, units), arms)

@@ -15,9 +15,7 @@ from longarm_comp.core.files import atomic_path
 
 INK = "#1a1a1a"
 GRID = "#d9d9d9"
-BLUE, ORANGE, GREEN, VERMILLION, PURPLE, SKY = (
-    *("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"),
-)
+BLUE, ORANGE, GREEN, VERMILLION, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
 
 
 @dataclass(frozen=True)

@@ -31,10 +31,6 @@ READ = tuple(
 """Columns of the readings beside x, y, z, and of their standard deviations."""
 
 
-JOINT_READING = re.compile(r"read_q[1-9]\d*")
-"""Columns of where the joints' encoders say that they stand."""
-
-
 def _check_measured(table: Table) -> None:
     """Raise `InputError` where a table measures nothing, or a coordinate's name is misspelt."""
     first = [(*kind.cells, kind.label)[0] for kind in _FURTHER]
@@ -49,7 +45,7 @@ def _check_measured(table: Table) -> None:
 def _read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Readings of the other kinds, and their standard deviations, by kind."""
     readings, sigmas = {}, {}
-    joints = (KINDS[name] for name in table.header if JOINT_READING.fullmatch(name))
+    joints = (KINDS[name] for name in table.header if re.fullmatch(r"read_q[1-9]\d*", name))
     for kind in (*_FURTHER, *joints):
         if any(name in table.cells for name in kind.cells):  # none of a kind that a text measures
             readings[kind.name] = _read(table, kind)

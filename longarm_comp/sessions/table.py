@@ -14,8 +14,6 @@ import numpy as np
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path, check_regular
 
-LARGEST = 1e30
-"""Larger numbers are no measurement; their squares leave the range of numbers."""
 FARTHEST = 1e6
 """Largest joint (rad, m) and coordinate (m)."""
 
@@ -62,7 +60,8 @@ class Table:
                 values[row] = float(cell)
             except ValueError:
                 raise self.error(row, column, allowed) from None
-            if not abs(values[row]) <= LARGEST or (test is not None and not test(values[row])):
+            # Larger numbers are no measurement; their squares leave the range of numbers
+            if not abs(values[row]) <= 1e30 or (test is not None and not test(values[row])):
                 raise self.error(row, column, allowed)
         return values
 

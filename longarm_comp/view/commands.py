@@ -14,7 +14,6 @@ from std_srvs.srv import SetBool, Trigger
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Service
 
-DRIVER = "servo_driver"
 _AGAIN_S, _PATIENCE_S = 1.0, 5.0
 """A call is sent again, and given up."""
 
@@ -67,7 +66,7 @@ class Buttons:
         self._pressed: deque[Button] = deque()
         self._calls: list[_Call] = []
         services = {button.service for button in (*STOPS, *RELEASES)}
-        self._clients = {service: service.client(node, of=DRIVER) for service in services}
+        self._clients = {service: service.client(node, of="servo_driver") for service in services}
 
     def press(self, button: Button) -> None:
         """Ask for a call; `step` makes it."""

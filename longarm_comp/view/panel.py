@@ -14,8 +14,6 @@ from longarm_comp.view.commands import RELEASES, STOPS, Button
 from longarm_comp.view.state import PageState
 
 _BAD, _DOUBTFUL, _GOOD = "#b00020", "#8a4b00", "inherit"
-_COLOURS = {words.WELL: _GOOD, words.WARNING: _DOUBTFUL}
-"""By the sign that a line of the health begins with; the others are bad."""
 
 
 class Panel:
@@ -72,10 +70,10 @@ class Panel:
                 _set(handle, "visible", True)
 
     def _show_health(self, state: PageState, now: float) -> None:
-        lines = []
+        lines, colours = [], {words.WELL: _GOOD, words.WARNING: _DOUBTFUL}
         for name in sorted(state.nodes):
             for k, text in enumerate(words.health(state.nodes[name], now)):
-                lines.append(_line(text, _COLOURS.get(text[0], _BAD), bold=k == 0, indent=k > 0))
+                lines.append(_line(text, colours.get(text[0], _BAD), bold=k == 0, indent=k > 0))
         self._write(self._health, lines or [_line("no node has reported yet")])
 
     @staticmethod

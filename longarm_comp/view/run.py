@@ -16,9 +16,6 @@ from longarm_comp.view.panel import Panel
 from longarm_comp.view.scene import Scene
 from longarm_comp.view.server import Gate, PlainPage, serving
 
-_DRAWN_S = 0.2
-"""Between two pictures."""
-
 
 def view(
     namespace: str, port: int, stop: threading.Event, opened: Callable[[Callable[[], str]], None]
@@ -43,7 +40,7 @@ def view(
             client.executor.spin_once(timeout_sec=0.02)
             now = time.monotonic()
             commands.step(now)
-            if now - drawn >= _DRAWN_S:
+            if now - drawn >= 0.2:  # s between two pictures
                 drawn = now
                 panel.show(listener.state, now, commands.said)
                 plain.lines = words.in_lines(listener.state, now, namespace, commands.said[0])

@@ -84,9 +84,6 @@ def _noise_key(kind: str) -> str:
 
 Term = Effect | Bias
 
-IDLE = 1e-5
-"""Range of an input (its unit) below which it says nothing."""
-
 
 @dataclass(frozen=True)
 class _FittedParameter:
@@ -296,7 +293,8 @@ def recorded(terms: tuple[Term, ...], session: Session, note: Note) -> tuple[Ter
             why = error
             continue
         read = [session.columns[name] for name in term.inputs if name in session.columns]
-        if read and all(np.ptp(values) < IDLE for values in read):
+        # An input that changes by less, in its unit, says nothing
+        if read and all(np.ptp(values) < 1e-5 for values in read):
             left = f"{term.name} at {term.where} left out: {term.inputs[0]} is idle"
             note(f"{session.source}: {left}")
             continue

@@ -30,13 +30,6 @@ def bars(labels: Sequence[str], heights: Mapping[str, Sequence[float]], what: st
     return figure
 
 
-ANGLE = "mean_mrad"
-"""Column of the mean error of the orientation, where it was measured."""
-
-SPREAD = "spread_mm"
-"""Column of the mean distance from the touched points, where points were touched."""
-
-
 @dataclass(frozen=True, repr=False)
 class ErrorTable(Mapping[str, Errors]):
     """Errors (m) as seen by model name, in the order of the ladder: ``table["calibrated"].mean``.
@@ -85,5 +78,6 @@ def _row(name: str, errors: Errors, commanded: Errors) -> dict[str, Any]:
     mean, *others = errors.mm.items()
     both = dict([mean, ("commanded_mean_mm", commanded.mm["mean_mm"]), *others])
     row = {"model": name, "n": errors.n, **both}
-    further = {ANGLE: errors.angle, SPREAD: errors.spread}
+    # Where the orientation was measured, and where points were touched: mean distance from them
+    further = {"mean_mrad": errors.angle, "spread_mm": errors.spread}
     return {**row, **{name: 1e3 * v for name, v in further.items() if v is not None}}

@@ -31,8 +31,6 @@ SCHEMA = "longarm/fleet/1"
 WRITTEN = "fleet.json"
 
 ARM, MODEL = "arm.yaml", "model.yaml"
-_ANSWER_S = 20.0
-"""A scheduler that is there answers within it."""
 _MEASURED = {(*kind.cells, kind.label)[0] for kind in KINDS.values()}
 
 
@@ -226,7 +224,7 @@ def _pool(jobs: int, dask: str | None) -> Iterator[Executor]:
         wanted = "pip install 'longarm_comp[cluster]'"
         raise InputError("fleet", "--dask", "not installed", wanted) from None
     try:
-        client = Client(dask, timeout=_ANSWER_S)
+        client = Client(dask, timeout=20.0)  # s; one that is there has answered by then
     except (OSError, ValueError) as error:
         raise InputError("fleet", "--dask", dask, f"a scheduler ({error})") from error
     with client, client.get_executor() as workers:

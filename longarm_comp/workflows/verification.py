@@ -17,8 +17,6 @@ from longarm_comp.report.style import rc, save
 
 LEAST = 2
 """Fewer targets seen in both runs give no interval."""
-RESAMPLES = 5000
-"""Drawings of the bootstrap: an end of the interval then moves by 1 % of its width."""
 _MM = 1e3
 
 
@@ -82,8 +80,9 @@ def verification(
         )  # fmt: skip
     before, after = without[both], compensated[both]
     gain = np.linalg.norm(before, axis=1) - np.linalg.norm(after, axis=1)
+    # Of 5000 drawings, an end of the interval moves by 1 % of its width
     drawn = bootstrap(
-        (gain,), np.mean, n_resamples=RESAMPLES, method="percentile",
+        (gain,), np.mean, n_resamples=5000, method="percentile",
         rng=np.random.default_rng(seed),
     ).confidence_interval  # fmt: skip
     return Verification(

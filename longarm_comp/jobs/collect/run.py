@@ -70,8 +70,6 @@ def _last_name(topic: str) -> str:
 _CIRCUMSTANCES_S = 5.0
 """Patience with the first temperature, payload and tilt. They come about once a second."""
 
-_GIVE_UP = 6
-"""Visits without one sighting, after which nothing is expected of the others."""
 _HEARD_S = 0.2
 """Time for the last message to be heard before the node ends."""
 _HINT = "longarm plan --seen leaves such poses out; --give-up 0 never ends early"
@@ -99,7 +97,7 @@ def collect(
     *,
     pace: Pace | None = None,
     resume: bool = False,
-    give_up: int = _GIVE_UP,
+    give_up: int = 6,
     view: View | None = None,
     progress: Callable[[Progress], None] = lambda now: None,
 ) -> Collected:
