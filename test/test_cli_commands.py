@@ -16,6 +16,7 @@ from small_arm import ARM
 
 from bench import catalogue
 from longarm_comp.cli.output import print_rows
+from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import Plan, paper_grid
 from longarm_comp.core.model.declared_model import declared_model
@@ -220,6 +221,18 @@ def test_an_arm_alone_of_a_urdf(shell: Shell) -> None:
     assert "--tip" in shell.refused("init", "other", *urdf, "z")
 
 
+def test_import_urdf(shell: Shell) -> None:
+    Path("r.urdf").write_text(
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous">'
+        '<parent link="a"/><child link="b"/><axis xyz="0 1 0"/></joint></robot>'
+    )
+    assert shell("import-urdf", "r.urdf", "--base", "a", "--tip", "b", "-o", "arm.yaml") == 0
+    assert Arm.load("arm.yaml").joint_names == ("j",)
+    assert "--force" in shell.refused("import-urdf", "r.urdf", "--base", "a", "--tip", "b")
+    other = ("--base", "a", "--tip", "z", "-o", "other.yaml")
+    assert "--tip" in shell.refused("import-urdf", "r.urdf", *other)
+
+
 def test_bench_gives_the_agreed_rows(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     def row(name: str) -> dict[str, object]:
         return {"name": name, "value": 2.0, "unit": "us", "peer": "p", "peer_value": 6.0,
@@ -246,3 +259,12 @@ def test_every_benchmark_is_where_the_list_says() -> None:
 def test_a_table_without_rows_is_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
     print_rows("What the monitor asked for", [])
     assert capsys.readouterr().out == ""
+
+
+def test_the_names_that_other_programs_call_stay() -> None:
+    fixed = (
+        "demo,calibrate,train,compensate,evaluate,diagnose,plan,collect,record,bag info,bag to-csv,"
+        "study,bench,up,import-urdf,init,import-data,export-urdf,verify,apply,undo,loop,"
+        "stereo calibrate,stereo hand-eye,stereo marker,servo scan,servo setup,view"
+    )
+    assert set(fixed.split(",")) <= {entry.name for entry in COMMANDS}

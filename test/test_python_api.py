@@ -403,7 +403,7 @@ def test_a_table_of_another_program_is_a_session(
 
 
 def test_mistakes_of_a_first_hour_are_named(arm: la.Arm, model: la.Model, tmp_path: Path) -> None:
-    with pytest.raises(la.InputError, match="longarm init"):
+    with pytest.raises(la.InputError, match="longarm import-urdf"):
         la.Arm.load(tmp_path / "boom.urdf")
     for wrong in ([["a", 2, 3]], [[1.0, 2.0], [3.0]]):
         with pytest.raises(la.InputError, match="targets"):

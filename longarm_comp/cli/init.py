@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, print_json
+from longarm_comp.cli.output import note, note_link_places, print_json
 from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -97,7 +97,6 @@ def command(
         files_of,
         write_folder,
     )
-    from longarm_comp.core.arm.places import link_places
     from longarm_comp.devices.servo_bus import models
     from longarm_comp.sim.servo_emulator.wires import wires
     from longarm_comp.urdf import chain_ends, import_urdf
@@ -127,11 +126,8 @@ def command(
         print_json({"folder": str(out), "files": list(files)})
         return
     note(f"{', '.join(files)} in {out}")
-    places = [] if source is None or source.arm.links else link_places(source.arm.joints)
-    if source is not None and places:
-        named = (f"row {row} ({source.arm.joints[row - 1].name or f'joint{row}'}) {role} "
-                 f"{size:.4g} m" for row, role, size in places)  # fmt: skip
-        note(f"no beam is declared; links (docs/arm.md) can lie along {', '.join(named)}")
+    if source is not None:
+        note_link_places(source.arm)
     then = f"longarm up {out}/arm.yaml --sim"
     if only_arm:
         then = f"longarm import-data FILE --arm {out}/arm.yaml -o {out}/samples.csv"

@@ -40,6 +40,7 @@ COMMANDS = (
     Entry("modes", "modes", "Predict how an arm rings after a move: frequencies, time to rest."),
     Entry("plan", "plan", "Plan poses to measure: grid, Sobol, optimal, or for a diagnosis."),
     Entry("import-data", "import_data", "Convert another program's CSV or XLSX to a session."),
+    Entry("import-urdf", "import_urdf", "Write an arm.yaml of a URDF."),
     Entry("export-urdf", "urdf", "Write a calibrated arm as a URDF."),
     Entry("bag info", "bag:info", "List the contents of a bag and the topics of a session."),
     Entry("bag to-csv", "bag:to_csv", "Convert a bag to samples.csv."),

@@ -384,7 +384,7 @@ class Arm(Declared):
     def load(cls, path: str | Path) -> Arm:
         """Read `arm.yaml`. Raises `InputError` where a key or a value is not allowed."""
         if Path(path).suffix.lower() in (".urdf", ".xacro", ".xml"):
-            raise InputError(path, "file", "a URDF", "an arm.yaml: longarm init makes one")
+            raise InputError(path, "file", "a URDF", "an arm.yaml: longarm import-urdf makes one")
         return cls.parse(read_yaml(path), str(path))
 
     @classmethod
