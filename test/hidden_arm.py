@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 from small_arm import ARM
 
 from longarm_comp.core.data.session import Session
+from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
+from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.hidden.base import HiddenEffect
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
@@ -49,3 +52,13 @@ def at(joint: int, value: float) -> np.ndarray:
     made = np.zeros(ARM.n)
     made[joint - 1] = value
     return made
+
+
+def files_of_a_gain(folder: Path) -> tuple[Path, Path, Path]:
+    """Joint 2 goes 2 % too far: arm.yaml, and sessions to diagnose and to test with."""
+    gain = (drives.JointGain(at(2, 0.02)),)
+    arm, samples, test = (folder / name for name in ("arm.yaml", "samples.csv", "test.csv"))
+    arm.write_text(ARM.model_dump_json(exclude_defaults=True))
+    write_csv(session(gain), samples)
+    write_csv(session(gain, n=40, seed=2), test)
+    return arm, samples, test

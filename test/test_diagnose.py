@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hidden_arm import at, session
+from hidden_arm import at, files_of_a_gain, session
 from small_arm import ARM
 
 from longarm_comp.cli.run import run
@@ -51,11 +51,7 @@ def report(folder: Path) -> dict[str, Any]:
 def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A declared arm, a session with a wrong joint gain, a diagnosis of it."""
     folder = tmp_path_factory.mktemp("diagnose")
-    data = ARM.model_dump(mode="json", exclude_defaults=True)
-    (folder / "arm.yaml").write_text(yaml.safe_dump(data))
-    write_csv(session(GAIN), folder / "samples.csv")
-    write_csv(session(GAIN, n=40, seed=2), folder / "test.csv")
-    arm, samples, test = (folder / name for name in ("arm.yaml", "samples.csv", "test.csv"))
+    arm, samples, test = files_of_a_gain(folder)
     assert diagnosed(arm, samples, "--test", test, "--no-network", "-o", folder / "out") == 0
     return folder
 

@@ -33,8 +33,6 @@ def test_a_node_that_was_started_deaf_to_interrupts_ends(stage: Bench, node: str
     arm = folder("config") / "arm_demo.yaml"
     words = ["-m", f"longarm_comp.nodes.{node}", "--ros-args", "-p", f"arm:={arm}"]
     process = stage.program([sys.executable, "-c", DEAF, sys.executable, *words], ROOT, ROOT)
-    stage.spin(
-        lambda: any(s.name.startswith(f"/{node}") for array in heard for s in array.status), 90.0
-    )
+    stage.spin(lambda: any(s.name.startswith(f"/{node}") for array in heard for s in array.status))
     process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=300) == 0
+    assert process.wait(timeout=300) == 0, stage.output(process)

@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_shell import Shell, real
-from hidden_arm import at, session, tip
+from hidden_arm import at, files_of_a_gain, session, tip
 from small_arm import ARM, measured
 
 import longarm_comp as la
 from longarm_comp.core.effects.catalogue import BUILT_IN
-from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.hidden import drives
 from longarm_comp.workflows.compensate import Commands
 from longarm_comp.workflows.train import TrainedPredictor
@@ -109,24 +108,11 @@ def test_ten_lines_diagnose_train_compensate_and_reach(tmp_path: Path) -> None:
     assert la.load_model(tmp_path / "model.yaml", ARM) == calibrated.model
 
 
-def of_a_gain(folder: Path) -> tuple[Path, Path, Path]:
-    """Files of an arm with a wrong gain: itself, a session, and one to test with."""
-    gain = (drives.JointGain(at(2, 0.02)),)
-    arm, samples, test = (folder / name for name in ("arm.yaml", "samples.csv", "test.csv"))
-    arm.write_text(ARM.model_dump_json(exclude_defaults=True))
-    write_csv(session(gain), samples)
-    write_csv(session(gain, n=40, seed=2), test)
-    return arm, samples, test
-
-
 def test_the_page_says_what_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The program of docs/python.md, beside the files that it names; every name has its row.
-
-    The arm has a wrong gain; the networks are small, and the diagnosis trains none.
-    """
-    of_a_gain(tmp_path)
+    """The program of docs/python.md, with small networks or none; every name has its row."""
+    files_of_a_gain(tmp_path)
     page = (Path(__file__).parents[1] / "docs" / "python.md").read_text("utf-8")
     program = re.search(r"```python\n(.*?)```", page, re.DOTALL)
     assert program is not None
@@ -135,8 +121,7 @@ def test_the_page_says_what_runs(
     monkeypatch.setattr(la, "diagnose", partial(la.diagnose, network=False))
     names: dict[str, object] = {}
     exec(program[1], names)
-    said = capsys.readouterr().out
-    assert "network" in said
+    assert "network" in capsys.readouterr().out
     commands = names["commands"]
     assert isinstance(commands, Commands)
     assert commands.success.all()
@@ -190,7 +175,7 @@ def test_evaluate_is_the_command(work: Path, shell: Shell, arm: la.Arm) -> None:
 
 
 def test_diagnose_is_the_command(tmp_path: Path) -> None:
-    arm, samples, test = of_a_gain(tmp_path)
+    arm, samples, test = files_of_a_gain(tmp_path)
     words = ("--test", test, "--no-network", "-o", tmp_path / "command")
     assert Shell(tmp_path)("diagnose", arm, samples, *words) == 0
     declared = la.Arm.load(arm)
