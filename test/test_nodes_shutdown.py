@@ -20,6 +20,25 @@ DEAF = (
     "os.execv(sys.argv[1], sys.argv[1:])"
 )
 
+STUCK = """
+from longarm_comp.nodes.health import PERIOD
+from longarm_comp.nodes.node import ArmNode, program
+
+class Stuck(ArmNode):
+    def __init__(self, executor):
+        super().__init__(executor, "stuck", (PERIOD,))
+        worker = self.worker(1)
+        worker.submit(lambda: self.wait_for_ever(worker.inlets))
+        worker.start()
+
+    def wait_for_ever(self, inlets):
+        print("begun", flush=True)
+        while True:
+            inlets.wait(1e-3)
+
+program(Stuck)()
+"""
+
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
@@ -34,5 +53,12 @@ def test_a_node_that_was_started_deaf_to_interrupts_ends(stage: Bench, node: str
     words = ["-m", f"longarm_comp.nodes.{node}", "--ros-args", "-p", f"arm:={arm}"]
     process = stage.program([sys.executable, "-c", DEAF, sys.executable, *words], ROOT, ROOT)
     stage.spin(lambda: any(s.name.startswith(f"/{node}") for array in heard for s in array.status))
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=300) == 0, stage.output(process)
+
+
+def test_a_job_that_does_not_end_does_not_end_its_node_by_a_crash(stage: Bench) -> None:
+    process = stage.program([sys.executable, "-c", STUCK], ROOT, ROOT)
+    stage.spin(lambda: "begun" in stage.output(process))
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=300) == 0, stage.output(process)

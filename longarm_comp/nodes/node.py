@@ -59,10 +59,10 @@ class ArmNode(Node):
         self._workers.append(Worker(self, self._made_for, capacity, self.survived))
         return self._workers[-1]
 
-    def close(self) -> None:
-        """Stop what the node started; must not raise."""
-        for worker in self._workers:
-            worker.close()
+    def close(self) -> bool:
+        """Stop what the node started, and say whether all of it has ended; must not raise."""
+        ended = [worker.close() for worker in self._workers]
+        return all(ended)
 
     def survived(self, error: Exception) -> None:
         self.health.fault(error)
@@ -122,6 +122,7 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode]) -> int:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
     node: ArmNode | None = None
+    code = 0
     try:
         node = make(executor)
         executor.add_node(node)
@@ -129,15 +130,19 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode]) -> int:
         spin(executor, node, stop)
     except LongarmError as error:
         print(error, file=sys.stderr)
-        return error.exit_code
+        code = error.exit_code
     finally:
-        if node is not None:
-            node.close()
+        ended = node is None or node.close()
         executor.shutdown(timeout_sec=1.0)
+        if not ended:
+            # Python ends a thread inside the middleware by aborting the process
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+    return code
 
 
 def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event) -> None:

@@ -109,11 +109,12 @@ class _ServoDriver(ArmNode, LifecycleNode):
             steady_timer(self, p["retry_s"], self._start)
         self._tell_change()
 
-    def close(self) -> None:
+    def close(self) -> bool:
         """Switch the torque off and release the port."""
         self._release()
         self._fault = "the driver has ended"
         self._tell_state()
+        return super().close()
 
     def _servo_config(self) -> ServoConfig:
         return ServoConfig.parse(declare_sections(self, SECTIONS), "parameters of servo_driver")

@@ -166,10 +166,11 @@ class _SimulatedArm(ArmNode):
         self.health.parts["plant"] = self._report
         self._plant.start()
 
-    def close(self) -> None:
+    def close(self) -> bool:
         """Power off."""
-        super().close()
+        ended = super().close()
         self._plant.stop()
+        return ended
 
     def _wear(self, text: str) -> None:
         play = numbers("more_play", text, 1, "joint=rad, for instance joint4=0.002")

@@ -95,12 +95,14 @@ class Worker:
             left -= min(time.monotonic() - begun, _WAIT_S)
         return until()
 
-    def close(self) -> None:
-        """Finish the current job and drop the others."""
+    def close(self) -> bool:
+        """Finish the current job and drop the others; whether the thread has ended."""
         self._closing = True
         self.inlets.wake()
-        if self._thread is not None:
-            self._thread.join(timeout=5.0)
+        if self._thread is None:
+            return True
+        self._thread.join(_LAST_JOB_S)
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         while not self._closing and self._context.ok():
@@ -115,6 +117,8 @@ class Worker:
                 time.sleep(_PAUSE_S)
 
 
+_LAST_JOB_S = 2.0
+"""Time that the current job has when the node ends, s: a node has three in all."""
 _WAIT_S = 0.05
 """The longest wait at once, s: a longer one is a process that was stopped."""
 _PAUSE_S = 0.01
