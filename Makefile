@@ -80,8 +80,9 @@ format: setup
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# Only what runs is installed for it.
+# Only what runs is installed for it. What an earlier one left makes room.
 demo: $(STAMPS)/package
+	rm -rf build/demo
 	$(BIN)/longarm demo --out build/demo
 
 # Pages to read offline: build/docs/index.html. Warnings are errors; LONGARM_NOTEBOOKS=off runs none.
