@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 for _pool in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_pool, "1")  # tests run side by side; read when numpy is first imported
-# A node that another one did not hear at first tells of itself again in 0.3 s, and not in 3 s.
-_quick = str(Path(__file__).with_name("quick_discovery.xml"))
-os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", _quick)
 
 import fcntl
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
