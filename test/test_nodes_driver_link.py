@@ -128,7 +128,7 @@ def test_nothing_is_called_sent_or_accepted_that_was_not(
     for state, word in (
         (DriverState.UNCONFIGURED, "not configured: so"), (DriverState.INACTIVE, "inactive: so"),
         (DriverState.HOLDING, "held: so"), (DriverState.FAULT, "in fault: so"),
-        (DriverState.ESTOP, "stopped: so"),
+        (DriverState.ESTOP, "stopped: so"), (99, "in the unknown state 99: so"),
     ):  # fmt: skip
         driver.state = state
         says(STATUS.NO_DRIVER, word)

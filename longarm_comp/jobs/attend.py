@@ -15,9 +15,9 @@ from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.graph_client import GraphClient, Reports
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.driver_messages import STATES
 from longarm_comp.nodes.health import INSTANCE, TIP_SAID
 from longarm_comp.nodes.interfaces import Service
+from longarm_comp.nodes.messages import driver_words
 from longarm_interfaces.msg import DriverState
 
 DRIVER = "servo_driver"
@@ -85,7 +85,7 @@ class Attendant:
             for name in there() - set(self._reports.nodes):
                 self._reports.nodes[name] = {"process": silent}
         driver, reports = self._driver, self._reports
-        words = STATES.get(driver.state, f"in the unknown state {driver.state}") if driver else ""
+        words = driver_words(driver.state) if driver else ""
         step = _NEXT.get(driver.state, "") if driver else "longarm up ARM"
         if step == "longarm reset" and self._namespace:
             step += f" --namespace {self._namespace[1:]}"

@@ -12,9 +12,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.driver_messages import STATES
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
-from longarm_comp.nodes.messages import joints_of, path_of
+from longarm_comp.nodes.messages import driver_words, joints_of, path_of
 from longarm_comp.nodes.rclpy_inside import Inlets
 from longarm_interfaces.msg import DriverState, Motion
 
@@ -80,7 +79,7 @@ class DriverLink:
             return f"servo_driver has been silent for {now - self._heard_s:.0f} s"
         if state.state not in (DriverState.READY, DriverState.MOVING):
             why = f": {state.message}" if state.message else ""
-            return f"servo_driver is {STATES[state.state].partition(':')[0]}{why}"
+            return f"servo_driver is {driver_words(state.state).partition(':')[0]}{why}"
         return ""
 
     # ------------------------------------------------------------------ one trajectory

@@ -15,18 +15,7 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import Accepted
 from longarm_comp.nodes.health import ERROR, OK, Report
 from longarm_comp.nodes.messages import duration
-from longarm_interfaces.msg import DriverState, Motion
-
-STATES = {
-    DriverState.UNCONFIGURED: "not configured",
-    DriverState.INACTIVE: "inactive: torque off",
-    DriverState.READY: "ready",
-    DriverState.MOVING: "moving",
-    DriverState.HOLDING: "held: torque on, trajectories refused",
-    DriverState.FAULT: "in fault: torque on, trajectories refused",
-    DriverState.ESTOP: "stopped: torque off, trajectories refused",
-}
-"""States of the driver, in words."""
+from longarm_interfaces.msg import Motion
 
 
 def readings_message(readings: Mapping[str, ServoReading], stamp: Time) -> JointState:

@@ -29,7 +29,7 @@ from longarm_comp.core.compensation.compensate import Compensation as Outcome
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.devices import joint_path as devices
-from longarm_interfaces.msg import Compensation
+from longarm_interfaces.msg import Compensation, DriverState
 from longarm_interfaces.srv import Compensate
 
 
@@ -310,3 +310,19 @@ def _fill(
     message.sigma = float(np.max(outcome.sigma))
     message.in_domain = bool(outcome.in_domain)
     message.passes = int(outcome.passes)
+
+
+_DRIVER_STATES = {
+    DriverState.UNCONFIGURED: "not configured",
+    DriverState.INACTIVE: "inactive: torque off",
+    DriverState.READY: "ready",
+    DriverState.MOVING: "moving",
+    DriverState.HOLDING: "held: torque on, trajectories refused",
+    DriverState.FAULT: "in fault: torque on, trajectories refused",
+    DriverState.ESTOP: "stopped: torque off, trajectories refused",
+}
+
+
+def driver_words(state: int) -> str:
+    """A state of the driver in words."""
+    return _DRIVER_STATES.get(state, f"in the unknown state {state}")

@@ -19,9 +19,8 @@ from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.model.link_frames import exaggerated
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.driver_messages import STATES
 from longarm_comp.nodes.health import RING_SAID
-from longarm_comp.nodes.messages import sighting_of
+from longarm_comp.nodes.messages import driver_words, sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
 from longarm_comp.view.state import CollectProgress, LastAnswer, PageState, Part, Picture, SeenTip
 from longarm_interfaces.msg import Compensation, DriverState
@@ -74,8 +73,7 @@ class Listener:
         self._heard()
 
     def _on_driver(self, message: DriverState) -> None:
-        words = STATES.get(message.state, f"in the unknown state {message.state}")
-        self._heard(driver=(words, message.message))
+        self._heard(driver=(driver_words(message.state), message.message))
 
     def _on_answer(self, message: Compensation) -> None:
         known = message.status in set(Status)
