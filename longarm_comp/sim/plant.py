@@ -38,7 +38,7 @@ Grey = NDArray[np.uint8]
 _STEPS = 2  # integration steps a rod: good to 10 nm, and the images are due
 _SAME = 1e-7  # rad or m: the arm has not moved
 _MOUTH_M = 0.009
-"""Radius of a socket's mouth."""
+"""Radius of a socket's mouth, from which the ball slides in."""
 _SEATED_M = 5e-5
 """From the bottom of a socket, within which the ball touches all round."""
 _SLIDES = 5

@@ -19,6 +19,7 @@ from longarm_comp.core.effects.quantities import Quantity, quantity
 from longarm_comp.core.effects.shapes import LARGEST, SHAPES, FunctionError, Shape
 
 _MOST_FACTORS = 3
+"""Of a product: more than a few hundred poses tell apart from noise."""
 
 _Read = Callable[[Quantity], Scalar]
 

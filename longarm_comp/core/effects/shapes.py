@@ -15,6 +15,7 @@ from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.quantities import Quantity, quantity
 
 _MOST_ORDER = 8
+"""Of a polynomial: one of a higher order is a function of its noise at a few hundred poses."""
 LARGEST = 1e9
 """Largest number that a function or a domain may hold."""
 
