@@ -114,6 +114,7 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
     shell = Shell(tmp_path, capsys)
     client.until(lambda: shell("status") == 0 and TIP_STANDS in shell.out, 300.0, shell.out)
     verified = shell("verify", demo_arm_path, "-n", 2, "--by", "readings", "--move", 0.2, "--json")
+    assert shell.out, shell.err
     report = json.loads(shell.out)
     assert report["targets"] == 2
     with_it = report["rows"][-1]["mean_mm"]
