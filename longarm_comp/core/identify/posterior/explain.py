@@ -19,7 +19,7 @@ from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import FitColumns, columns_at
 from longarm_comp.core.identify.fit import fit, unfitted
-from longarm_comp.core.identify.give import with_give
+from longarm_comp.core.identify.give import with_give, with_usual
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
@@ -133,10 +133,12 @@ class _Search:
     known: NoiseEstimate | None
     stepped: Sequence[type[Effect]]
     propositions: tuple[Proposition, ...] = ()
+    usual: Sequence[Candidate] = ()
 
     def run(self, functions: bool, say: Callable[[str], None]) -> ExplainedSession:
         say("geometry")
         state = self._repeated(self._fitted(self.base, (), None), say, None)
+        state = self._repeated(self._levelled(state), say, None)
         if functions:
             state = self._repeated(state, say, propositions)
         state, doubtful, changed = self._compared(state)
@@ -222,7 +224,7 @@ class _Search:
         Returns the state, what is doubtful, and whether another effect was better somewhere, so
         that all else must be explained anew.
         """
-        state = self._settled(state)
+        state = self._robust(state)
         banks = self._offered(state)
         found, doubtful = max(banks, key=lambda b: b.standing).judged(state.found, banks)
         sure = tuple(f for f in found if f.there >= CREDIBLE)
@@ -251,7 +253,7 @@ class _Search:
         if len({t.key for t in terms}) < len(terms):
             return -math.inf
         try:
-            model = _with(self.base, state.fit.model, terms)
+            model = self._with(state.fit.model, terms)
             return self._standing(self._begun(model, state.fit, near=state.fit), found)[0]
         except JobError:
             return -math.inf
@@ -270,11 +272,23 @@ class _Search:
 
     def _taken(self, state: _State, found: tuple[FoundEffect, ...]) -> _State | None:
         """The model fitted with what was found; None where that runs away."""
-        model = _with(self.base, state.fit.model, _known(state.fit.model, found))
+        model = self._with(state.fit.model, _known(state.fit.model, found))
         try:
             return self._fitted(model, found, state)
         except JobError:
             return None
+
+    def _with(self, now: Model, terms: Sequence[Term]) -> Model:
+        """The base model with further terms, the geometry started from a model as it is now."""
+        known = {t.key: t for t in now.terms}
+        geometry = (known.get(t.key, t) for t in self.base.terms)
+        return with_usual(self.base.with_terms([*geometry, *terms]), self.usual)
+
+    def _levelled(self, state: _State) -> _State:
+        """With what every arm has, now that what is large pulls at it no more."""
+        self.usual = self.candidates
+        model = self._with(state.fit.model, _known(state.fit.model, state.found))
+        return self._robust(state, model)
 
     def _fitted(
         self, model: Model, found: tuple[FoundEffect, ...], before: _State | None
@@ -294,12 +308,11 @@ class _Search:
         )  # fmt: skip
         return _State(found, fitted, noise)
 
-    def _settled(self, state: _State) -> _State:
-        """The last fit taken to its end."""
+    def _robust(self, state: _State, model: Model | None = None) -> _State:
+        """The fit, or that of another model, taken to its end, without rows that it leaves open."""
         was = state.fit
-        done = fit(
-            was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights, begun=was
-        )
+        begun = was if model is None else None
+        done = fit(model or was.model, self.session, sigma=was.sigma, rho=was.rho, begun=begun)
         return replace(state, fit=done)
 
     def _reformed(self, state: _State, say: Callable[[str], None]) -> _State:
@@ -343,9 +356,3 @@ def _known(model: Model, found: Sequence[FoundEffect]) -> list[Term]:
     """The terms of what was found, at the model's values where it holds them."""
     known = {t.variant: t for t in model.terms}
     return [known.get(t.variant, t) for f in found for t in f.terms]
-
-
-def _with(base: Model, now: Model, terms: Sequence[Term]) -> Model:
-    """The base model with further terms, the geometry started from the model as it is now."""
-    known = {t.key: t for t in now.terms}
-    return base.with_terms([*(known.get(t.key, t) for t in base.terms), *terms])

@@ -170,7 +170,7 @@ def tolerances(
 ) -> np.ndarray | None:
     """(m, k) whitened: what is there besides what was found, and no finding.
 
-    That is what every arm has (`Parameter.usual`, `give.py`), and by how much the shift of each
+    That is what every arm has (`give.py`), and by how much the shift of each
     effect in the model may differ from its form.  The latter varies with every joint, smoothly.  A
     row so near to a threshold that the threshold's own tolerance decides its side says nothing of
     that side.
@@ -178,10 +178,13 @@ def tolerances(
     session = fitted.session
     ways = np.concatenate([smooth_in(q)[:, :2] for q in session.q.T], axis=1)
     ways = ways * (tolerance.form / math.sqrt(max(ways.shape[1], 1)))
-    arm = fitted.model.arm
-    usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
-    shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
-    made = [columns.scaled(usual).b * shares] if usual else []
+    arm, made = fitted.model.arm, []
+    beside = {t.key for t in fitted.model.terms} - {t.key for f in found for t in f.terms}
+    offered_now = distinct(library, beside)
+    usual = [t for t in offered_now if any(p.usual for p in t.parameters(arm))]
+    if usual:
+        shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
+        made.append(columns.scaled(usual).b * shares)
     if tolerance.give:
         made.append(a_little(columns, library))
     held = {t.key: t for t in fitted.model.terms}
