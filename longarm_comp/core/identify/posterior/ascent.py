@@ -134,14 +134,13 @@ def _held(bank: OfferBank, effect: SingleEffect) -> set[Hashable]:
 
 def _pruned(found: Explanation) -> Explanation:
     """Without effects that the others make superfluous, the least first."""
-    effects = list(found.effects)
-    while effects:
-        now = Explanation(found.bank, tuple(effects))
+    while found.effects:
         fewer = [
-            Explanation(found.bank, tuple(e for e in effects if e is not gone)) for gone in effects
+            Explanation(found.bank, tuple(e for e in found.effects if e is not gone))
+            for gone in found.effects
         ]
-        best = max(fewer, key=lambda e: e.evidence)
-        if best.evidence < now.evidence:
+        worth = found.bank.evidences([each.chosen for each in fewer])
+        if worth.max() < found.evidence:
             break
-        effects = list(best.effects)
-    return Explanation(found.bank, tuple(effects))
+        found = fewer[int(np.argmax(worth))]
+    return found

@@ -32,7 +32,7 @@ from longarm_comp.core.identify.posterior.found import (
     instead,
 )
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
-from longarm_comp.core.identify.posterior.offers import offered, tolerances
+from longarm_comp.core.identify.posterior.offers import offered
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.identify.posterior.tolerance import BARE, TOLERANCES, Slack
@@ -206,14 +206,10 @@ class _Search:
 
     def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Slack]:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
-        columns, library = columns_at(fitted), self.candidates
-        if not found:
-            bare = ((columns.without((), tolerances(fitted, columns, library, (), t)), t)
-                    for t in BARE)  # fmt: skip
-            return max((marginal.evidence, t) for marginal, t in bare)
         every = offered(
-            fitted, columns, library, self.propositions, found, TOLERANCES, others=False
-        )
+            fitted, columns_at(fitted), self.candidates, self.propositions, found,
+            TOLERANCES if found else BARE, others=False,
+        )  # fmt: skip
         return max((bank.pruned, bank.tolerance) for bank in every)
 
     def _compared(self, state: _State) -> tuple[_State, tuple[FoundEffect, ...], bool]:

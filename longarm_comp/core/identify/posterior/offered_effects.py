@@ -83,10 +83,10 @@ class OfferedEffects:
         best = self.bank.evidence(offers)
         while offers:
             fewer = [[o for o in offers if o is not gone] for gone in offers]
-            worth = [self.bank.evidence(some) for some in fewer]
-            if max(worth) <= best:
+            worth = self.bank.evidences(fewer)
+            if worth.max() <= best:
                 break
-            best, offers = max(worth), fewer[int(np.argmax(worth))]
+            best, offers = float(worth.max()), fewer[int(np.argmax(worth))]
         return self.base + max(best, self.bank.evidence(self._located(offers)))
 
     def judged(
@@ -129,7 +129,7 @@ class OfferedEffects:
         where = {tuple(t.where for t in found.terms): 1.0}
         for n, offer, rest in self._may_stand(offers, k, here + math.log(LOOKED_AT)):
             tried = (offer, self._needed([*rest, offer], len(rest)))
-            worth = [self.bank.evidence([*rest, each]) - here for each in tried]
+            worth = (self.bank.evidences([[*rest, each] for each in tried]) - here).tolist()
             odds = max(worth)
             if offer.name == found.name:
                 for each, value in zip(tried, worth, strict=True):
@@ -171,6 +171,7 @@ class OfferedEffects:
         takes these too.
         """
         others = [*offers[:k], *offers[k + 1 :]]
+        may, most = [], []
         for n, whole in enumerate(self.bank.offers):
             named = self.things[n].terms[0].searched and whole.name != offers[k].name
             rest = [o for o in others if not named or o.name != whole.name]
@@ -181,8 +182,12 @@ class OfferedEffects:
             paid = np.log1p(self.bank.gram[places, places] * max(offer.sizes) ** 2).sum() / 2
             if len(offer.keys) == 1 or offer.fixed:
                 paid = 0.0
-            if self.bank.evidence([*rest, offer]) + paid >= least:
-                yield n, offer, rest
+            may.append((n, offer, rest))
+            most.append(paid)
+        worth = self.bank.evidences([[*rest, offer] for _, offer, rest in may]) + most
+        for one, enough in zip(may, worth >= least, strict=True):
+            if enough:
+                yield one
 
     def _worth(self, offers: list[Offer], k: int) -> float:
         """Log Bayes factor of one of some offers on top of the others."""
@@ -204,14 +209,14 @@ class OfferedEffects:
         """
         offers = list(offers)
         price = math.log(max(len(offers[k].keys), 1))
+        here = self.bank.evidence(offers) if len(offers[k].keys) > 1 else 0.0
         while len(offers[k].keys) > 1:
-            here = self.bank.evidence(offers)
             fewer = [_less(offers[k], key) for key in offers[k].keys]
-            tried = [self.bank.evidence([*offers[:k], o, *offers[k + 1 :]]) for o in fewer]
+            tried = self.bank.evidences([[*offers[:k], o, *offers[k + 1 :]] for o in fewer])
             least = int(np.argmax(tried))
             if here - tried[least] >= price:
                 break
-            offers[k] = fewer[least]
+            offers[k], here = fewer[least], tried[least]
         return offers[k]
 
     def _terms(

@@ -19,7 +19,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import FitColumns, shift_of
 from longarm_comp.core.identify.give import a_little
-from longarm_comp.core.identify.linear import CHANCES, SIZES, Marginal
+from longarm_comp.core.identify.linear import CHANCES, SIZES, Marginal, marginalised
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
@@ -58,26 +58,20 @@ def offered(
     if not others:
         kept = {_variant(f.terms) for f in found}
         listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
-    held = {t.key for f in found for t in f.terms}
     raw = _raw(fitted, columns, listed)
+    marginal = columns.without({t.key for f in found for t in f.terms})
+    beside, sizes = _beside(fitted, columns, library, found, slacks)
+    gram, along = marginal.normal(np.concatenate([beside, raw.b], axis=1))
+    moving, offers = _priced(fitted.model.arm, np.diag(gram)[beside.shape[1] :], raw, listed)
+    things = [listed[n][0] for n in moving]
+    at = {_variant(c.terms): n for n, c in enumerate(things)}
+    known = tuple(at[_variant(f.terms)] for f in found if _variant(f.terms) in at)
     banks = []
-    for slack in slacks:
-        marginal = columns.without(held, tolerances(fitted, columns, library, found, slack))
-        moving, bank = _banked(fitted, marginal, raw, listed)
-        things = [listed[n][0] for n in moving]
-        at = {_variant(c.terms): n for n, c in enumerate(things)}
-        known = (at.get(_variant(f.terms)) for f in found)
-        banks.append(
-            OfferedEffects(
-                fitted,
-                things,
-                bank,
-                raw.widths,
-                tuple(n for n in known if n is not None),
-                marginal.evidence,
-                slack,
-            )
-        )
+    for slack, size in zip(slacks, sizes, strict=True):
+        evidence, *rest = marginalised(gram, along, size)
+        bank = OfferBank(offers, *rest, raw.lower, raw.upper, raw.like)
+        base = marginal.evidence + evidence
+        banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, slack))
     return banks
 
 
@@ -115,21 +109,15 @@ def _variant(terms: Sequence[Term]) -> tuple[object, ...]:
     return tuple(t.variant for t in terms)
 
 
-def _banked(
-    fitted: ModelFit, marginal: Marginal, raw: _Raw, listed: Sequence[_Listed]
-) -> tuple[list[int], OfferBank]:
-    """Which candidates move a row, and these as a bank."""
-    arm = fitted.model.arm
-    gram, along = marginal.normal(raw.b)
+def _priced(
+    arm: Arm, squares: np.ndarray, raw: _Raw, listed: Sequence[_Listed]
+) -> tuple[list[int], list[Offer]]:
+    """Which candidates move a row, by the (k,) squares of all columns, and their offers."""
     offers, kept = [], []
     for n, (candidate, prior, sizes, chances) in enumerate(listed):
         own = tuple(raw.where[t.variant] for t in candidate.terms)
         flat = [k for part in own for k in part]
-        if (
-            not flat
-            or not np.isfinite(gram[np.ix_(flat, flat)]).all()
-            or not gram[flat, flat].any()
-        ):
+        if not flat or not np.isfinite(squares[flat]).all() or not squares[flat].any():
             continue
         fixed = not candidate.slots(arm)
         keys = tuple(t.key for t in candidate.terms)
@@ -137,7 +125,7 @@ def _banked(
             sizes, chances = (1.0,), (0.0,)
         offers.append(Offer(candidate.name, keys, own, prior, sizes, chances, fixed))
         kept.append(n)
-    return kept, OfferBank(offers, gram, along, raw.lower, raw.upper, raw.like)
+    return kept, offers
 
 
 def evidence_of_each(
@@ -155,9 +143,11 @@ def evidence_of_each(
     """
     listed = [(c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,))
               for c in each]  # fmt: skip
-    kept, bank = _banked(fitted, marginal, _raw(fitted, columns, listed), listed)
+    raw = _raw(fitted, columns, listed)
+    gram, along = marginal.normal(raw.b)
+    kept, offers = _priced(fitted.model.arm, np.diag(gram), raw, listed)
     made = np.zeros(len(listed))
-    made[kept] = bank.scores
+    made[kept] = OfferBank(offers, gram, along, raw.lower, raw.upper, raw.like).scores
     return made
 
 
@@ -167,8 +157,20 @@ def tolerances(
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
     tolerance: Slack,
-) -> np.ndarray | None:
-    """(m, k) whitened: what is there besides what was found, and no finding.
+) -> np.ndarray:
+    """(m, k) whitened: what is there besides what was found, and no finding, each in its size."""
+    made, (sizes,) = _beside(fitted, columns, library, found, [tolerance])
+    return (made * sizes)[:, sizes > 0]
+
+
+def _beside(
+    fitted: ModelFit,
+    columns: FitColumns,
+    library: Sequence[Candidate],
+    found: Sequence[FoundEffect],
+    slacks: Sequence[Slack],
+) -> tuple[np.ndarray, np.ndarray]:
+    """(m, k) whitened columns of `tolerances`, and (S, k) the size of each by each of some.
 
     That is what every arm has (`Parameter.usual`, `give.py`), and by how much the shift of each
     effect in the model may differ from its form.  The latter varies with every joint, smoothly.  A
@@ -177,22 +179,29 @@ def tolerances(
     """
     session = fitted.session
     ways = np.concatenate([smooth_in(q)[:, :2] for q in session.q.T], axis=1)
-    ways = ways * (tolerance.form / math.sqrt(max(ways.shape[1], 1)))
+    ways = ways / math.sqrt(max(ways.shape[1], 1))
     arm = fitted.model.arm
+    forms = np.array([slack.form for slack in slacks])
+    every = np.ones((len(slacks), 1))
     usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
-    made = [columns.scaled(usual).b * shares] if usual else []
-    if tolerance.give:
-        made.append(a_little(columns, library))
+    made, sizes = [columns.scaled(usual).b], [every * shares]
+    if any(slack.give for slack in slacks):
+        little, size = a_little(columns, library)
+        made.append(little)
+        sizes.append(np.array([[slack.give] for slack in slacks]) * size)
     held = {t.key: t for t in fitted.model.terms}
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
             shift = shift_of(fitted, columns, terms)
             made.append(fitted.whitened(shift[:, :, None] * ways[:, None, :]))
-            forms = (_undecided(fitted, columns, t, tolerance.form) for t in terms if t.scales())
-            made += [fitted.whitened(form) for form in forms]
-    return np.concatenate(made, axis=-1) if made else None
+            sizes.append(forms[:, None] * np.ones(ways.shape[1]))
+            for term in terms:
+                for form in np.unique(forms).tolist() if term.scales() else ():
+                    made.append(fitted.whitened(_undecided(fitted, columns, term, form)))
+                    sizes.append((forms == form)[:, None] * np.ones(made[-1].shape[1]))
+    return np.concatenate(made, axis=1), np.concatenate(sizes, axis=1)
 
 
 def _undecided(fitted: ModelFit, columns: FitColumns, term: Term, tolerance: float) -> np.ndarray:
@@ -254,5 +263,5 @@ def _raw(fitted: ModelFit, columns: FitColumns, listed: Sequence[_Listed]) -> _R
         np.concatenate([np.maximum(scaled.lower, -most), -free]),
         np.concatenate([np.minimum(scaled.upper, most), free]),
         np.concatenate([scaled.widths, np.ones(len(whole))]),
-        np.array([*like, *range(len(slots), len(slots) + len(whole))]),
+        np.array([*like, *range(len(slots), len(slots) + len(whole))], dtype=int),
     )
