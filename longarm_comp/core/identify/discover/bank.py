@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.effects.components import components, stations
 from longarm_comp.core.effects.discovered import CAMERA, DISTANCE, Discovered, DiscoveredView, views
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -112,7 +112,7 @@ class Bank:
         made = np.array([h.log_prior for h in listed])
         counts = np.array([len(h.members) for h in listed], dtype=int)
         for count in np.unique(counts).tolist():
-            mine = np.flatnonzero(counts == count)
+            mine = np.flatnonzero(counts == count).tolist()
             members = [member for n in mine for member in listed[n].members]
             white = self._white(members)
             unit = white * (np.concatenate([listed[n].decay for n in mine]) / self._rms(white))
@@ -306,12 +306,11 @@ _STILL = 1e-12
 def banks(fit: ModelFit) -> tuple[Bank, ...]:
     """Candidates of the arm's side and, where positions are seen, of the camera's."""
     arm, rows = fit.model.arm, fit.session
-    at = posture(fit.model, rows)
     (spots, units), *seen_sides = sides(fit)
-    functions = Functions(arm_inputs(arm, at, rows))
+    functions = Functions(arm_inputs(arm, fit.posture, rows))
     made = [Bank(fit, spots, units, functions, _axes(arm, spots))]
     for spots, units in seen_sides:
-        points = fit.model.measured(rows.q, rows.context())
+        points = fit.model.measured_at(fit.posture)
         free = all(spot.component == DISTANCE for spot in spots)
         seen = Functions(camera_inputs(points, rows), None if free else SeenCoordinate)
         made.append(Bank(fit, spots, units, seen))
@@ -351,9 +350,8 @@ def _distinct(arm: Arm) -> list[str]:
 
 def _units(fit: ModelFit, terms: list[Effect | Bias]) -> tuple[np.ndarray, np.ndarray]:
     """(N, d, K) motion by a unit of each term that moves anything, and which do, (K,)."""
-    at = posture(fit.model, fit.session)
     slots = slots_of(fit.model.arm, terms)
-    columns = equations(fit.model, fit.session, at, slots).columns
+    columns = equations(fit.model, fit.session, fit.posture, slots).columns
     moving = np.abs(columns).max(axis=(0, 1)) > _STILL
     return columns[..., moving], moving
 

@@ -44,7 +44,9 @@ class Explanation:
         return self.bank.evidence(self.chosen)
 
 
-def explain(bank: OfferBank, known: Sequence[int] = ()) -> Explanation:
+def explain(
+    bank: OfferBank, known: Sequence[int] = (), begun: Sequence[SingleEffect] | None = None
+) -> Explanation:
     """Effects by coordinate ascent, with a restart for each that was found.
 
     The ascent goes uphill only.  So it starts from nothing, and from what is known; and what each
@@ -54,8 +56,11 @@ def explain(bank: OfferBank, known: Sequence[int] = ()) -> Explanation:
     Args:
         bank: what is on offer.
         known: the offers that were found before.
+        begun: what explains the same offers by another tolerance: where the ascent starts, then.
     """
     most = len(known) + AT_ONCE
+    if begun is not None:
+        return _pruned(_grown(bank, begun, frozenset(), most))
     starts = [_grown(bank, (), frozenset(), most)]
     if known:
         starts.append(_grown(bank, _standing(bank, known), frozenset(), most))

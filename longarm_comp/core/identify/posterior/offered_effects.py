@@ -18,15 +18,10 @@ from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     OVERFLOW,
-    Explained,
     FoundEffect,
     smallest_set,
 )
-from longarm_comp.core.identify.posterior.single_effects import (
-    NONE,
-    Offer,
-    OfferBank,
-)
+from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank, SingleEffect
 from longarm_comp.core.identify.posterior.tolerance import Slack
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
@@ -34,6 +29,23 @@ from longarm_comp.core.model.model import slots_of
 LOOKED_AT = 1e-4
 """Probability from which on another name is fitted in the place of an effect: columns are those of
 small changes, so a fit may be worth ten log units more."""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """The posterior's answer.
+
+    Attributes:
+        found: single effects that are there with a probability of 95 %.
+        doubtful: others that are more likely there than not.
+        evidence: of the best explanation.
+        effects: its single effects.
+    """
+
+    found: tuple[FoundEffect, ...]
+    doubtful: tuple[FoundEffect, ...]
+    evidence: float
+    effects: tuple[SingleEffect, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +69,9 @@ class OfferedEffects:
     base: float
     tolerance: Slack
 
-    def explained(self) -> Explained:
-        """The posterior over the offers."""
-        best = explain(self.bank, self.known)
+    def explained(self, begun: Explained | None = None) -> Explained:
+        """The posterior over the offers; from what explains them by another tolerance."""
+        best = explain(self.bank, self.known, None if begun is None else begun.effects)
         offers = self._located(best.chosen)
         evidence, values = self.bank.joint(offers)
         every = [
@@ -69,7 +81,8 @@ class OfferedEffects:
             for k, (e, o, v) in enumerate(zip(best.effects, offers, values, strict=True))
         ]
         found = tuple(f for f in every if f.there >= CREDIBLE)
-        return Explained(found, tuple(f for f in every if f.there < CREDIBLE), self.base + evidence)
+        doubtful = tuple(f for f in every if f.there < CREDIBLE)
+        return Explained(found, doubtful, self.base + evidence, best.effects)
 
     @cached_property
     def standing(self) -> float:

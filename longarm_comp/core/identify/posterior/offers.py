@@ -17,7 +17,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
-from longarm_comp.core.identify.evidence import FitColumns, shift_of
+from longarm_comp.core.identify.evidence import columns_at, shift_of
 from longarm_comp.core.identify.give import a_little
 from longarm_comp.core.identify.linear import CHANCES, SIZES, Marginal, marginalised
 from longarm_comp.core.identify.model_fit import ModelFit
@@ -35,32 +35,32 @@ AMPLITUDES = (3.0, 30.0, 300.0)
 
 def offered(
     fitted: ModelFit,
-    columns: FitColumns,
     library: Sequence[Candidate],
     functions: Sequence[Proposition],
     found: Sequence[FoundEffect],
     slacks: Sequence[Slack],
     *,
     others: bool = True,
+    near: ModelFit | None = None,
 ) -> list[OfferedEffects]:
     """The banks at a fit, one for each tolerance.
 
     Args:
         fitted: geometry and what was found so far.
-        columns: of candidates at its rows.
         library: the named effects.
         functions: without a name.
         found: what was found so far; it stays on offer in its present form.
         slacks: what may move the rows besides.
         others: whether more than these is on offer.
+        near: a similar fit of the same rows and noise: what every arm has is about as there.
     """
     listed = _listed(fitted.model.arm, library, functions, found)
     if not others:
         kept = {_variant(f.terms) for f in found}
         listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
-    raw = _raw(fitted, columns, listed)
-    marginal = columns.without({t.key for f in found for t in f.terms})
-    beside, sizes = _beside(fitted, columns, library, found, slacks)
+    raw = _raw(fitted, listed)
+    marginal = columns_at(fitted).without({t.key for f in found for t in f.terms})
+    beside, sizes = _beside(fitted, library, found, slacks, near)
     gram, along = marginal.normal(np.concatenate([beside, raw.b], axis=1))
     moving, offers = _priced(fitted.model.arm, np.diag(gram)[beside.shape[1] :], raw, listed)
     things = [listed[n][0] for n in moving]
@@ -68,8 +68,8 @@ def offered(
     known = tuple(at[_variant(f.terms)] for f in found if _variant(f.terms) in at)
     banks = []
     for slack, size in zip(slacks, sizes, strict=True):
-        evidence, *rest = marginalised(gram, along, size)
-        bank = OfferBank(offers, *rest, raw.lower, raw.upper, raw.like)
+        evidence, s, t = marginalised(gram, along, size)
+        bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like)
         base = marginal.evidence + evidence
         banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, slack))
     return banks
@@ -128,9 +128,7 @@ def _priced(
     return kept, offers
 
 
-def evidence_of_each(
-    fitted: ModelFit, marginal: Marginal, columns: FitColumns, each: Sequence[Candidate]
-) -> np.ndarray:
+def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candidate]) -> np.ndarray:
     """(C,) log Bayes factor of each candidate alone on top of a marginal, its own price paid.
 
     0 of one that moves no row.
@@ -138,12 +136,11 @@ def evidence_of_each(
     Args:
         fitted: whose rows, noise and weights count.
         marginal: what is there already.
-        columns: of candidates at the fit's rows.
         each: the candidates.
     """
     listed = [(c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,))
               for c in each]  # fmt: skip
-    raw = _raw(fitted, columns, listed)
+    raw = _raw(fitted, listed)
     gram, along = marginal.normal(raw.b)
     kept, offers = _priced(fitted.model.arm, np.diag(gram), raw, listed)
     made = np.zeros(len(listed))
@@ -153,22 +150,21 @@ def evidence_of_each(
 
 def tolerances(
     fitted: ModelFit,
-    columns: FitColumns,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
     tolerance: Slack,
 ) -> np.ndarray:
     """(m, k) whitened: what is there besides what was found, and no finding, each in its size."""
-    made, (sizes,) = _beside(fitted, columns, library, found, [tolerance])
+    made, (sizes,) = _beside(fitted, library, found, [tolerance])
     return (made * sizes)[:, sizes > 0]
 
 
 def _beside(
     fitted: ModelFit,
-    columns: FitColumns,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
     slacks: Sequence[Slack],
+    near: ModelFit | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(m, k) whitened columns of `tolerances`, and (S, k) the size of each by each of some.
 
@@ -185,27 +181,28 @@ def _beside(
     every = np.ones((len(slacks), 1))
     usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
-    made, sizes = [columns.scaled(usual).b], [every * shares]
+    made, sizes = [columns_at(fitted).scaled(usual).b], [every * shares]
     if any(slack.give for slack in slacks):
-        little, size = a_little(columns, library)
+        little, size = a_little(columns_at(near or fitted), library)
         made.append(little)
         sizes.append(np.array([[slack.give] for slack in slacks]) * size)
     held = {t.key: t for t in fitted.model.terms}
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
-            shift = shift_of(fitted, columns, terms)
+            shift = shift_of(fitted, columns_at(fitted), terms)
             made.append(fitted.whitened(shift[:, :, None] * ways[:, None, :]))
             sizes.append(forms[:, None] * np.ones(ways.shape[1]))
             for term in terms:
                 for form in np.unique(forms).tolist() if term.scales() else ():
-                    made.append(fitted.whitened(_undecided(fitted, columns, term, form)))
+                    made.append(fitted.whitened(_undecided(fitted, term, form)))
                     sizes.append((forms == form)[:, None] * np.ones(made[-1].shape[1]))
     return np.concatenate(made, axis=1), np.concatenate(sizes, axis=1)
 
 
-def _undecided(fitted: ModelFit, columns: FitColumns, term: Term, tolerance: float) -> np.ndarray:
+def _undecided(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
     """(N, d, k) what a form's tolerance changes at single rows: more than its share of all."""
+    columns = columns_at(fitted)
     largest = np.abs(shift_of(fitted, columns, [term])).max()
     made = []
     for field, (low, high) in term.scales().items():
@@ -239,13 +236,14 @@ class _Raw(NamedTuple):
     like: np.ndarray
 
 
-def _raw(fitted: ModelFit, columns: FitColumns, listed: Sequence[_Listed]) -> _Raw:
+def _raw(fitted: ModelFit, listed: Sequence[_Listed]) -> _Raw:
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     slots = slots_of(fitted.model.arm, terms)
     of_term: dict[int, list[int]] = {}
     for k, slot in enumerate(slots):
         of_term.setdefault(slot.term, []).append(k)
     where = {terms[t].variant: tuple(own) for t, own in of_term.items()}
+    columns = columns_at(fitted)
     scaled = columns.scaled([terms[t] for t in of_term])
     whole = [term for t, term in enumerate(terms) if t not in of_term]
     where |= {term.variant: (len(slots) + k,) for k, term in enumerate(whole)}

@@ -158,12 +158,11 @@ class OfferBank:
         weights = np.exp(scores - top)
         q = weights / (weights.sum() + math.exp(-top))
         mean = np.zeros(len(self.along))
-        likely = q > 1e-6
+        untouched = q.copy()
+        untouched[beside.taken] = 0.0
         for stack, found in scored:
-            for row in np.flatnonzero(likely[stack.numbers]).tolist():
-                number = int(stack.numbers[row])
-                if stack.whole == (number not in beside.changed):
-                    np.add.at(mean, stack.columns[row], q[number] * stack.mean(row, found))
+            share = (untouched if stack.whole else q)[stack.numbers]
+            np.add.at(mean, stack.columns, share[:, None] * stack.means(found))
         return SingleEffect(q, mean, beside.changed)
 
     @property
@@ -318,13 +317,13 @@ class _Stack:
         scores[self.numbers] = top + np.log(whole) + self.prior
         return z, chance / whole[:, None]
 
-    def mean(self, row: int, found: Scored) -> np.ndarray:
-        """(k,) coefficients of one offer on average over its sizes, within bounds."""
+    def means(self, found: Scored) -> np.ndarray:
+        """(C, k) coefficients of the offers on average over their sizes, within bounds."""
         if found is None:
-            return np.ones(self.columns.shape[1])
+            return np.ones(self.columns.shape)
         z, chance = found
-        mean = self.turn[row] @ ((chance[row][:, None] * self.share[row]).sum(0) * z[row])
-        return np.clip(mean, self.lower[row], self.upper[row])
+        mean = self.turn @ ((chance[:, :, None] * self.share).sum(1) * z)[..., None]
+        return np.clip(mean[..., 0], self.lower, self.upper)
 
 
 Scored = tuple[np.ndarray, np.ndarray] | None
