@@ -17,7 +17,6 @@ from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.posterior.offers import offered
@@ -99,7 +98,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         fitted = fit(declared_model(arm).plus(soft, *geometry(arm, session)), session)
         kinds = library(arm, session.context()).testable
         there = (FoundEffect((soft,), 1.0, (), 0.0),)
-        every = offered(fitted, columns_at(fitted), kinds, (), there, TOLERANCES)
+        every = offered(fitted, kinds, (), there, TOLERANCES)
         of = max(every, key=lambda each: each.standing)
         bank, own = of.bank, of.bank.offers[of.known[0]]
         (k,) = own.places

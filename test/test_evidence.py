@@ -36,7 +36,7 @@ def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
     s, t = white @ marginal.project(white), white @ marginal.py
     log = u * t - 0.5 * u * u * (1.0 + s)
     whole = np.trapezoid(np.exp(log - log.max()), u) / np.trapezoid(np.exp(-0.5 * u * u), u)
-    (found,) = evidence_of_each(fitted, marginal, columns, [softer])
+    (found,) = evidence_of_each(fitted, marginal, [softer])
     assert found == pytest.approx(np.log(whole) + log.max(), abs=0.02)
 
 

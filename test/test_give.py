@@ -68,11 +68,10 @@ def test_all_else_is_a_tenth_as_much_off_as_what_gives_way() -> None:
     fitted = found(0.0).search.fit
     columns, offered = columns_at(fitted), found(0.0).search.candidates
     every = distinct(offered)
-    one = columns.scaled(every).b
-    told = a_little(columns, offered) / np.where(one == 0, 1, one)
-    for k, slot in enumerate(slots_of(ARM, every)):
-        shares = told[:, k][told[:, k] != 0]
-        assert shares == pytest.approx(GIVE if slot.owner.elastic else LITTLE)
+    white, sizes = a_little(columns, offered)
+    np.testing.assert_allclose(white, columns.scaled(every).b)
+    for size, slot in zip(sizes, slots_of(ARM, every), strict=True):
+        assert size == (GIVE if slot.owner.elastic else LITTLE)
 
 
 def test_a_little_of_everything_is_in_the_model_and_no_finding() -> None:

@@ -9,6 +9,7 @@ import pytest
 from drawn_reports import in_doubt
 
 from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import priors
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 
@@ -45,6 +46,8 @@ def test_the_odds_of_the_rows_alone_are_half_the_square_of_what_nothing_else_exp
     values = np.array([getattr(s.owner, s.parameter.name) for s in own]) / priors(tuple(own))
     columns = columns_at(fitted)
     rival = next(r for r in found.alternatives if r.candidate.name not in found.names[1:2])
-    besides = columns.without(keys, columns.scaled(rival.candidate.terms).b)
+    alone = columns.without(keys)
+    beside = columns.scaled(rival.candidate.terms).b
+    besides = Marginal(np.concatenate([alone.a, beside], axis=1), alone.y)
     left = besides.normal((columns.scaled([s.owner for s in own]).b @ values)[:, None])[0]
     assert asked(0).log_bayes_factor == pytest.approx(0.5 * float(left[0, 0]), rel=1e-6)

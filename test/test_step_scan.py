@@ -106,7 +106,7 @@ def test_a_step_that_was_looked_for_pays_for_the_looking() -> None:
     fitted = looked(session(n=60)).fit
     columns = columns_at(fitted)
     marginal = columns.without(())
-    (found,) = evidence_of_each(fitted, marginal, columns, [Candidate(odd.name, (odd,))])
+    (found,) = evidence_of_each(fitted, marginal, [Candidate(odd.name, (odd,))])
     shift = fitted.whitened(columns.shift([odd])[..., None])[:, 0]
     gain = marginal.project(shift) @ (marginal.y - 0.5 * shift)
     assert found == pytest.approx(gain - odd.price(ARM))

@@ -61,7 +61,7 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
     for term in result.chosen:
         single = Candidate(term.name, (term,))
         rest = columns.without({term.key})
-        gain = float(evidence_of_each(result.fit, rest, columns, [single])[0])
+        gain = float(evidence_of_each(result.fit, rest, [single])[0])
         facts = (f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in single.form)
         form = f", {', '.join(facts)}" if single.form else ""
         state, why = "accepted", f"log Bayes factor {gain:.1f} on top of the rest{form}"

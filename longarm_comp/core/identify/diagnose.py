@@ -21,7 +21,6 @@ from longarm_comp.core.identify.diagnosis import (
     Diagnosis,
 )
 from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
-from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.intervals import intervals
@@ -106,8 +105,7 @@ def diagnose(
     )
     say("structure")
     fits = _fits(start, found)
-    columns = columns_at(found.fit)
-    beside = tolerances(found.fit, columns, found.candidates, found.found, found.tolerance)
+    beside = tolerances(found.fit, found.candidates, found.found, found.tolerance)
     structure = examine(found.fit, fits[CALIBRATED], beside)
     expected = expected_commanded(fits, found.found)
     written = least(expected)

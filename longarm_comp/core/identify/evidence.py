@@ -46,10 +46,8 @@ class FitColumns(CandidateColumns):
         self._fitted = fitted
         self._scaled: dict[tuple[object, ...], Scaled] = {}
 
-    def without(
-        self, places: Container[tuple[str, str]], beside: np.ndarray | None = None
-    ) -> Marginal:
-        """Evidence on top of the fit, the terms at some places taken out of it, columns added.
+    def without(self, places: Container[tuple[str, str]]) -> Marginal:
+        """Evidence on top of the fit, the terms at some places taken out of it.
 
         A term with parameters leaves with its columns; one without gives its shift back to the
         data.
@@ -60,12 +58,7 @@ class FitColumns(CandidateColumns):
         for term in fitted.model.terms:
             if term.key in places and not slots_of(fitted.model.arm, [term]):
                 data = data + fitted.whitened(self.shift([term])[..., None])[:, 0]
-        design, gram = fitted.design[:, kept], fitted.gram[np.ix_(kept, kept)]
-        if beside is not None:
-            cross = design.T @ beside
-            gram = np.block([[gram, cross], [cross.T, beside.T @ beside]])
-            design = np.concatenate([design, beside], axis=1)
-        return Marginal(design, data, gram)
+        return Marginal(fitted.design[:, kept], data, fitted.gram[np.ix_(kept, kept)])
 
     def scaled(self, terms: Sequence[Term]) -> Scaled:
         """Columns of some terms side by side."""

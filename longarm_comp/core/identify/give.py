@@ -45,11 +45,11 @@ def with_usual(model: Model, library: Sequence[Candidate]) -> Model:
     return dataclasses.replace(model.plus(*terms.values()), beyond=(*model.beyond, *sizes))
 
 
-def a_little(columns: FitColumns, library: Sequence[Candidate]) -> np.ndarray:
-    """(m, k) whitened columns of what every real arm has, each times its size."""
+def a_little(columns: FitColumns, library: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+    """(m, k) whitened columns of what every real arm has, and (k,) the size of each."""
     every = distinct(library)
     slots = slots_of(columns.model.arm, every)
-    return columns.scaled(every).b * [GIVE if s.owner.elastic else LITTLE for s in slots]
+    return columns.scaled(every).b, np.array([GIVE if s.owner.elastic else LITTLE for s in slots])
 
 
 def with_give(fitted: ModelFit, library: Sequence[Candidate]) -> ModelFit:

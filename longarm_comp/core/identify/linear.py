@@ -117,10 +117,33 @@ class Marginal:
         """``S`` (k, k) and ``t`` (k,) of further columns (m, k)."""
         cross = self.a.T @ b
         s = b.T @ b - cross.T @ self._solved(cross)
-        return (s + s.T) / 2, b.T @ self.y - cross.T @ self._coefficients
+        return (s + s.T) / 2, b.T @ self.py
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
         return np.asarray(cho_solve(self._factor, right, check_finite=False))
+
+
+def marginalised(
+    gram: np.ndarray, along: np.ndarray, sizes: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """The first k of some columns marginalised, in the products of all (`Marginal.normal`).
+
+    Args:
+        gram, along: (K, K) and (K,) products of the columns with themselves and with the data.
+        sizes: (k,) prior standard deviations of the first k coefficients; 0 leaves a column out.
+
+    Returns:
+        Log Bayes factor of the first against none; products of the others beside them.
+    """
+    rest, on = slice(len(sizes), None), np.flatnonzero(sizes)
+    size = sizes[on]
+    own = gram[np.ix_(on, on)] * np.outer(size, size) + np.eye(len(on))
+    factor = cho_factor(own, lower=True, check_finite=False)
+    right = size[:, None] * np.concatenate([along[on, None], gram[on, rest]], axis=1)
+    half = solve_triangular(factor[0], right, lower=True, check_finite=False)
+    data, cross = half[:, 0], half[:, 1:]
+    evidence = float(0.5 * data @ data - np.log(np.diag(factor[0])).sum())
+    return evidence, gram[rest, rest] - cross.T @ cross, along[rest] - cross.T @ data
 
 
 def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -167,24 +190,26 @@ CHANCES = tuple(math.log(p) for p in (0.8, 0.15, 0.05))
 
 def sized(
     mean: np.ndarray, sizes: np.ndarray, chances: np.ndarray, like: np.ndarray | None = None
-) -> tuple[np.ndarray, float]:
-    """(k,) the most probable size of each of (k,) coefficients, and the log chance of these.
+) -> tuple[np.ndarray, np.ndarray]:
+    """(..., k) the most probable sizes of (..., k) coefficients, and (...) the log chance of these.
 
     One place may be far worse than the next, and a base that sinks need not tilt, so each
     coefficient has a size of its own, but for those that are like each other: they share one.
 
     Args:
         mean: the coefficients.
-        sizes, chances: (k, s) prior standard deviations, and their log probabilities.
+        sizes, chances: (..., k, s) prior standard deviations, and their log probabilities.
         like: as of `root_of`; all alone where None.
     """
-    each = np.arange(len(mean))
-    like = each if like is None else like
-    white = np.linalg.solve(root_of(like), mean)
-    share = chances / _same(like).sum(1)[:, None]
-    tried = _same(like) @ (share - 0.5 * (white[:, None] / sizes) ** 2 - np.log(sizes))
-    best = tried.argmax(axis=1)
-    return sizes[each, best], float(share[each, best].sum())
+    if like is None:
+        like = np.arange(mean.shape[-1])
+    same = _same(like)
+    white = np.linalg.solve(root_of(like), mean[..., None])
+    share = chances / same.sum(-1)[..., None]
+    tried = same @ (share - 0.5 * (white / sizes) ** 2 - np.log(sizes))
+    best = tried.argmax(axis=-1)[..., None]
+    chance = np.take_along_axis(share, best, -1).sum((-1, -2))
+    return np.take_along_axis(sizes, best, -1)[..., 0], chance
 
 
 OUTLIER = 4.2

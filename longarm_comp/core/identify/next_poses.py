@@ -12,6 +12,7 @@ from longarm_comp.core.identify.findings import EffectFinding, Rival
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.optimal_poses import POOL, Choice
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
+from longarm_comp.core.model.model import unstack
 
 
 @dataclass(frozen=True)
@@ -54,14 +55,16 @@ def next_poses(
     if heaviest > 0:
         typical["payload_kg"] = np.where(np.arange(POOL) // 2 % 2 == 0, heaviest, 0.0)
     pool = Context(tuple(side for _ in range(arm.n)), typical)
-    theirs, mine = _designs(fit, found, other, _rows(fit))
-    far, shift = _designs(fit, found, other, (q, pool))
+    rows = CandidateColumns(fit.model, fit.posture, fit.session)
+    theirs, mine = map(fit.whitened, _designs(fit, found, other, rows))
+    asked = CandidateColumns(fit.model, fit.model.posture(unstack(q), pool))
+    far, shift = _designs(fit, found, other, asked)
     scale = _noise(fit)[None, :, None]
-    own = np.concatenate([theirs, mine[:, None]], axis=1)
+    own = np.concatenate([theirs, mine], axis=1)
     information = own.T @ own + np.eye(own.shape[1])
     amount = np.zeros_like(information)
     amount[-1, -1] = 1.0
-    choice = Choice(np.concatenate([far, shift[..., None]], axis=2) / scale, information, amount)
+    choice = Choice(np.concatenate([far, shift], axis=2) / scale, information, amount)
     chosen = choice.grown([], count)
     odds = 0.5 * (1.0 / choice.covariance(chosen)[-1, -1] - 1.0)  # less the prior's part
     payload = typical["payload_kg"][chosen] if heaviest > 0 else None
@@ -77,29 +80,14 @@ def _noise(fit: ModelFit) -> np.ndarray:
     return np.full(3, np.min(lengths))
 
 
-def _rows(fit: ModelFit) -> tuple[np.ndarray, Context]:
-    return fit.session.q, fit.session.context()
-
-
 def _designs(
-    fit: ModelFit, found: EffectFinding, other: Rival, at: tuple[np.ndarray, Context]
+    fit: ModelFit, found: EffectFinding, other: Rival, at: CandidateColumns
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Design of geometry, rest and alternative, and the shift that the found effect makes.
-
-    For the session's own rows both are whitened, (dM, p) and (dM,); for others they are
-    changes of the tip's position in m, (N, 3, p) and (N, 3).
-    """
-    q, context = at
-    own_rows = len(q) == len(fit.session) and q is fit.session.q
-    posture = fit.model.posture([q[:, j] for j in range(q.shape[1])], context)
-    built = CandidateColumns(fit.model, posture, fit.session if own_rows else None)
+    """(N, d, p) by geometry, rest and alternative, and (N, d, 1) the found effect's shift."""
     places = {t.key for t in found.terms}
     rest = [s for s in fit.slots if s.owner.key not in places]
-    columns = built.unscaled(rest) * priors(tuple(rest))
-    a = np.concatenate([columns, built.of(other.candidate.terms)], axis=-1)
+    columns = at.unscaled(rest) * priors(tuple(rest))
     own = [s for s in fit.slots if s.owner.key in places]
     values = np.array([getattr(s.owner, s.parameter.name) for s in own])
-    shift = built.unscaled(own) @ values
-    if own_rows:
-        return fit.whitened(a), fit.whitened(shift[..., None])[:, 0]
-    return a, shift
+    shift = at.unscaled(own) @ values
+    return np.concatenate([columns, at.of(other.candidate.terms)], axis=-1), shift[..., None]

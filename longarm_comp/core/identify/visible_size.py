@@ -55,7 +55,7 @@ def detectable(
     """
     columns = columns_at(fit)
     marginal = columns.without(())
-    worth = evidence_of_each(fit, marginal, columns, candidates).tolist()
+    worth = evidence_of_each(fit, marginal, candidates).tolist()
     made = []
     for candidate, factor in zip(candidates, worth, strict=True):
         free = candidate.slots(fit.model.arm)

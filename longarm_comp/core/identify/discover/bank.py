@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.effects.components import components, stations
 from longarm_comp.core.effects.discovered import CAMERA, DISTANCE, Discovered, DiscoveredView, views
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -107,21 +107,37 @@ class Bank:
         ]
         return np.stack(made, axis=-1)
 
-    def evidence(self, marginal: Marginal, hypothesis: Hypothesis) -> float:
-        """Log odds of a candidate on top of a marginal, on all rows, with its prior."""
-        columns = self.columns(hypothesis.members) * weight(self.fit)[..., None]
-        unit = columns[self.fit.weights > 0].reshape(-1, columns.shape[-1])
-        unit = unit * (np.array(hypothesis.decay) / self.sizes(hypothesis))
-        t, s = unit.T @ marginal.py, unit.T @ marginal.project(unit)
-        values, turned = np.linalg.eigh((s + s.T) / 2)
-        each = _by_amplitude(turned.T @ t, np.maximum(values, 0.0)).sum(1)
-        return float(_averaged(each) + hypothesis.log_prior)
+    def evidences(self, marginal: Marginal, listed: Sequence[Hypothesis]) -> np.ndarray:
+        """(C,) log odds of candidates on top of a marginal, on all rows, with their priors."""
+        made = np.array([h.log_prior for h in listed])
+        counts = np.array([len(h.members) for h in listed], dtype=int)
+        for count in np.unique(counts).tolist():
+            mine = np.flatnonzero(counts == count).tolist()
+            members = [member for n in mine for member in listed[n].members]
+            white = self._white(members)
+            unit = white * (np.concatenate([listed[n].decay for n in mine]) / self._rms(white))
+            t = (marginal.py @ unit).reshape(len(mine), count)
+            several = unit.reshape(len(unit), len(mine), count).transpose(1, 2, 0)
+            projected = marginal.project(unit).reshape(several.shape[2], len(mine), count)
+            s = several @ projected.transpose(1, 0, 2)
+            values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
+            z = np.einsum("cij,ci->cj", turned, t)
+            made[mine] += _averaged(_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
+        return made
 
     def sizes(self, hypothesis: Hypothesis) -> np.ndarray:
         """(r,) rms shift of the rows by a unit of each column, in units of the noise."""
-        columns = self.columns(hypothesis.members) * weight(self.fit)[..., None]
-        rows = max(int((self.fit.weights > 0).sum()), 1)
-        return np.asarray(np.sqrt(np.maximum((columns**2).sum((0, 1)) / rows, 1e-300)))
+        return self._rms(self._white(hypothesis.members))
+
+    def _white(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
+        """(dM, r) `columns` of the M inliers in units of the noise."""
+        inside = self.fit.weights > 0
+        columns = (self.columns(members) * weight(self.fit)[..., None])[inside]
+        return columns.reshape(-1, len(members))
+
+    def _rms(self, white: np.ndarray) -> np.ndarray:
+        rows = max(len(white) // self.fit.width, 1)
+        return np.asarray(np.sqrt(np.maximum((white**2).sum(0) / rows, 1e-300)))
 
     def shortlisted(
         self, kept: np.ndarray, left: Sequence[np.ndarray]
@@ -290,12 +306,11 @@ _STILL = 1e-12
 def banks(fit: ModelFit) -> tuple[Bank, ...]:
     """Candidates of the arm's side and, where positions are seen, of the camera's."""
     arm, rows = fit.model.arm, fit.session
-    at = posture(fit.model, rows)
     (spots, units), *seen_sides = sides(fit)
-    functions = Functions(arm_inputs(arm, at, rows))
+    functions = Functions(arm_inputs(arm, fit.posture, rows))
     made = [Bank(fit, spots, units, functions, _axes(arm, spots))]
     for spots, units in seen_sides:
-        points = fit.model.measured(rows.q, rows.context())
+        points = fit.model.measured_at(fit.posture)
         free = all(spot.component == DISTANCE for spot in spots)
         seen = Functions(camera_inputs(points, rows), None if free else SeenCoordinate)
         made.append(Bank(fit, spots, units, seen))
@@ -335,9 +350,8 @@ def _distinct(arm: Arm) -> list[str]:
 
 def _units(fit: ModelFit, terms: list[Effect | Bias]) -> tuple[np.ndarray, np.ndarray]:
     """(N, d, K) motion by a unit of each term that moves anything, and which do, (K,)."""
-    at = posture(fit.model, fit.session)
     slots = slots_of(fit.model.arm, terms)
-    columns = equations(fit.model, fit.session, at, slots).columns
+    columns = equations(fit.model, fit.session, fit.posture, slots).columns
     moving = np.abs(columns).max(axis=(0, 1)) > _STILL
     return columns[..., moving], moving
 

@@ -44,7 +44,9 @@ class Explanation:
         return self.bank.evidence(self.chosen)
 
 
-def explain(bank: OfferBank, known: Sequence[int] = ()) -> Explanation:
+def explain(
+    bank: OfferBank, known: Sequence[int] = (), begun: Sequence[SingleEffect] | None = None
+) -> Explanation:
     """Effects by coordinate ascent, with a restart for each that was found.
 
     The ascent goes uphill only.  So it starts from nothing, and from what is known; and what each
@@ -54,8 +56,11 @@ def explain(bank: OfferBank, known: Sequence[int] = ()) -> Explanation:
     Args:
         bank: what is on offer.
         known: the offers that were found before.
+        begun: what explains the same offers by another tolerance: where the ascent starts, then.
     """
     most = len(known) + AT_ONCE
+    if begun is not None:
+        return _pruned(_grown(bank, begun, frozenset(), most))
     starts = [_grown(bank, (), frozenset(), most)]
     if known:
         starts.append(_grown(bank, _standing(bank, known), frozenset(), most))
@@ -134,14 +139,13 @@ def _held(bank: OfferBank, effect: SingleEffect) -> set[Hashable]:
 
 def _pruned(found: Explanation) -> Explanation:
     """Without effects that the others make superfluous, the least first."""
-    effects = list(found.effects)
-    while effects:
-        now = Explanation(found.bank, tuple(effects))
+    while found.effects:
         fewer = [
-            Explanation(found.bank, tuple(e for e in effects if e is not gone)) for gone in effects
+            Explanation(found.bank, tuple(e for e in found.effects if e is not gone))
+            for gone in found.effects
         ]
-        best = max(fewer, key=lambda e: e.evidence)
-        if best.evidence < now.evidence:
+        worth = found.bank.evidences([each.chosen for each in fewer])
+        if worth.max() < found.evidence:
             break
-        effects = list(best.effects)
-    return Explanation(found.bank, tuple(effects))
+        found = fewer[int(np.argmax(worth))]
+    return found

@@ -26,13 +26,12 @@ from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.posterior.forms import BETTER, refined
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
-    Explained,
     FoundEffect,
     Proposition,
     instead,
 )
-from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
-from longarm_comp.core.identify.posterior.offers import offered, tolerances
+from longarm_comp.core.identify.posterior.offered_effects import Explained, OfferedEffects
+from longarm_comp.core.identify.posterior.offers import offered
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.identify.posterior.tolerance import BARE, TOLERANCES, Slack
@@ -184,10 +183,10 @@ class _Search:
 
     def _explained(self, state: _State) -> Explained | None:
         """The best explanation by any tolerance, where it is better than what stands."""
-        banks = self._offered(state)
-        standing = max(bank.standing for bank in banks)
-        best = max((bank.explained() for bank in banks), key=lambda e: e.evidence)
-        return best if best.evidence >= standing + BETTER else None
+        first, *others = sorted(self._offered(state), key=lambda bank: -bank.standing)
+        begun = first.explained()
+        best = max((begun, *(o.explained(begun) for o in others)), key=lambda e: e.evidence)
+        return best if best.evidence >= first.standing + BETTER else None
 
     def _rose(self, before: _State, now: _State) -> bool:
         """Whether the explanation in the model is better, once fitted, than the one before.
@@ -197,7 +196,7 @@ class _Search:
         """
         again = self._begun(before.fit.model, now.fit, begun=before.fit)
         worth = self._standing(now.fit, now.found)[0]
-        return worth > self._standing(again, before.found)[0] + BETTER
+        return worth > self._standing(again, before.found, now.fit)[0] + BETTER
 
     def _begun(self, model: Model, noise_of: ModelFit, **start: ModelFit) -> ModelFit:
         """A model fitted so far that the next step would be small, with the noise of a fit."""
@@ -206,16 +205,14 @@ class _Search:
             max_iterations=STEPS, close=NEAR, **start,  # type: ignore[arg-type]
         )  # fmt: skip
 
-    def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Slack]:
+    def _standing(
+        self, fitted: ModelFit, found: Sequence[FoundEffect], near: ModelFit | None = None
+    ) -> tuple[float, Slack]:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
-        columns, library = columns_at(fitted), self.candidates
-        if not found:
-            bare = ((columns.without((), tolerances(fitted, columns, library, (), t)), t)
-                    for t in BARE)  # fmt: skip
-            return max((marginal.evidence, t) for marginal, t in bare)
         every = offered(
-            fitted, columns, library, self.propositions, found, TOLERANCES, others=False
-        )
+            fitted, self.candidates, self.propositions, found,
+            TOLERANCES if found else BARE, others=False, near=near,
+        )  # fmt: skip
         return max((bank.pruned, bank.tolerance) for bank in every)
 
     def _compared(self, state: _State) -> tuple[_State, tuple[FoundEffect, ...], bool]:
@@ -254,7 +251,8 @@ class _Search:
             return -math.inf
         try:
             model = self._with(state.fit.model, terms)
-            return self._standing(self._begun(model, state.fit, near=state.fit), found)[0]
+            begun = self._begun(model, state.fit, near=state.fit)
+            return self._standing(begun, found, state.fit)[0]
         except JobError:
             return -math.inf
 
@@ -262,7 +260,7 @@ class _Search:
         """By tolerance; forms count where something is in the model."""
         tried = TOLERANCES if state.found else BARE
         library, functions = self.candidates, self.propositions
-        return offered(state.fit, state.columns, library, functions, state.found, tried)
+        return offered(state.fit, library, functions, state.found, tried)
 
     def _scan(self, state: _State) -> None:
         """Offer the steps that the residual shows."""

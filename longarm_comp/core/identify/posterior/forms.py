@@ -46,7 +46,7 @@ def refined(
 
     def evidence(terms: Sequence[Term]) -> np.ndarray:
         each = [Candidate(term.name, (t,)) for t in terms]
-        return evidence_of_each(fit, marginal, columns, each)
+        return evidence_of_each(fit, marginal, each)
 
     def agreement(terms: Sequence[Term]) -> np.ndarray:
         return _agreement(fit, columns, term, terms)

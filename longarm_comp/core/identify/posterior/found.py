@@ -148,18 +148,3 @@ def smallest_set(chances: Mapping[K, float]) -> tuple[K, ...]:
     """The fewest, in their order, that hold 95 % of the probability of all."""
     held = np.cumsum(list(chances.values())) / sum(chances.values())
     return tuple(chances)[: int((held < CREDIBLE).sum()) + 1]
-
-
-@dataclass(frozen=True)
-class Explained:
-    """The posterior's answer.
-
-    Attributes:
-        found: single effects that are there with a probability of 95 %.
-        doubtful: others that are more likely there than not.
-        evidence: of the best explanation.
-    """
-
-    found: tuple[FoundEffect, ...]
-    doubtful: tuple[FoundEffect, ...]
-    evidence: float

@@ -18,15 +18,10 @@ from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     OVERFLOW,
-    Explained,
     FoundEffect,
     smallest_set,
 )
-from longarm_comp.core.identify.posterior.single_effects import (
-    NONE,
-    Offer,
-    OfferBank,
-)
+from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank, SingleEffect
 from longarm_comp.core.identify.posterior.tolerance import Slack
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
@@ -34,6 +29,23 @@ from longarm_comp.core.model.model import slots_of
 LOOKED_AT = 1e-4
 """Probability from which on another name is fitted in the place of an effect: columns are those of
 small changes, so a fit may be worth ten log units more."""
+
+
+@dataclass(frozen=True)
+class Explained:
+    """The posterior's answer.
+
+    Attributes:
+        found: single effects that are there with a probability of 95 %.
+        doubtful: others that are more likely there than not.
+        evidence: of the best explanation.
+        effects: its single effects.
+    """
+
+    found: tuple[FoundEffect, ...]
+    doubtful: tuple[FoundEffect, ...]
+    evidence: float
+    effects: tuple[SingleEffect, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +69,9 @@ class OfferedEffects:
     base: float
     tolerance: Slack
 
-    def explained(self) -> Explained:
-        """The posterior over the offers."""
-        best = explain(self.bank, self.known)
+    def explained(self, begun: Explained | None = None) -> Explained:
+        """The posterior over the offers; from what explains them by another tolerance."""
+        best = explain(self.bank, self.known, None if begun is None else begun.effects)
         offers = self._located(best.chosen)
         evidence, values = self.bank.joint(offers)
         every = [
@@ -69,7 +81,8 @@ class OfferedEffects:
             for k, (e, o, v) in enumerate(zip(best.effects, offers, values, strict=True))
         ]
         found = tuple(f for f in every if f.there >= CREDIBLE)
-        return Explained(found, tuple(f for f in every if f.there < CREDIBLE), self.base + evidence)
+        doubtful = tuple(f for f in every if f.there < CREDIBLE)
+        return Explained(found, doubtful, self.base + evidence, best.effects)
 
     @cached_property
     def standing(self) -> float:
@@ -83,10 +96,10 @@ class OfferedEffects:
         best = self.bank.evidence(offers)
         while offers:
             fewer = [[o for o in offers if o is not gone] for gone in offers]
-            worth = [self.bank.evidence(some) for some in fewer]
-            if max(worth) <= best:
+            worth = self.bank.evidences(fewer)
+            if worth.max() <= best:
                 break
-            best, offers = max(worth), fewer[int(np.argmax(worth))]
+            best, offers = float(worth.max()), fewer[int(np.argmax(worth))]
         return self.base + max(best, self.bank.evidence(self._located(offers)))
 
     def judged(
@@ -129,7 +142,7 @@ class OfferedEffects:
         where = {tuple(t.where for t in found.terms): 1.0}
         for n, offer, rest in self._may_stand(offers, k, here + math.log(LOOKED_AT)):
             tried = (offer, self._needed([*rest, offer], len(rest)))
-            worth = [self.bank.evidence([*rest, each]) - here for each in tried]
+            worth = (self.bank.evidences([[*rest, each] for each in tried]) - here).tolist()
             odds = max(worth)
             if offer.name == found.name:
                 for each, value in zip(tried, worth, strict=True):
@@ -171,6 +184,7 @@ class OfferedEffects:
         takes these too.
         """
         others = [*offers[:k], *offers[k + 1 :]]
+        may, most = [], []
         for n, whole in enumerate(self.bank.offers):
             named = self.things[n].terms[0].searched and whole.name != offers[k].name
             rest = [o for o in others if not named or o.name != whole.name]
@@ -181,8 +195,12 @@ class OfferedEffects:
             paid = np.log1p(self.bank.gram[places, places] * max(offer.sizes) ** 2).sum() / 2
             if len(offer.keys) == 1 or offer.fixed:
                 paid = 0.0
-            if self.bank.evidence([*rest, offer]) + paid >= least:
-                yield n, offer, rest
+            may.append((n, offer, rest))
+            most.append(paid)
+        worth = self.bank.evidences([[*rest, offer] for _, offer, rest in may]) + most
+        for one, enough in zip(may, worth >= least, strict=True):
+            if enough:
+                yield one
 
     def _worth(self, offers: list[Offer], k: int) -> float:
         """Log Bayes factor of one of some offers on top of the others."""
@@ -204,14 +222,14 @@ class OfferedEffects:
         """
         offers = list(offers)
         price = math.log(max(len(offers[k].keys), 1))
+        here = self.bank.evidence(offers) if len(offers[k].keys) > 1 else 0.0
         while len(offers[k].keys) > 1:
-            here = self.bank.evidence(offers)
             fewer = [_less(offers[k], key) for key in offers[k].keys]
-            tried = [self.bank.evidence([*offers[:k], o, *offers[k + 1 :]]) for o in fewer]
+            tried = self.bank.evidences([[*offers[:k], o, *offers[k + 1 :]] for o in fewer])
             least = int(np.argmax(tried))
             if here - tried[least] >= price:
                 break
-            offers[k] = fewer[least]
+            offers[k], here = fewer[least], tried[least]
         return offers[k]
 
     def _terms(

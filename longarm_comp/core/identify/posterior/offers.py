@@ -17,9 +17,9 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
-from longarm_comp.core.identify.evidence import FitColumns, shift_of
+from longarm_comp.core.identify.evidence import columns_at, shift_of
 from longarm_comp.core.identify.give import a_little
-from longarm_comp.core.identify.linear import CHANCES, SIZES, Marginal
+from longarm_comp.core.identify.linear import CHANCES, SIZES, Marginal, marginalised
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
@@ -35,49 +35,43 @@ AMPLITUDES = (3.0, 30.0, 300.0)
 
 def offered(
     fitted: ModelFit,
-    columns: FitColumns,
     library: Sequence[Candidate],
     functions: Sequence[Proposition],
     found: Sequence[FoundEffect],
     slacks: Sequence[Slack],
     *,
     others: bool = True,
+    near: ModelFit | None = None,
 ) -> list[OfferedEffects]:
     """The banks at a fit, one for each tolerance.
 
     Args:
         fitted: geometry and what was found so far.
-        columns: of candidates at its rows.
         library: the named effects.
         functions: without a name.
         found: what was found so far; it stays on offer in its present form.
         slacks: what may move the rows besides.
         others: whether more than these is on offer.
+        near: a similar fit of the same rows and noise: what every arm has is about as there.
     """
     listed = _listed(fitted.model.arm, library, functions, found)
     if not others:
         kept = {_variant(f.terms) for f in found}
         listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
-    held = {t.key for f in found for t in f.terms}
-    raw = _raw(fitted, columns, listed)
+    raw = _raw(fitted, listed)
+    marginal = columns_at(fitted).without({t.key for f in found for t in f.terms})
+    beside, sizes = _beside(fitted, library, found, slacks, near)
+    gram, along = marginal.normal(np.concatenate([beside, raw.b], axis=1))
+    moving, offers = _priced(fitted.model.arm, np.diag(gram)[beside.shape[1] :], raw, listed)
+    things = [listed[n][0] for n in moving]
+    at = {_variant(c.terms): n for n, c in enumerate(things)}
+    known = tuple(at[_variant(f.terms)] for f in found if _variant(f.terms) in at)
     banks = []
-    for slack in slacks:
-        marginal = columns.without(held, tolerances(fitted, columns, library, found, slack))
-        moving, bank = _banked(fitted, marginal, raw, listed)
-        things = [listed[n][0] for n in moving]
-        at = {_variant(c.terms): n for n, c in enumerate(things)}
-        known = (at.get(_variant(f.terms)) for f in found)
-        banks.append(
-            OfferedEffects(
-                fitted,
-                things,
-                bank,
-                raw.widths,
-                tuple(n for n in known if n is not None),
-                marginal.evidence,
-                slack,
-            )
-        )
+    for slack, size in zip(slacks, sizes, strict=True):
+        evidence, s, t = marginalised(gram, along, size)
+        bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like)
+        base = marginal.evidence + evidence
+        banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, slack))
     return banks
 
 
@@ -115,21 +109,15 @@ def _variant(terms: Sequence[Term]) -> tuple[object, ...]:
     return tuple(t.variant for t in terms)
 
 
-def _banked(
-    fitted: ModelFit, marginal: Marginal, raw: _Raw, listed: Sequence[_Listed]
-) -> tuple[list[int], OfferBank]:
-    """Which candidates move a row, and these as a bank."""
-    arm = fitted.model.arm
-    gram, along = marginal.normal(raw.b)
+def _priced(
+    arm: Arm, squares: np.ndarray, raw: _Raw, listed: Sequence[_Listed]
+) -> tuple[list[int], list[Offer]]:
+    """Which candidates move a row, by the (k,) squares of all columns, and their offers."""
     offers, kept = [], []
     for n, (candidate, prior, sizes, chances) in enumerate(listed):
         own = tuple(raw.where[t.variant] for t in candidate.terms)
         flat = [k for part in own for k in part]
-        if (
-            not flat
-            or not np.isfinite(gram[np.ix_(flat, flat)]).all()
-            or not gram[flat, flat].any()
-        ):
+        if not flat or not np.isfinite(squares[flat]).all() or not squares[flat].any():
             continue
         fixed = not candidate.slots(arm)
         keys = tuple(t.key for t in candidate.terms)
@@ -137,12 +125,10 @@ def _banked(
             sizes, chances = (1.0,), (0.0,)
         offers.append(Offer(candidate.name, keys, own, prior, sizes, chances, fixed))
         kept.append(n)
-    return kept, OfferBank(offers, gram, along, raw.lower, raw.upper, raw.like)
+    return kept, offers
 
 
-def evidence_of_each(
-    fitted: ModelFit, marginal: Marginal, columns: FitColumns, each: Sequence[Candidate]
-) -> np.ndarray:
+def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candidate]) -> np.ndarray:
     """(C,) log Bayes factor of each candidate alone on top of a marginal, its own price paid.
 
     0 of one that moves no row.
@@ -150,25 +136,37 @@ def evidence_of_each(
     Args:
         fitted: whose rows, noise and weights count.
         marginal: what is there already.
-        columns: of candidates at the fit's rows.
         each: the candidates.
     """
     listed = [(c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,))
               for c in each]  # fmt: skip
-    kept, bank = _banked(fitted, marginal, _raw(fitted, columns, listed), listed)
+    raw = _raw(fitted, listed)
+    gram, along = marginal.normal(raw.b)
+    kept, offers = _priced(fitted.model.arm, np.diag(gram), raw, listed)
     made = np.zeros(len(listed))
-    made[kept] = bank.scores
+    made[kept] = OfferBank(offers, gram, along, raw.lower, raw.upper, raw.like).scores
     return made
 
 
 def tolerances(
     fitted: ModelFit,
-    columns: FitColumns,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
     tolerance: Slack,
-) -> np.ndarray | None:
-    """(m, k) whitened: what is there besides what was found, and no finding.
+) -> np.ndarray:
+    """(m, k) whitened: what is there besides what was found, and no finding, each in its size."""
+    made, (sizes,) = _beside(fitted, library, found, [tolerance])
+    return (made * sizes)[:, sizes > 0]
+
+
+def _beside(
+    fitted: ModelFit,
+    library: Sequence[Candidate],
+    found: Sequence[FoundEffect],
+    slacks: Sequence[Slack],
+    near: ModelFit | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(m, k) whitened columns of `tolerances`, and (S, k) the size of each by each of some.
 
     That is what every arm has (`give.py`), and by how much the shift of each
     effect in the model may differ from its form.  The latter varies with every joint, smoothly.  A
@@ -177,29 +175,35 @@ def tolerances(
     """
     session = fitted.session
     ways = np.concatenate([smooth_in(q)[:, :2] for q in session.q.T], axis=1)
-    ways = ways * (tolerance.form / math.sqrt(max(ways.shape[1], 1)))
-    arm, made = fitted.model.arm, []
-    beside = {t.key for t in fitted.model.terms} - {t.key for f in found for t in f.terms}
-    offered_now = distinct(library, beside)
-    usual = [t for t in offered_now if any(p.usual for p in t.parameters(arm))]
-    if usual:
-        shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
-        made.append(columns.scaled(usual).b * shares)
-    if tolerance.give:
-        made.append(a_little(columns, library))
+    ways = ways / math.sqrt(max(ways.shape[1], 1))
+    arm = fitted.model.arm
+    forms = np.array([slack.form for slack in slacks])
+    every = np.ones((len(slacks), 1))
+    fitted_now = {t.key for t in fitted.model.terms} - {t.key for f in found for t in f.terms}
+    usual = [t for t in distinct(library, fitted_now) if any(p.usual for p in t.parameters(arm))]
+    shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
+    made, sizes = [columns_at(fitted).scaled(usual).b], [every * shares]
+    if any(slack.give for slack in slacks):
+        little, size = a_little(columns_at(near or fitted), library)
+        made.append(little)
+        sizes.append(np.array([[slack.give] for slack in slacks]) * size)
     held = {t.key: t for t in fitted.model.terms}
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
-            shift = shift_of(fitted, columns, terms)
+            shift = shift_of(fitted, columns_at(fitted), terms)
             made.append(fitted.whitened(shift[:, :, None] * ways[:, None, :]))
-            forms = (_undecided(fitted, columns, t, tolerance.form) for t in terms if t.scales())
-            made += [fitted.whitened(form) for form in forms]
-    return np.concatenate(made, axis=-1) if made else None
+            sizes.append(forms[:, None] * np.ones(ways.shape[1]))
+            for term in terms:
+                for form in np.unique(forms).tolist() if term.scales() else ():
+                    made.append(fitted.whitened(_undecided(fitted, term, form)))
+                    sizes.append((forms == form)[:, None] * np.ones(made[-1].shape[1]))
+    return np.concatenate(made, axis=1), np.concatenate(sizes, axis=1)
 
 
-def _undecided(fitted: ModelFit, columns: FitColumns, term: Term, tolerance: float) -> np.ndarray:
+def _undecided(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
     """(N, d, k) what a form's tolerance changes at single rows: more than its share of all."""
+    columns = columns_at(fitted)
     largest = np.abs(shift_of(fitted, columns, [term])).max()
     made = []
     for field, (low, high) in term.scales().items():
@@ -233,13 +237,14 @@ class _Raw(NamedTuple):
     like: np.ndarray
 
 
-def _raw(fitted: ModelFit, columns: FitColumns, listed: Sequence[_Listed]) -> _Raw:
+def _raw(fitted: ModelFit, listed: Sequence[_Listed]) -> _Raw:
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     slots = slots_of(fitted.model.arm, terms)
     of_term: dict[int, list[int]] = {}
     for k, slot in enumerate(slots):
         of_term.setdefault(slot.term, []).append(k)
     where = {terms[t].variant: tuple(own) for t, own in of_term.items()}
+    columns = columns_at(fitted)
     scaled = columns.scaled([terms[t] for t in of_term])
     whole = [term for t, term in enumerate(terms) if t not in of_term]
     where |= {term.variant: (len(slots) + k,) for k, term in enumerate(whole)}
@@ -257,5 +262,5 @@ def _raw(fitted: ModelFit, columns: FitColumns, listed: Sequence[_Listed]) -> _R
         np.concatenate([np.maximum(scaled.lower, -most), -free]),
         np.concatenate([np.minimum(scaled.upper, most), free]),
         np.concatenate([scaled.widths, np.ones(len(whole))]),
-        np.array([*like, *range(len(slots), len(slots) + len(whole))]),
+        np.array([*like, *range(len(slots), len(slots) + len(whole))], dtype=int),
     )

@@ -52,8 +52,9 @@ def propositions(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Propositi
         for (marginal, _), kinds in zip(tops, listed, strict=True):
             weighed = []
             for few in kinds:
-                kind = [(bank.evidence(marginal, h), h) for h in few if not _geometric(h)]
-                weighed += sorted(kind, key=lambda each: -each[0])[:SCREENED]
+                weighed += _weighed(bank, marginal, [h for h in few if not _geometric(h)])[
+                    :SCREENED
+                ]
             weighed.sort(key=lambda each: -each[0])
             for worth, h in [*weighed, *_refined(bank, marginal, weighed[:REFINED])]:
                 known = best.get(h)
@@ -61,6 +62,14 @@ def propositions(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Propositi
                     best[h] = bank, worth
     ordered = sorted(best.items(), key=lambda item: -item[1][1])[:MOST]
     return tuple(_proposed(bank, h) for h, (bank, worth) in ordered if worth > 0)
+
+
+def _weighed(
+    bank: Bank, marginal: Marginal, few: Sequence[Hypothesis]
+) -> list[tuple[float, Hypothesis]]:
+    """The log odds of each, the best first."""
+    worth = bank.evidences(marginal, few).tolist()
+    return sorted(zip(worth, few, strict=True), key=lambda each: -each[0])
 
 
 def _geometric(hypothesis: Hypothesis) -> bool:
@@ -89,8 +98,7 @@ def _refined(
         prior = best[1].log_prior - LOOKS
         for width in WIDTHS:
             tried = (dataclasses.replace(h, log_prior=prior) for h in _around(bank, best[1], width))
-            weighed = [(bank.evidence(marginal, h), h) for h in tried]
-            best = max((best, *weighed), key=lambda each: each[0])
+            best = max((best, *_weighed(bank, marginal, list(tried))), key=lambda each: each[0])
         yield best
 
 
