@@ -47,6 +47,35 @@ def drivers(node: Node) -> int:
     return node.count_publishers(node.resolve_topic_name(graph.DRIVER_STATE.name))
 
 
+class Call:
+    """A request to a service on its way, which is sent again as `GraphClient.call` says."""
+
+    def __init__(self, node: Node, client: Any, request: Any, *, again: bool) -> None:
+        self._node, self._client, self._request, self._again = node, client, request, again
+        self._asked: list[Any] = []
+        self._send(_ASK_AGAIN_S[0])
+
+    def _send(self, pause_s: float) -> None:
+        self._servers = self._node.count_services(self._client.srv_name)
+        self._sent, self._pause = time.monotonic(), pause_s
+        self._asked.append(self._client.call_async(self._request))
+
+    def answer(self) -> Any:
+        """The response; None while there is none."""
+        first, longest = _ASK_AGAIN_S
+        servers, self._servers = self._servers, self._node.count_services(self._client.srv_name)
+        if self._again and self._servers > servers:
+            self._send(first)
+        elif self._again and time.monotonic() - self._sent > self._pause:
+            self._send(min(2.0 * self._pause, longest))
+        return next((future.result() for future in self._asked if future.done()), None)
+
+    def close(self) -> None:
+        """Wait no more."""
+        for future in self._asked:
+            self._client.remove_pending_request(future)
+
+
 class GraphClient:
     """A node on a graph. Use as a context manager.
 
@@ -128,24 +157,11 @@ class GraphClient:
                 requests that may be served twice.
         """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
-        (first, longest), servers = _ASK_AGAIN_S, self.node.count_services(client.srv_name)
-        pause, sent, asked = first, time.monotonic(), [client.call_async(request)]
-
-        def answered() -> Any:
-            nonlocal pause, sent, servers
-            before, servers = servers, self.node.count_services(client.srv_name)
-            if again and (servers > before or time.monotonic() - sent > pause):
-                pause = first if servers > before else min(2.0 * pause, longest)
-                asked.append(client.call_async(request))
-                sent = time.monotonic()
-            return next((future for future in asked if future.done()), None)
-
+        asked = Call(self.node, client, request, again=again)
         try:
-            future = self.until(answered, within_s, f"no answer of {client.srv_name}")
+            return self.until(asked.answer, within_s, f"no answer of {client.srv_name}")
         finally:
-            for waiting in asked:
-                client.remove_pending_request(waiting)
-        return future.result()
+            asked.close()
 
     def ask(self, node: str, service: Service, request: Any, within_s: float = _ANSWER_S) -> Any:
         """The response of a node's own service to a request that may be served twice."""
@@ -169,6 +185,17 @@ class GraphClient:
             raise JobError(answer.results[0].reason, node=node, parameter=name, value=value)
 
 
+def reported(message: DiagnosticArray, namespace: str) -> dict[str, dict[str, DiagnosticStatus]]:
+    """What a message says of the nodes of a namespace: each part's status, by node and part."""
+    nodes: dict[str, dict[str, DiagnosticStatus]] = {}
+    for status in message.status:
+        node, colon, part = status.name.partition(": ")
+        name = node.removeprefix(f"{namespace.rstrip('/')}/")
+        if colon and name != node and "/" not in name:
+            nodes.setdefault(name, {})[part] = status
+    return nodes
+
+
 class Reports:
     """What the nodes of a client's namespace report on /diagnostics from now on.
 
@@ -177,16 +204,13 @@ class Reports:
     """
 
     def __init__(self, client: GraphClient) -> None:
-        self._client, self._space = client, client.node.get_namespace().rstrip("/")
+        self._client = client
         self.nodes: dict[str, dict[str, DiagnosticStatus]] = {}
         self._heard = graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            node, colon, part = status.name.partition(": ")
-            name = node.removeprefix(f"{self._space}/")
-            if colon and name != node and "/" not in name:
-                self.nodes.setdefault(name, {})[part] = status
+        for node, parts in reported(message, self._client.node.get_namespace()).items():
+            self.nodes.setdefault(node, {}).update(parts)
 
     def said(self, node: str, part: str) -> str:
         """The last message of a part; empty before the first."""

@@ -68,11 +68,10 @@ class ArmState:
         self.arm = self.files.arm
         self.base_frame = prefix_of(node) + p.get("base_frame", "base")
         self.worker = node.worker(capacity)
-        inlets = self.worker.inlets
-        caller = inlets.caller(graph.PREDICT_ERROR)
+        caller = self.worker.caller(graph.PREDICT_ERROR)
         self.predictor = PredictorClient(caller, self.arm, p["predictor_timeout_s"])
         self.driver = DriverLink(
-            inlets, self.arm, acknowledged=p["acknowledged"], joints=lambda: self.joints,
+            self.worker, self.arm, acknowledged=p["acknowledged"], joints=lambda: self.joints,
             refused=node.tally.count,
         )  # fmt: skip
         self.moved: Callable[[np.ndarray, float], None] = lambda q, at_s: None

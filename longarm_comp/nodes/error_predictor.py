@@ -64,7 +64,7 @@ class _ErrorPredictor(ArmNode):
         self.on_change((self._path, p["model"]), files, self._reload)
         self.health.parts["predictor"] = self._report
         files.start()
-        asked.inlets.serve(graph.PREDICT_ERROR, self._on_predict)
+        asked.serve(graph.PREDICT_ERROR, self._on_predict)
         asked.start()
 
     def _on_predict(

@@ -29,8 +29,7 @@ from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
-from longarm_comp.nodes.image_inlet import ImageInlet
-from longarm_comp.nodes.images import decoded, pixels_of, same_camera
+from longarm_comp.nodes.images import ImageInlet, decoded, pixels_of, same_camera
 from longarm_comp.nodes.messages import pose_message, tip_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param

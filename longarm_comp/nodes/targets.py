@@ -81,8 +81,8 @@ class TargetInlet:
         self._compensation = graph.COMPENSATION.publisher(node)
         self._withdrawals = graph.WITHDRAWN.publisher(node)
         worker.idle = self._idle
-        worker.inlets.hear_raw(graph.TARGET_POSE, self._on_target)
-        worker.inlets.serve(graph.COMPENSATE, self._on_compensate)
+        worker.hear_sent(graph.TARGET_POSE, self._on_target)
+        worker.serve(graph.COMPENSATE, self._on_compensate)
 
     def asked(self, message: Compensate.Request, sent: float | None = None) -> Request:
         """A target that is taken now; ``sent`` when (monotonic s), where that is known."""
@@ -222,7 +222,7 @@ class TargetInlet:
             "superseded, not told yet": len(self._passed),
             "last refusal": self._node.tally.last,
             "superseded; its fate was not recorded": self._untold,
-            "lost on the way": self._worker.inlets.lost,
+            "lost on the way": self._worker.lost,
         }
         if self._state.doubt:
             return Report(WARN, self._state.doubt, facts)

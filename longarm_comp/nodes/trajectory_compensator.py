@@ -258,7 +258,7 @@ class _TrajectoryCompensator(ArmNode):
 
     def _fall_due(self) -> None:
         self._due = True
-        self._worker.inlets.wake()
+        self._worker.wake()
 
     def _tell_planned(self) -> bool:
         """Publish the joints at which the declared arm's tip is where the real one is.

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from longarm_comp.jobs.graph_client import Call
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Service
 
-_AGAIN_S, _PATIENCE_S = 1.0, 5.0
-"""A call is sent again, and given up."""
+_PATIENCE_S = 5.0
+"""After so long without an answer a call is given up."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +49,6 @@ RELEASES = (
 )  # fmt: skip
 
 
-@dataclass
-class _Call:
-    button: Button
-    since: float
-    asked: list[Any] = field(default_factory=list)
-    sent: float = 0.0
-
-
 class Buttons:
     """Calls the services without waiting. `press` may be called from any thread."""
 
@@ -64,7 +57,7 @@ class Buttons:
         """What came of the last press, in words, and whether it went well."""
         self._node = node
         self._pressed: deque[Button] = deque()
-        self._calls: list[_Call] = []
+        self._calls: list[tuple[Button, Call, float]] = []
         services = {button.service for button in (*STOPS, *RELEASES)}
         self._clients = {service: service.client(node, of="servo_driver") for service in services}
 
@@ -76,7 +69,7 @@ class Buttons:
         """Send what was pressed and take the answers that have come. ``now``: monotonic, s."""
         while self._pressed:
             self._begin(self._pressed.popleft(), now)
-        self._calls = [call for call in self._calls if not self._ended(call, now)]
+        self._calls = [call for call in self._calls if not self._ended(*call, now)]
 
     def _begin(self, button: Button, now: float) -> None:
         client = self._clients[button.service]
@@ -85,25 +78,20 @@ class Buttons:
             self._say(button, f"not done, nobody offers {name}")
             return
         self._say(button, "asked", well=True)
-        self._calls.append(_Call(button, now))
+        asked = Call(self._node, client, button.request(), again=True)
+        self._calls.append((button, asked, now))
 
-    def _ended(self, call: _Call, now: float) -> bool:
-        """Send a call, once more where no answer came, until it is answered or given up."""
-        client = self._clients[call.button.service]
-        done = next((future for future in call.asked if future.done()), None)
-        if done is None and now - call.since < _PATIENCE_S:
-            if not call.asked or now - call.sent > _AGAIN_S:
-                call.asked.append(client.call_async(call.button.request()))
-                call.sent = now
+    def _ended(self, button: Button, asked: Call, since: float, now: float) -> bool:
+        """Whether a call is answered or given up."""
+        answer = asked.answer()
+        if answer is None and now - since < _PATIENCE_S:
             return False
-        for waiting in call.asked:
-            client.remove_pending_request(waiting)
-        if done is None:
-            self._say(call.button, f"no answer in {_PATIENCE_S:g} s, so perhaps not done")
-        elif done.result().success:
-            self._say(call.button, done.result().message, well=True)
+        asked.close()
+        if answer is None:
+            self._say(button, f"no answer in {_PATIENCE_S:g} s, so perhaps not done")
         else:
-            self._say(call.button, f"refused: {done.result().message}")
+            well = answer.success
+            self._say(button, answer.message if well else f"refused: {answer.message}", well=well)
         return True
 
     def _say(self, button: Button, what: str, *, well: bool = False) -> None:

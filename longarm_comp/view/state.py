@@ -70,11 +70,9 @@ class NodeHealth:
 
 @dataclass(frozen=True)
 class CollectProgress:
-    """How far a job is that drives the graph."""
+    """How far a collection is: share of its plan, 0 to 1, and words."""
 
-    job: str
-    done: int
-    of: int
+    share: float
     message: str
     at: float
 
@@ -90,7 +88,7 @@ class PageState:
         moved: when a joint moved last by more than `JOINT_REST`.
         driver: state of the driver in a word, and its reason; empty before the first.
         evidence: of drift, share of what warns; NaN where nothing judges.
-        learned: at work, in words. ring: of the tip after the last move, likewise.
+        told: in words, by what it is of: what was learned at work, the ring after the last move.
         seed: reading that later ones are compared with for `moved`.
     """
 
@@ -105,8 +103,7 @@ class PageState:
     nodes: Mapping[str, NodeHealth] = field(default_factory=dict)
     progress: CollectProgress | None = None
     evidence: float = math.nan
-    learned: str = ""
-    ring: str = ""
+    told: Mapping[str, str] = field(default_factory=dict)
     seed: Mapping[str, float] = field(default_factory=dict)
 
     def with_joints(self, joints: Mapping[str, float], now: float) -> PageState:

@@ -7,7 +7,7 @@ import os
 
 import numpy as np
 
-from longarm_comp.view.state import CollectProgress, NodeHealth, PageState
+from longarm_comp.view.state import NodeHealth, PageState
 
 WELL, WARNING, BAD, SILENT = "●", "▲", "✖", "■"
 LEVELS = ((WELL, "well"), (WARNING, "warning"), (BAD, "error"), (SILENT, "stale"))
@@ -34,14 +34,18 @@ def headline(state: PageState, now: float, namespace: str) -> str:
     return f"The driver is {words}{f' ({why})' if why else ''}."
 
 
-def in_lines(state: PageState, now: float, namespace: str, said: str) -> list[str]:
-    """All that the panel says, as lines; ``said``: what came of the last press of a button."""
-    lines = [said, headline(state, now, namespace), target(state), tip_at_target(state, now),
-             tip_as_predicted(state, now), ring(state), drift(state), learned(state)]  # fmt: skip
-    if state.progress is not None:
-        lines.append(progress(state.progress, now))
-    lines += [line for name in sorted(state.nodes) for line in health(state.nodes[name], now)]
-    return [line for line in lines if line]
+def sections(state: PageState, now: float, namespace: str, said: str) -> dict[str, list[str]]:
+    """All that the page says, by place; ``said``: what came of the last press of a button."""
+    lines = {
+        "state": [headline(state, now, namespace), target(state)],
+        "said": [said],
+        "job": [progress(state, now)],
+        "tip": [tip_at_target(state, now), tip_as_predicted(state, now), drift(state),
+                *(f"{what}: {told}." for what, told in state.told.items())],
+        "health": [line for name in sorted(state.nodes) for line in health(state.nodes[name], now)]
+        or ["no node has reported yet"],
+    }  # fmt: skip
+    return {place: [line for line in found if line] for place, found in lines.items()}
 
 
 def target(state: PageState) -> str:
@@ -55,16 +59,14 @@ def target(state: PageState) -> str:
 
 def tip_at_target(state: PageState, now: float) -> str:
     """tip - target, or why there is none."""
-    return _error("tip − target", state.missed(now), state, now)
+    found = state.missed(now)
+    return f"tip − target: {_no_error(state, now) if found is None else millimetres(found)}"
 
 
 def tip_as_predicted(state: PageState, now: float) -> str:
     """tip - predicted tip, or why there is none."""
-    return _error("tip − predicted", state.unpredicted(now), state, now)
-
-
-def _error(what: str, found: np.ndarray | None, state: PageState, now: float) -> str:
-    return f"{what}: {_no_error(state, now) if found is None else millimetres(found)}"
+    found = state.unpredicted(now)
+    return f"tip − predicted: {_no_error(state, now) if found is None else millimetres(found)}"
 
 
 def _no_error(state: PageState, now: float) -> str:
@@ -109,22 +111,13 @@ def drift(state: PageState) -> str:
     return f"Drift: evidence {state.evidence:.2f} of 1; the test {warns}."
 
 
-def progress(job: CollectProgress, now: float) -> str:
-    """How far a job is."""
+def progress(state: PageState, now: float) -> str:
+    """How far a collection is; empty where none was heard of."""
+    job = state.progress
+    if job is None:
+        return ""
     heard = f"; heard {_ago(now - job.at)} ago" if now - job.at > 5.0 else ""
-    count = f"{job.done} of {job.of}"
-    said = job.message if job.message.startswith(count) else f"{count}, {job.message}"
-    return f"{job.job}: {said}{heard}"
-
-
-def learned(state: PageState) -> str:
-    """What was learned at work."""
-    return f"At work: {state.learned}." if state.learned else ""
-
-
-def ring(state: PageState) -> str:
-    """How the tip rings after the last move."""
-    return f"After the last move: {state.ring}." if state.ring else ""
+    return f"collect: {job.message}{heard}"
 
 
 def health(node: NodeHealth, now: float) -> list[str]:
@@ -132,16 +125,12 @@ def health(node: NodeHealth, now: float) -> list[str]:
     silent = node.silent_s(now)
     if silent:
         return [f"{SILENT} {node.name}: silent for {_ago(silent)}"]
-    sign, word = _level(max(part.level for part in node.parts))
+    sign, word = LEVELS[max(part.level for part in node.parts)]
     ill = [part for part in node.parts if part.level]
     return [
         f"{sign} {node.name}: {word}",
-        *(f"{_level(part.level)[0]} {part.name}: {part.message}" for part in ill),
+        *(f"{LEVELS[part.level][0]} {part.name}: {part.message}" for part in ill),
     ]
-
-
-def _level(level: int) -> tuple[str, str]:
-    return LEVELS[min(level, len(LEVELS) - 1)]
 
 
 def _ago(seconds: float) -> str:
