@@ -30,8 +30,8 @@ _ASK_AGAIN_S = 0.25, 2.0
 """Pauses after which a request that may be served twice is sent again: the first, and the longest;
 each is twice the one before, and another server begins them anew."""
 
-_GET = Service("~/get_parameters", GetParameters, "offered by every node of rclpy")
-_SET = Service("~/set_parameters", SetParameters, "the same")
+_GET = Service("~/get_parameters", GetParameters)
+_SET = Service("~/set_parameters", SetParameters)
 
 Client = TypeVar("Client", bound="GraphClient")
 
