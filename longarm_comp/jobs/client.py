@@ -152,8 +152,6 @@ class ArmClient(GraphClient):
             raise DriverStopped(self._driver)
         return self._driver.state in (DriverState.READY, DriverState.MOVING)
 
-    # ------------------------------------------------------------------ moving
-
     def send(self, path: np.ndarray, move_s: float = 0.5) -> int:
         """Command way-points (k, n) with a stop at each. The driver keeps its limits.
 

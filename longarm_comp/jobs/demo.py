@@ -91,7 +91,6 @@ class DemoSettings:
 
     @property
     def loop(self) -> LoopSettings:
-        """The loop that is run on the graph."""
         return LoopSettings(
             self.out, 1, self.poses, self.targets, seed=self.seed, pace=PACE, names=NAMES
         )

@@ -71,7 +71,6 @@ class Call:
         return next((future.result() for future in self._asked if future.done()), None)
 
     def close(self) -> None:
-        """Wait no more."""
         for future in self._asked:
             self._client.remove_pending_request(future)
 
@@ -108,8 +107,6 @@ class GraphClient:
         self.node.destroy_node()
         self.context.try_shutdown()
 
-    # ------------------------------------------------------------------ waiting
-
     def until(
         self, condition: Callable[[], Any], within_s: float, what: str | Callable[[], str]
     ) -> Any:
@@ -141,8 +138,6 @@ class GraphClient:
         """Serve callbacks for a number of seconds. Raises Interrupted."""
         end = time.monotonic() + seconds
         self.until(lambda: time.monotonic() >= end, seconds + 60.0, "waiting")
-
-    # ------------------------------------------------------------------ asking
 
     def call(
         self, client: Any, request: Any, within_s: float = _ANSWER_S, *, again: bool = False
@@ -178,7 +173,6 @@ class GraphClient:
         return [parameter_value_to_python(value) for value in answer.values]
 
     def set_parameter(self, node: str, name: str, value: bool | float | str) -> None:
-        """Set a parameter of a node."""
         told = Parameter(name, value=value).to_parameter_msg()
         answer = self.ask(node, _SET, SetParameters.Request(parameters=[told]))
         if not answer.results[0].successful:
@@ -218,5 +212,4 @@ class Reports:
         return "" if status is None else str(status.message)
 
     def close(self) -> None:
-        """Hear no more."""
         self._client.node.destroy_subscription(self._heard)

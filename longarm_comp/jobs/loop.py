@@ -127,7 +127,6 @@ class Journal:
                 raise InputError(path, name, value, f"{begun.get(name)}, as in the first call")
 
     def __contains__(self, step: str) -> bool:
-        """Whether a step was done."""
         return step in self._steps
 
     def once(self, step: str, make: Callable[[], Any]) -> Any:
@@ -205,8 +204,6 @@ class Loop:
             if not rounds[-1]["again"]:
                 break
         return trials, self._write(files, chosen["refused"], trials, rounds)
-
-    # ------------------------------------------------------------------ steps
 
     def _choose(self, method: Method) -> dict[str, Any]:
         settings = self._settings
@@ -328,7 +325,6 @@ class Loop:
         self, files: FilesAtWork, refused: list[dict[str, Any]], trials: list[Trial],
         rounds: list[dict[str, Any]],
     ) -> dict[str, Any]:  # fmt: skip
-        """Write what came of it."""
         page = self._settings.out / "loop.html"
         structure = read_report(Path(rounds[-1]["diagnosis"])).structure_left
         left = "The last diagnosis found no structure in the residual of its session."

@@ -70,11 +70,9 @@ class Trial:
 
     @property
     def refused(self) -> int:
-        """How many targets were refused."""
         return sum(not Status(int(status)).success for status in self.status)
 
     def count(self, status: int) -> int:
-        """How many targets ended with a status of the service."""
         return int((self.status == status).sum())
 
     def against(self, before: Trial, seed: int = 0) -> Verification:

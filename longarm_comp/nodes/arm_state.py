@@ -91,16 +91,12 @@ class ArmState:
 
     @property
     def now_s(self) -> float:
-        """Seconds of the node's clock."""
         return 1e-9 * float(self.node.get_clock().now().nanoseconds)
 
     @property
     def stamp(self) -> Time:
-        """Time of the node's clock."""
         stamp: Time = self.node.get_clock().now().to_msg()
         return stamp
-
-    # ------------------------------------------------------------------ circumstances
 
     def context(self, history: History | None = None, model: Model | None = None) -> Context:
         """Circumstances at this moment for joints of a history.
@@ -143,8 +139,6 @@ class ArmState:
             self.readings = self.readings.told(source, columns, time.monotonic())
         else:
             self.node.tally.count(f"bad {source}", f"{source}: {columns} is not finite")
-
-    # ------------------------------------------------------------------ joints
 
     @property
     def joints(self) -> np.ndarray | None:

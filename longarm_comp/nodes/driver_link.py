@@ -82,8 +82,6 @@ class DriverLink:
             return f"servo_driver is {driver_words(state.state).partition(':')[0]}{why}"
         return ""
 
-    # ------------------------------------------------------------------ one trajectory
-
     def expect(self, name: str) -> None:
         """Wait from now on for the acknowledgement of the trajectory of that id."""
         self._asked, self._answer = name, None
@@ -102,8 +100,6 @@ class DriverLink:
             return "sent, but not acknowledged by the driver in time, so it was withdrawn"
         refused = self._answer.event == Motion.REFUSED
         return f"the driver refused it: {self._answer.message}" if refused else ""
-
-    # ------------------------------------------------------------------ what is heard
 
     def _on_motion(self, message: Motion) -> None:
         if message.event == Motion.ACCEPTED:
@@ -156,7 +152,6 @@ class DriverLink:
         self._state, self._heard_s = message, now
 
     def report(self) -> Report:
-        """State of the driver, for diagnostics."""
         if not self.acknowledged:
             return Report(OK, "no acknowledgement is expected: what is sent counts as accepted")
         why = self.refusal

@@ -36,8 +36,6 @@ PARAMS = (
 
 @dataclass(frozen=True)
 class _Loaded:
-    """A predictor and its file's SHA-256."""
-
     predictor: Predictor
     expand: Expander
     hash: str

@@ -40,7 +40,6 @@ class FrameTeller:
         self._node = node
 
     def tell(self, frames: Sequence[Placed], stamp: Time) -> None:
-        """Publish where frames are at a time."""
         if self._moving is not None:
             self._moving.publish(self._message(frames, stamp))
 

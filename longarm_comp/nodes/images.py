@@ -133,7 +133,6 @@ def image_message(grey: Grey, ns: int, frame: str) -> Image:
 
 
 def info_message(info: Calibration, ns: int, frame: str) -> CameraInfo:
-    """Message of a camera's calibration."""
     message = CameraInfo(
         width=info.width, height=info.height, distortion_model=info.distortion_model,
         d=list(info.d), k=list(info.k), r=list(info.r), p=list(info.p),
@@ -173,7 +172,6 @@ class ImageInlet:
 
     @property
     def reliability(self) -> str:
-        """How images are heard, in words."""
         return "reliable" if self._how is RELIABLE else "best effort"
 
     def adapt(self) -> None:

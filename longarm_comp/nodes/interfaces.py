@@ -101,8 +101,6 @@ class Topic:
 
 @dataclass(frozen=True)
 class Action:
-    """One action."""
-
     name: str
     type: Any  # with Goal, Result and Feedback
 

@@ -66,7 +66,6 @@ class Learning:
         self._asked = after.asked(context)
 
     def freeze(self, frozen: bool) -> tuple[bool, str]:
-        """Learn no more, or again."""
         if self.learner is None:
             return False, _OFF
         self._take(self.learner.freeze() if frozen else self.learner.thaw())
@@ -92,7 +91,6 @@ class Learning:
             self._fault = str(error)
 
     def report(self) -> Report:
-        """What changed, for diagnostics."""
         learner = self.learner
         assert learner is not None
         facts = {

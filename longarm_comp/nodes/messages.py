@@ -129,7 +129,6 @@ def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str
 
 
 def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
-    """The points of a trajectory, (k, n)."""
     where, names = "joint_trajectory", message.joint_names
     if not message.points:
         raise InputError(where, "points", 0, "at least one")
@@ -244,7 +243,6 @@ class Answer:
 
     @property
     def outcome(self) -> Outcome | None:
-        """Result of the computation; None without one."""
         return None if self.arrival is None else self.arrival.outcome
 
 
@@ -324,5 +322,4 @@ _DRIVER_STATES = {
 
 
 def driver_words(state: int) -> str:
-    """A state of the driver in words."""
     return _DRIVER_STATES.get(state, f"in the unknown state {state}")

@@ -51,7 +51,6 @@ class PredictorClient:
 
     @property
     def present(self) -> bool:
-        """Whether a predictor is on the graph."""
         return self._caller.present
 
     def ask(self, q: np.ndarray, context: Context, *, deflection: bool = True) -> Expansion:

@@ -53,8 +53,6 @@ class ReachServer:
             return "the driver does not report what is reached: acknowledged is false"
         return self._state.driver.refusal
 
-    # ------------------------------------------------------------------ one goal
-
     async def _serve(self, goal: Any) -> Reach.Result:
         turn = object()
         request = self._targets.asked(

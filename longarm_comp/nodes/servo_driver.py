@@ -74,8 +74,6 @@ _DONE, _FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAIL
 
 
 class _ServoDriver(ArmNode, LifecycleNode):
-    """One arm's servos."""
-
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "servo_driver", PARAMS, tuple(SECTIONS))
         p = self.p
@@ -110,7 +108,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell_change()
 
     def close(self) -> bool:
-        """Switch the torque off and release the port."""
         self._release()
         self._fault = "the driver has ended"
         self._tell_state()
@@ -132,8 +129,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         keeps_out = keeper(declared_model(arm), names, file)
         return keeps_out, shaping(files.loaded.model, names, file) if p["shaping"] else None
 
-    # ------------------------------------------------------------------ lifecycle
-
     def _start(self) -> None:
         if not self._autostart:
             return
@@ -143,7 +138,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self.trigger_activate()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Open the port and find every servo."""
         try:
             self._arm = ServoArm(self._config, self._keeps_out, self._shapes, self._trim)
         except LongarmError as error:
@@ -161,7 +155,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque off."""
         self._active = self._autostart = False
         self._tell(Motion.BROKEN_OFF, self._motion, "torque off")
         try:
@@ -171,12 +164,10 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release the port."""
         self._release()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque off, port released."""
         self._autostart = False
         self._release()
         return super().on_shutdown(state)
@@ -208,8 +199,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if self._arm is not None:
             self._arm.close()
         self._arm = self._last = None
-
-    # ------------------------------------------------------------------ the loop
 
     def _cycle(self) -> None:
         if self._arm is not None:
@@ -251,7 +240,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @property
     def readings(self) -> Mapping[str, ServoReading]:
-        """The last read-back by joint; empty where a servo was silent."""
         return self._last.joints if self._last is not None else {}
 
     @property
@@ -293,10 +281,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell(Motion.REFUSED, name, why)
         self.get_logger().warning(f"trajectory refused: {why}", throttle_duration_sec=1.0)
 
-    # ------------------------------------------------------------------ what became of it
-
     def _tell(self, event: int, name: str, why: str = "", taken: Accepted | None = None) -> None:
-        """Publish what became of the trajectory of that id."""
         message = motion_message(name, event, why, self._joints(), taken, self.names)
         self._motions.publish(message)
         if self._follow is not None:
@@ -359,8 +344,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
             return response
 
         service.server(self, serve)
-
-    # ------------------------------------------------------------------ diagnostics
 
     def _bus_report(self) -> Report:
         facts: dict[str, object] = {"port": self._config.bus.port}

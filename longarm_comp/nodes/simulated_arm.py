@@ -167,7 +167,6 @@ class _SimulatedArm(ArmNode):
         self._plant.start()
 
     def close(self) -> bool:
-        """Power off."""
         ended = super().close()
         self._plant.stop()
         return ended
@@ -184,7 +183,6 @@ class _SimulatedArm(ArmNode):
         self._covered = _named("covered", text, _SIDES)
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take up what may be set while running."""
         try:
             for parameter in parameters:
                 if parameter.name in self._live:

@@ -8,7 +8,6 @@ from builtin_interfaces.msg import Time
 
 
 def stamp_ns(stamp: Time) -> int:
-    """A message's stamp in nanoseconds."""
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 

@@ -212,10 +212,7 @@ class TargetInlet:
         self._trajectory.publish(message)
         return order_id(message)
 
-    # ------------------------------------------------------------------ diagnostics
-
     def report(self) -> Report:
-        """What became of the targets, for diagnostics."""
         facts: dict[str, object] = {
             **self._node.tally.counts,
             "waiting": self._worker.waiting + (self._latest is not None),

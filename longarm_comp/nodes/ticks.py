@@ -25,7 +25,6 @@ class Ticks:
         self._timer.cancel()
 
     def next(self) -> Future:
-        """What to await."""
         if self._timer.is_canceled():
             self._timer.reset()
         future = Future(executor=self._node.executor)

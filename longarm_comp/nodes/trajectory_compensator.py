@@ -109,8 +109,6 @@ class _TrajectoryCompensator(ArmNode):
             found.append(np.array([value or np.inf for value in given]))
         return MotionLimits(*found)
 
-    # ------------------------------------------------------------------ one goal
-
     async def _serve(self, goal: Any) -> Any:
         result = graph.FOLLOW.type.Result
         asked = goal.request.trajectory
@@ -189,8 +187,6 @@ class _TrajectoryCompensator(ArmNode):
             (goal.canceled if cancelled else goal.abort)()
         return answer.result
 
-    # ------------------------------------------------------------------ on the worker's thread
-
     def _compensated(self, request: Any) -> tuple[CompensatedPath | None, str]:
         """The path to send, or why there is none."""
         asked = request.trajectory
@@ -253,8 +249,6 @@ class _TrajectoryCompensator(ArmNode):
         return PlannedPath.of_joints(
             self._arm, np.array(times), np.array(joints), np.array(speeds) if fast else None
         )
-
-    # ------------------------------------------------------------------ for the planner
 
     def _fall_due(self) -> None:
         self._due = True

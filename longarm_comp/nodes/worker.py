@@ -129,10 +129,7 @@ class Worker:
         self._services: list[Service] = []
         self._set: Any = None
 
-    # ------------------------------------------------------------------ what it hears
-
     def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
-        """Subscribe to a topic."""
         self.hear_sent(topic, lambda message, _: callback(message), raw=False)
 
     def hear_sent(
@@ -159,14 +156,11 @@ class Worker:
         """Messages that were lost, by the numbers of those that came."""
         return sum(watch.lost for _, watch, _ in self._topics)
 
-    # ------------------------------------------------------------------ jobs
-
     @property
     def waiting(self) -> int:
         return len(self._jobs)
 
     def start(self) -> None:
-        """Start the thread, once."""
         with self._node.context.handle:
             self._set = rclpy_implementation.WaitSet(
                 len(self._topics), 1, 0, 0, len(self._services), 0, self._node.context.handle

@@ -193,7 +193,6 @@ class _Server(viser.ViserServer):
     """Without viser's public link, which any client may ask for."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """Refuse."""
         return None
 
 

@@ -107,13 +107,11 @@ class PageState:
     seed: Mapping[str, float] = field(default_factory=dict)
 
     def with_joints(self, joints: Mapping[str, float], now: float) -> PageState:
-        """After a reading of the joints."""
         if _same_joints(joints, self.seed):
             return replace(self, joints=joints, read=now)
         return replace(self, joints=joints, read=now, seed=joints, moved=now)
 
     def with_report(self, node: str, parts: tuple[Part, ...], now: float) -> PageState:
-        """After a report of a node on /diagnostics."""
         before = self.nodes.get(node)
         every = 0.0 if before is None else now - before.at
         return replace(

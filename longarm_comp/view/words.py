@@ -49,7 +49,6 @@ def sections(state: PageState, now: float, namespace: str, said: str) -> dict[st
 
 
 def target(state: PageState) -> str:
-    """What became of the last target."""
     if state.answer is None:
         return "No target since this page was opened."
     why = f": {state.answer.message}" if state.answer.message else ""

@@ -18,8 +18,6 @@ POOL = 256
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A pose to measure."""
-
     q: np.ndarray  # (n,) commanded joints, rad and m
     side: np.ndarray  # (n,) of +-1, from which each joint arrives, by a run-up
     between: tuple[str, str]  # effects that it tells apart, the likelier first

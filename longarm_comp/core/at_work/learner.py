@@ -188,8 +188,6 @@ class Learner:
         made.__dict__["chain"] = model.chain
         return made
 
-    # ------------------------------------------------------------------ what people ask for
-
     def asked(self, context: Context) -> Asked | None:
         """The pose that would tell rivals apart, in the circumstances now."""
         if self.known is None or self.frozen:

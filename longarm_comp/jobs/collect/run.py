@@ -264,7 +264,6 @@ class _Run:
         return {index: why for index, why in self.made.items() if why}
 
     def drive(self, left: list[Visit], give_up: int) -> None:
-        """Make the visits that are left."""
         self._client.ready()
         end = time.monotonic() + _CIRCUMSTANCES_S
         self._client.until(
@@ -387,7 +386,6 @@ class _Run:
         )  # fmt: skip
 
     def _tell(self, state: str = "running", why: str = "") -> None:
-        """Show where it is, and publish it."""
         now = self._now(state, why)
         self._show(now)
         self._publisher.publish(progress_message(now, self._client.node.get_namespace()))

@@ -91,7 +91,6 @@ class PlanCheck:
 
     @property
     def passed(self) -> int:
-        """Visits that pass."""
         return sum(not fault for fault in self.faults)
 
     @property
