@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from longarm_comp.view import words
-from longarm_comp.view.state import (
+from longarm_comp.view.words import (
     CollectProgress,
     LastAnswer,
     NodeHealth,

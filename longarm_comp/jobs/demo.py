@@ -22,8 +22,8 @@ from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.loop import Loop, LoopSettings, Names
 from longarm_comp.jobs.targets import Say, Trial, Witness
 from longarm_comp.nodes.bringup import BringUp, running
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.simulated_arm import sizes
-from longarm_comp.nodes.stamps import stamp_ns
 from longarm_comp.share import folder
 from longarm_comp.sim.plant import hidden_effects
 from longarm_comp.workflows.diagnosis_files import MODEL, PREDICTOR

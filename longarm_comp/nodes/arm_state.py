@@ -19,6 +19,7 @@ from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.messages import efforts_of, joints_of, tilt_of
@@ -27,7 +28,6 @@ from longarm_comp.nodes.node import WATCH, ArmNode
 from longarm_comp.nodes.orders import untimely
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import PredictorClient
-from longarm_comp.nodes.stamps import stamp_ns
 
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm"),

@@ -21,8 +21,8 @@ from longarm_comp.core.arm.frame_tree import FrameTree, NotYet
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import Placed
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.messages import quaternion_message, vector_message
-from longarm_comp.nodes.stamps import stamp_ns
 
 
 def prefix_of(node: Node) -> str:

@@ -13,9 +13,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.interfaces import DIAGNOSTICS
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.ticks import steady_timer
 
 _ALONE = 3
 """So many reports of its own, and none of another in between: the other is gone."""

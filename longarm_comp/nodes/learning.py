@@ -16,8 +16,7 @@ from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.params import Param
 
 if TYPE_CHECKING:
-    from longarm_comp.core.at_work.asking import Asked
-    from longarm_comp.core.at_work.learner import Learner
+    from longarm_comp.core.at_work.learner import Asked, Learner
 
 PARAMS = (
     Param("learning", False, "the model learns from ordinary moves (docs/at_work.md)"),

@@ -23,11 +23,11 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.ring import MoveRing, ring_after
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.messages import joints_of, path_of, seconds, sighting_of, tip_message
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer
-from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.msg import Motion
 
 PARAMS = (

@@ -12,11 +12,11 @@ import numpy as np
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.clock import Ticks
 from longarm_comp.nodes.messages import Answer, joints_message, vector_message
 from longarm_comp.nodes.monitoring import ReadingsTeller, Sighted, TipMonitor
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.targets import Request, TargetInlet
-from longarm_comp.nodes.ticks import Ticks
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import Motion
 from longarm_interfaces.srv import Compensate

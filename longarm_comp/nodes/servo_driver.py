@@ -36,15 +36,14 @@ from longarm_comp.devices.servo_follower import (
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders
+from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.driver_messages import bus_report, motion_message, readings_message
-from longarm_comp.nodes.follow import FollowServer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import ArmNode, program
-from longarm_comp.nodes.orders import Intake
+from longarm_comp.nodes.orders import FollowServer, Intake
 from longarm_comp.nodes.params import Param, declare_sections, where
-from longarm_comp.nodes.ticks import steady_timer
 from longarm_interfaces.msg import DriverState, Motion
 
 PARAMS = (

@@ -27,14 +27,13 @@ from longarm_comp.devices.stereo import (
 from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns, stamp_of, steady_timer
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
 from longarm_comp.nodes.images import ImageInlet, decoded, pixels_of, same_camera
 from longarm_comp.nodes.messages import pose_message, tip_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.stamps import stamp_ns, stamp_of
-from longarm_comp.nodes.ticks import steady_timer
 
 _TRANSPORTS = {
     "raw": ((graph.LEFT_IMAGE, graph.RIGHT_IMAGE), pixels_of),

@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.drawing import Markers
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
@@ -30,7 +31,6 @@ from longarm_comp.nodes.messages import (
 from longarm_comp.nodes.monitoring import TipMonitor
 from longarm_comp.nodes.orders import Freshness, Stamps, order_id
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (

@@ -36,13 +36,13 @@ from longarm_comp.core.learn.expansion import Nearby
 from longarm_comp.nodes import arm_state
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.clock import Ticks
 from longarm_comp.nodes.health import OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import joints_message, seconds, trajectory_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.orders import Freshness, Stamps
 from longarm_comp.nodes.params import Param, where
 from longarm_comp.nodes.predictor_client import NoAnswer
-from longarm_comp.nodes.ticks import Ticks
 
 PARAMS = (
     *arm_state.PARAMS,

@@ -26,9 +26,9 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from longarm_comp.core.errors import JobError
+from longarm_comp.nodes.clock import sent_s
 from longarm_comp.nodes.interfaces import Service as ServiceName
 from longarm_comp.nodes.interfaces import Topic
-from longarm_comp.nodes.stamps import sent_s
 
 CHECKED = "7.1"
 """Version of rclpy (Jazzy) that these calls were checked against, by the tests."""

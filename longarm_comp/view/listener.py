@@ -21,7 +21,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import RING_SAID
 from longarm_comp.nodes.messages import driver_words, sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
-from longarm_comp.view.state import CollectProgress, LastAnswer, PageState, Part, Picture, SeenTip
+from longarm_comp.view.words import CollectProgress, LastAnswer, PageState, Part, Picture, SeenTip
 from longarm_interfaces.msg import Compensation, DriverState
 
 

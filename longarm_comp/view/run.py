@@ -10,9 +10,8 @@ from functools import partial
 
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.view import words
-from longarm_comp.view.commands import RELEASES, STOPS, Buttons
 from longarm_comp.view.listener import Listener
-from longarm_comp.view.panel import Panel
+from longarm_comp.view.panel import RELEASES, STOPS, Buttons, Panel
 from longarm_comp.view.scene import Scene
 from longarm_comp.view.server import Gate, PlainPage, serving
 

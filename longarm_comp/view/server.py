@@ -22,7 +22,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from longarm_comp.core.errors import JobError
-from longarm_comp.view.commands import Button
+from longarm_comp.view.panel import Button
 
 Serve = Callable[[ServerConnection, Request], "Response | None"]
 
