@@ -101,6 +101,11 @@ class Tally:
             self.last = why
             self._node.get_logger().warning(why, throttle_duration_sec=1.0)
 
+    @property
+    def facts(self) -> dict[str, object]:
+        """Both, for diagnostics."""
+        return {**self.counts, "last refusal": self.last}
+
 
 class Health:
     """Collects a report from every part of a node and publishes them.

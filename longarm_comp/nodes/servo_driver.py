@@ -37,9 +37,8 @@ from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders
 from longarm_comp.nodes.clock import steady_timer
-from longarm_comp.nodes.driver_messages import bus_report, motion_message, readings_message
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
-from longarm_comp.nodes.messages import trajectory_of
+from longarm_comp.nodes.messages import motion_message, readings_message, trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.orders import FollowServer, Intake
@@ -83,8 +82,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._arm: ServoArm | None = None
         self._active = False
         self._last: Cycle | None = None
-        self._counts = {"trajectories": 0, "refused": 0, "incomplete cycles": 0}
-        self._fault = self._refusal = self._trouble = self._waiting = self._motion = ""
+        self.tally.counts |= {"trajectories": 0, "refused": 0, "incomplete cycles": 0}
+        self._fault = self._trouble = self._waiting = self._motion = ""
         self._instance = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
         self._said: tuple[int, str] | None = None
         self._patient_until = time.monotonic() + p["patience_s"]
@@ -213,7 +212,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if cycle.joints:
             self._joint_states.publish(self._joints())
         else:
-            self._counts["incomplete cycles"] += 1
+            self.tally.count("incomplete cycles", "")
         for event in cycle.step.events:
             self._on_event(event)
 
@@ -267,7 +266,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         except LongarmError as error:
             self.refuse(name, str(error))
             return
-        self._counts["trajectories"] += 1
+        self.tally.count("trajectories", "")
         if accepted.replaces:
             self._tell(Motion.REPLACED, self._motion, "another trajectory was accepted")
         self._motion = name
@@ -275,10 +274,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell_change()
 
     def refuse(self, name: str, why: str) -> None:
-        self._counts["refused"] += 1
-        self._refusal = why
+        self.tally.count("refused", why)
         self._tell(Motion.REFUSED, name, why)
-        self.get_logger().warning(f"trajectory refused: {why}", throttle_duration_sec=1.0)
 
     def _tell(self, event: int, name: str, why: str = "", taken: Accepted | None = None) -> None:
         message = motion_message(name, event, why, self._joints(), taken, self.names)
@@ -349,10 +346,19 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if self._arm is None:
             why = self._fault or self._waiting or "not configured"
             return Report(ERROR if self._fault else WARN, why, facts)
-        return bus_report(self._config, self._arm.bus, self._last, facts)
+        if (bus := self._arm.bus) is not None:
+            facts |= {name: getattr(bus.counters, name) for name in bus.counters.__slots__}
+        for name, servo_id in self._config.ids.items():
+            state = self._last.states.get(servo_id) if self._last else None
+            if state is not None:
+                facts[f"{name} temperature [C]"] = state.temperature_c
+                facts[f"{name} load [share]"] = round(state.load, 3)
+                facts[f"{name} voltage [V]"] = round(state.voltage_v, 1)
+        trouble = "" if self._last is None else self._last.trouble
+        return Report(ERROR if trouble else OK, trouble or "every servo answers", facts)
 
     def _arm_report(self) -> Report:
-        facts: dict[str, object] = {**self._counts, "last refusal": self._refusal}
+        facts = self.tally.facts
         state, why = self._state()
         if self._arm is None or state == DriverState.INACTIVE:
             return Report(WARN, self._fault or "not active: torque is off", facts)

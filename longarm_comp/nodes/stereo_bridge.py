@@ -110,7 +110,6 @@ class _StereoBridge(ArmNode):
         self._files = {s: _file(p["cameras"], s) for s in Side} if p["cameras"] else {}
         self._eye: StereoEye | None = None
         self._sightings = 0
-        self._refusals: dict[str, int] = {}
         self._last = "no pair of images yet"
         self._lost = True
         if self._files:
@@ -203,7 +202,7 @@ class _StereoBridge(ArmNode):
         self._count(error.reason.value if isinstance(error, StereoRefusal) else str(error), ns)
 
     def _count(self, why: str, ns: int | None) -> None:
-        self._refusals[why] = self._refusals.get(why, 0) + 1
+        self.tally.count(f"refused: {why}", "")
         self._lost = True
         if ns is None or not self._publish_lost:
             return
@@ -221,7 +220,7 @@ class _StereoBridge(ArmNode):
         facts: dict[str, object] = {
             "sightings": self._sightings,
             "pairs": self._pairer.pairs,
-            **{f"refused: {why}": n for why, n in sorted(self._refusals.items())},
+            **dict(sorted(self.tally.counts.items())),
             **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
             **{f"lost on the way: {s.name.lower()}": i.lost for s, i in self._inlets.items()},
             "calibration": self._calibration(),

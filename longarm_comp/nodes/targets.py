@@ -214,10 +214,9 @@ class TargetInlet:
 
     def report(self) -> Report:
         facts: dict[str, object] = {
-            **self._node.tally.counts,
+            **self._node.tally.facts,
             "waiting": self._worker.waiting + (self._latest is not None),
             "superseded, not told yet": len(self._passed),
-            "last refusal": self._node.tally.last,
             "superseded; its fate was not recorded": self._untold,
             "lost on the way": self._worker.lost,
         }

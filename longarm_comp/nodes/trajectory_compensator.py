@@ -273,7 +273,7 @@ class _TrajectoryCompensator(ArmNode):
         return True
 
     def _report(self) -> Report:
-        facts: dict[str, object] = {**self.tally.counts, "last refusal": self.tally.last}
+        facts = self.tally.facts
         if not self._out.server_is_ready():
             return Report(WARN, f"no controller offers {self._controller}", facts)
         if self._state.doubt or not self._ready:
