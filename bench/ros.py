@@ -147,8 +147,7 @@ def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
 @contextmanager
 def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
     """Run the processes; yields a function that creates the caller's side."""
-    from longarm_comp.nodes.bringup import REAL, BringUp
-    from longarm_comp.nodes.supervisor import Supervisor
+    from longarm_comp.nodes.bringup import REAL, BringUp, Supervisor
 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     space = f"longarm_bench_{os.getpid()}"

@@ -24,8 +24,7 @@ from launch.events.process import SignalProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from longarm_comp.nodes.bringup import BringUp
-from longarm_comp.nodes.supervisor import GUARD
+from longarm_comp.nodes.bringup import GUARD, BringUp
 from longarm_comp.share import folder
 
 ARGUMENTS = (

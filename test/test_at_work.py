@@ -14,9 +14,8 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import LEGS
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work import file
-from longarm_comp.core.at_work.asking import asked
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.learner import Learner
+from longarm_comp.core.at_work.learner import Learner, asked
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE

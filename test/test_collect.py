@@ -30,7 +30,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.jobs.collect.run import visited
-from longarm_comp.jobs.measurement_schedule import Visit, visits
+from longarm_comp.jobs.collect.visits import Visit, visits
 from longarm_comp.sessions.bag import bag_info, open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types, offered

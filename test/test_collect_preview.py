@@ -27,14 +27,15 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig
 from longarm_comp.devices.stereo.camera_file import write_camera
 from longarm_comp.devices.stereo.target import TagBoard
-from longarm_comp.jobs.collect.preview import (
+from longarm_comp.jobs.collect.visits import (
     PlanCheck,
+    Visit,
     blocked,
     plan_checks,
     refuse_blocked,
     servos_beside,
+    visits,
 )
-from longarm_comp.jobs.measurement_schedule import Visit, visits
 from longarm_comp.sessions.poses import read_poses
 from longarm_comp.sim.cameras import CameraPair, render, tag_plate
 from longarm_comp.sim.plant import mounting

@@ -26,9 +26,8 @@ from longarm_comp.core.data.plan import Plan, sobol
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient, Pace
-from longarm_comp.jobs.collect.progress import Progress
-from longarm_comp.jobs.collect.run import Collected, collect
-from longarm_comp.jobs.measurement_schedule import visits
+from longarm_comp.jobs.collect.run import Collected, Progress, collect
+from longarm_comp.jobs.collect.visits import visits
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.sessions.read import read_session
 from longarm_interfaces.msg import DriverState

@@ -67,7 +67,7 @@ def _attended() -> None:
 @pytest.mark.parametrize(
     ("words", "place", "kept"),
     [
-        (("loop", "ARM", "-o", "loop_1"), "jobs.loop.run.Loop.run", "continue with --resume"),
+        (("loop", "ARM", "-o", "loop_1"), "jobs.loop.Loop.run", "continue with --resume"),
         (("record", "-o", "bag"), "jobs.recorder.record", "--resume adds to it"),
         (("verify", "ARM"), "jobs.targets.TargetRunner.ready", "the same command"),
     ],

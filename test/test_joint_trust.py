@@ -10,7 +10,7 @@ import pytest
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.joint_trust import JointTrust, check_inside
 from longarm_comp.core.errors import InputError
-from longarm_comp.nodes.image_inlet import SequenceWatch
+from longarm_comp.nodes.worker import SequenceWatch
 
 DT = 0.02
 

@@ -28,8 +28,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.jobs.apply import apply_on_graph, files_at_work, reload
 from longarm_comp.jobs.client import ArmClient, Pace
-from longarm_comp.jobs.targets import TargetRunner
-from longarm_comp.jobs.verify import choose
+from longarm_comp.jobs.targets import TargetRunner, choose
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import JointGain as TrueGain
 

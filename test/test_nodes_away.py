@@ -25,8 +25,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.orders import Stamps, order_id
-from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import Motion
 from longarm_interfaces.srv import Compensate

@@ -22,9 +22,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import read_yaml
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.bringup import SIMULATED, BringUp
+from longarm_comp.nodes.bringup import GUARD, SIMULATED, BringUp
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.supervisor import GUARD
 from longarm_comp.share import folder
 
 ROOT = Path(__file__).parents[1]

@@ -25,9 +25,9 @@ from longarm_comp.core.model.link_frames import Placed
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.frames import FrameTeller
 from longarm_comp.nodes.messages import joints_message, pose_message
-from longarm_comp.nodes.stamps import stamp_ns
 from longarm_comp.urdf_export import export_urdf
 from longarm_interfaces.srv import Compensate
 

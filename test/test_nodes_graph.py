@@ -28,10 +28,9 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.bringup import SIMULATED, BringUp, running
+from longarm_comp.nodes.bringup import SIMULATED, BringUp, Supervisor, running
 from longarm_comp.nodes.health import WARN
 from longarm_comp.nodes.messages import pose_message, sighting_of, trajectory_message
-from longarm_comp.nodes.supervisor import Supervisor
 from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
 

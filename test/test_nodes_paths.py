@@ -27,9 +27,8 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import trajectory_compensator
 from longarm_comp.nodes.bringup import BringUp, running
+from longarm_comp.nodes.clock import Ticks, stamp_ns
 from longarm_comp.nodes.messages import duration, joints_message
-from longarm_comp.nodes.stamps import stamp_ns
-from longarm_comp.nodes.ticks import Ticks
 
 pytestmark = pytest.mark.skipif(not graph.HAS_FOLLOW, reason="control_msgs is not installed")
 TYPE = graph.FOLLOW_PLANNED.type

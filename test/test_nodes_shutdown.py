@@ -28,13 +28,13 @@ class Stuck(ArmNode):
     def __init__(self, executor):
         super().__init__(executor, "stuck", (PERIOD,))
         worker = self.worker(1)
-        worker.submit(lambda: self.wait_for_ever(worker.inlets))
+        worker.submit(lambda: self.wait_for_ever(worker))
         worker.start()
 
-    def wait_for_ever(self, inlets):
+    def wait_for_ever(self, worker):
         print("begun", flush=True)
         while True:
-            inlets.wait(1e-3)
+            worker.wait(1e-3)
 
 program(Stuck)()
 """

@@ -22,9 +22,9 @@ from sensor_msgs.msg import CompressedImage
 
 from longarm_comp.devices.stereo.camera_file import write_camera
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_of
 from longarm_comp.nodes.images import image_message, info_message
 from longarm_comp.nodes.messages import sighting_of
-from longarm_comp.nodes.stamps import stamp_of
 from longarm_comp.sim.cameras import CameraPair, Conditions, render, tag_plate
 
 PAIR = CameraPair(focal_px=640.0)

@@ -18,9 +18,9 @@ pytest.importorskip("rclpy")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
+from longarm_comp.nodes.clock import stamp_of
 from longarm_comp.nodes.health import OK, WARN
 from longarm_comp.nodes.monitoring import TipMonitor
-from longarm_comp.nodes.stamps import stamp_of
 
 
 def monitor_of(settle_s: float = 0.0) -> TipMonitor:

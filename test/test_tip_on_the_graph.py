@@ -32,9 +32,9 @@ from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp, folder, running
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.messages import joints_of
 from longarm_comp.nodes.simulated_arm import sizes
-from longarm_comp.nodes.stamps import stamp_ns
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.hidden.base import HiddenEffect

@@ -12,10 +12,8 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.jobs.loop.run import Journal
-from longarm_comp.jobs.loop.settings import NEAR_NOISE, LoopSettings, another_round
-from longarm_comp.jobs.targets import Trial
-from longarm_comp.jobs.verify import one_by_one
+from longarm_comp.jobs.loop import NEAR_NOISE, Journal, LoopSettings, another_round
+from longarm_comp.jobs.targets import Trial, one_by_one
 from longarm_comp.workflows.verification import verification
 
 NAMES = ("without", "with")

@@ -35,7 +35,7 @@ from trajectory_msgs.msg import JointTrajectory
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.vibration.ring import MoveRing
-from longarm_comp.jobs.collect.progress import Progress, progress_message
+from longarm_comp.jobs.collect.run import Progress, progress_message
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, RING_SAID, Health, Report
 from longarm_comp.nodes.messages import pose_message

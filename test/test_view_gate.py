@@ -21,7 +21,7 @@ from websockets.typing import Origin, Subprotocol
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.view import server as view_server
-from longarm_comp.view.commands import STOPS, Button
+from longarm_comp.view.panel import STOPS, Button
 from longarm_comp.view.server import Gate, PlainPage, serving
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")

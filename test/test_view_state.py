@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from longarm_comp.view import words
-from longarm_comp.view.state import (
+from longarm_comp.view.words import (
     CollectProgress,
     LastAnswer,
     NodeHealth,
@@ -116,7 +116,7 @@ def test_a_node_is_as_well_as_its_worst_part_and_silent_by_its_own_pace() -> Non
     slow = state.with_report("driver", parts, 12.0).nodes["driver"]
     assert words.health(slow, 40.0) == said
     assert words.health(slow, 43.0) == ["■ driver: silent for 31 s"]
-    assert words.health(NodeHealth("n", (Part("p", 9, "?"),), 1.0), 1.0)[0] == "■ n: stale"
+    assert words.health(NodeHealth("n", (Part("p", 3, "?"),), 1.0), 1.0)[0] == "■ n: stale"
 
 
 def test_exaggeration_drift_and_progress_in_words() -> None:
@@ -125,6 +125,7 @@ def test_exaggeration_drift_and_progress_in_words() -> None:
     assert words.drift(PageState()) == "Drift: nothing judged yet."
     assert words.drift(PageState(evidence=0.5)).endswith("does not warn.")
     assert words.drift(PageState(evidence=1.0)).endswith("warns.")
-    job = CollectProgress("collect", 7, 24, "at pose 6", 10.0)
-    assert words.progress(job, 12.0) == "collect: 7 of 24, at pose 6"
-    assert words.progress(job, 22.0) == "collect: 7 of 24, at pose 6; heard 12 s ago"
+    job = PageState(progress=CollectProgress(0.3, "7 of 24 poses driven", 10.0))
+    assert words.progress(job, 12.0) == "collect: 7 of 24 poses driven"
+    assert words.progress(job, 22.0) == "collect: 7 of 24 poses driven; heard 12 s ago"
+    assert words.sections(PageState(), 5.0, "/", "")["job"] == []

@@ -16,10 +16,8 @@ from longarm_comp.core.errors import InputError, JobError
 if TYPE_CHECKING:
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.client import Pace
-    from longarm_comp.jobs.collect.preview import PlanCheck
-    from longarm_comp.jobs.collect.progress import Progress
-    from longarm_comp.jobs.collect.run import Collected
-    from longarm_comp.jobs.measurement_schedule import Visit
+    from longarm_comp.jobs.collect.run import Collected, Progress
+    from longarm_comp.jobs.collect.visits import PlanCheck, Visit
 
 
 @click.command()
@@ -81,8 +79,7 @@ def command(
     from longarm_comp.core.data.allowed_poses import above
     from longarm_comp.core.data.plan import from_both_sides, with_random_sides
     from longarm_comp.core.model.declared_model import declared_model
-    from longarm_comp.jobs.collect.preview import plan_checks, refuse_blocked, servos_beside
-    from longarm_comp.jobs.measurement_schedule import visits
+    from longarm_comp.jobs.collect.visits import plan_checks, refuse_blocked, servos_beside, visits
     from longarm_comp.sessions.poses import read_poses
 
     if output is None and not dry_run:
@@ -143,7 +140,7 @@ def _drive(arm: Arm, todo: Sequence[Visit], output: Path, namespace: str, **how:
 
 def _show(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck], as_json: bool) -> None:
     """What a plan would do, and whether `collect` would drive it."""
-    from longarm_comp.jobs.collect.preview import blocked
+    from longarm_comp.jobs.collect.visits import blocked
 
     count = len(todo)
     if as_json:

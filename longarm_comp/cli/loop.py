@@ -67,8 +67,7 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.data.plan import sobol
     from longarm_comp.core.model.declared_model import declared_model
-    from longarm_comp.jobs.loop.run import Loop, write_loop
-    from longarm_comp.jobs.loop.settings import LoopSettings
+    from longarm_comp.jobs.loop import Loop, LoopSettings
 
     declared = Arm.load(arm)
     paced = pace(declared_model(declared), sobol(declared, 16, seed).q)
@@ -86,8 +85,7 @@ def command(
         on_graph("loop", namespace, declared) as client,
         progress("loop") as show,
     ):
-        result = Loop(client, settings, agree, resume=resume, say=show).run()
-    printed = write_loop(declared.name, settings, result)
+        _, printed = Loop(client, settings, agree, resume=resume, say=show).run()
     if as_json:
         print_json(printed)
     else:

@@ -84,8 +84,14 @@ def command(
     from longarm_comp.core.compensation.compensate import Method
     from longarm_comp.core.data.plan import random_targets, sobol
     from longarm_comp.core.files import write_text
-    from longarm_comp.jobs.targets import TargetRunner
-    from longarm_comp.jobs.verify import Draw, choose, method_at_work, one_by_one, verify
+    from longarm_comp.jobs.targets import (
+        Draw,
+        TargetRunner,
+        choose,
+        method_at_work,
+        one_by_one,
+        verify,
+    )
     from longarm_comp.nodes import interfaces as graph
     from longarm_comp.sessions.targets import read_targets
     from longarm_comp.workflows.inputs import physics

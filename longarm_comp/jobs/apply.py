@@ -70,7 +70,6 @@ def apply_on_graph(
 
 
 def reload(client: GraphClient, node: str) -> None:
-    """Have a node read its files again."""
     answer = client.ask(node, graph.RELOAD, Trigger.Request())
     if not answer.success:
         raise JobError(f"{node} did not take up its file: {answer.message}")

@@ -105,8 +105,6 @@ class Attendant:
             "learned": reports.said("kinematics", LEARNED_SAID),
         }  # fmt: skip
 
-    # ------------------------------------------------------------------ asking
-
     def hold(self) -> str:
         """Stop smoothly and stay, with torque on. What the driver said."""
         return self._ask(graph.HOLD, SetBool.Request(data=True))

@@ -16,8 +16,8 @@ from longarm_comp.devices.stereo.target import Grey
 from longarm_comp.devices.stereo.views import FEWEST_VIEWS, BoardView, gaps, view_of
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.images import pixels_of
-from longarm_comp.nodes.stamps import stamp_ns
 
 
 class _Images:

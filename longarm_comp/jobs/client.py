@@ -16,9 +16,9 @@ from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.graph_client import GraphClient, drivers
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.messages import joints_of, sighting_of, trajectory_message
 from longarm_comp.nodes.orders import Stamps, order_id
-from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.msg import DriverState, Motion
 
 
@@ -151,8 +151,6 @@ class ArmClient(GraphClient):
         if self._driver.state in _STOPPED:
             raise DriverStopped(self._driver)
         return self._driver.state in (DriverState.READY, DriverState.MOVING)
-
-    # ------------------------------------------------------------------ moving
 
     def send(self, path: np.ndarray, move_s: float = 0.5) -> int:
         """Command way-points (k, n) with a stop at each. The driver keeps its limits.

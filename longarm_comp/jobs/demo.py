@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import threading
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,12 +19,11 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.jobs.client import ArmClient, Pace
-from longarm_comp.jobs.loop.run import Loop, write_loop
-from longarm_comp.jobs.loop.settings import LoopSettings, Names
-from longarm_comp.jobs.targets import Trial
+from longarm_comp.jobs.loop import Loop, LoopSettings, Names
+from longarm_comp.jobs.targets import Say, Trial, Witness
 from longarm_comp.nodes.bringup import BringUp, running
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.simulated_arm import sizes
-from longarm_comp.nodes.stamps import stamp_ns
 from longarm_comp.share import folder
 from longarm_comp.sim.plant import hidden_effects
 from longarm_comp.workflows.diagnosis_files import MODEL, PREDICTOR
@@ -43,17 +43,14 @@ _PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 
 
 def table_row(trial: Trial) -> dict[str, Any]:
     """What the cameras measured, what really was, what the paper has."""
-    seen, true = Errors.of(trial.error), Errors.of(trial.true_error)
+    seen = Errors.of(trial.error)
+    told = ("mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
     mean, variance = _PAPER.get(trial.name, (None, None))
     return {
         "model": trial.name,
         "n": seen.n,
-        "mean_mm": 1e3 * seen.mean,
-        "rms_mm": 1e3 * seen.rms,
-        "max_mm": 1e3 * seen.max,
-        "mean_abs_z_mm": 1e3 * seen.mean_abs_z,
-        "variance_mm2": 1e6 * seen.variance,
-        "true_mean_mm": 1e3 * true.mean,
+        **{key: seen.mm[key] for key in told},
+        "true_mean_mm": Errors.of(trial.true_error).mm["mean_mm"],
         "paper_mean_mm": mean,
         "paper_variance_mm2": variance,
     }
@@ -61,11 +58,8 @@ def table_row(trial: Trial) -> dict[str, Any]:
 
 def improved(trials: Sequence[Trial]) -> bool:
     """Whether the last trial came nearer to the targets than the first, measured and truly."""
-    first, last = trials[0], trials[-1]
-    return (
-        Errors.of(last.error).mean < Errors.of(first.error).mean
-        and Errors.of(last.true_error).mean < Errors.of(first.true_error).mean
-    )
+    first, last = table_row(trials[0]), table_row(trials[-1])
+    return all(last[name] < first[name] for name in ("mean_mm", "true_mean_mm"))
 
 
 NAMESPACE = "longarm_demo"
@@ -97,7 +91,6 @@ class DemoSettings:
 
     @property
     def loop(self) -> LoopSettings:
-        """The loop that is run on the graph."""
         return LoopSettings(
             self.out, 1, self.poses, self.targets, seed=self.seed, pace=PACE, names=NAMES
         )
@@ -117,29 +110,21 @@ class DemoSettings:
         )  # fmt: skip
 
 
-class _TrueTip:
-    """Listens to `simulated_arm/true_tip`; a `Witness` of `TargetRunner`."""
+def _true_tip(client: ArmClient) -> Witness:
+    """Listens to `simulated_arm/true_tip`."""
+    heard: deque[tuple[int, np.ndarray]] = deque(maxlen=1)
 
-    def __init__(self, client: ArmClient) -> None:
-        self._client = client
-        self._heard: list[tuple[int, np.ndarray]] = []
-        client.node.create_subscription(PointStamped, "simulated_arm/true_tip", self._hear, 20)
-
-    def _hear(self, message: PointStamped) -> None:
+    def hear(message: PointStamped) -> None:
         p = message.point
-        self._heard.append((stamp_ns(message.header.stamp), np.array([p.x, p.y, p.z])))
-        del self._heard[:-20]
+        heard.append((stamp_ns(message.header.stamp), np.array([p.x, p.y, p.z])))
 
-    def __call__(self, after_ns: int) -> np.ndarray:
-        """The tip (3,), m, after a time (ns)."""
-        self._client.until(
-            lambda: self._heard and self._heard[-1][0] > after_ns, 10.0,
-            "no true_tip of the simulation",
-        )  # fmt: skip
-        return self._heard[-1][1]
+    def after(ns: int) -> np.ndarray:
+        missing = "no true_tip of the simulation"
+        client.until(lambda: heard and heard[0][0] > ns, 10.0, missing)
+        return heard[0][1]
 
-
-Say = Callable[[str, float], None]
+    client.node.create_subscription(PointStamped, "simulated_arm/true_tip", hear, 20)
+    return after
 
 
 def demonstrate(
@@ -161,23 +146,21 @@ def demonstrate(
         stack.callback(ended.set)
         client = stack.enter_context(ArmClient(arm, NAMESPACE, stop, "demo"))
         say("bring up", 0.0)
-        witness = _TrueTip(client)
-
+        witness = _true_tip(client)
         loop = Loop(client, settings.loop, lambda report: True, witness=witness, say=say)
-        first = loop.run(120.0)  # five processes start; on a busy machine that takes its time
-        write_loop(arm.name, settings.loop, first)
+        trials, done = loop.run(120.0)  # five processes start; on a busy machine that takes time
         inputs: list[str] = []
         model, predictor = settings.out / MODEL, settings.out / PREDICTOR
         if predictor.is_file():  # nothing is trained where nothing was applied
             inputs = list(load_predictor(predictor, arm, model).encoding.names)
         for name in ("report.html", "report.json"):
             shutil.copyfile(settings.loop.path("diagnosis", 1) / name, settings.out / name)
-    found, seconds = first.rounds[0], {k.removesuffix("_1"): v for k, v in first.seconds.items()}
+    (found,) = done["rounds"]
     return {
-        "rows": [table_row(trial) for trial in first.trials],
-        "improved": improved(first.trials),
+        "rows": [table_row(trial) for trial in trials],
+        "improved": improved(trials),
         "collected": found["collected"],
-        "outside_training_data": first.trials[-1].count(Compensate.Response.OUT_OF_DOMAIN),
+        "outside_training_data": trials[-1].count(Compensate.Response.OUT_OF_DOMAIN),
         "verdict": found["verdict"],
         "diagnosis": found["found"],
         "effects_found": found["effects_found"],
@@ -185,7 +168,7 @@ def demonstrate(
         "network_refused": (found["applied"] or {}).get("network_refused", ""),
         "hidden": settings.hidden,
         "seed": settings.seed,
-        "seconds": {**seconds, "total": sum(seconds.values())},
+        "seconds": {step.removesuffix("_1"): s for step, s in done["seconds"].items()},
         "files": {
             "session": str(settings.out / "session"),
             "model": str(model),

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import TracebackType
 from typing import Any, TypeVar
 
 import rclpy
@@ -30,8 +29,8 @@ _ASK_AGAIN_S = 0.25, 2.0
 """Pauses after which a request that may be served twice is sent again: the first, and the longest;
 each is twice the one before, and another server begins them anew."""
 
-_GET = Service("~/get_parameters", GetParameters, "offered by every node of rclpy")
-_SET = Service("~/set_parameters", SetParameters, "the same")
+_GET = Service("~/get_parameters", GetParameters)
+_SET = Service("~/set_parameters", SetParameters)
 
 Client = TypeVar("Client", bound="GraphClient")
 
@@ -45,6 +44,34 @@ class Interrupted(JobError):  # noqa: N818
 def drivers(node: Node) -> int:
     """How many servo drivers there are in a node's namespace."""
     return node.count_publishers(node.resolve_topic_name(graph.DRIVER_STATE.name))
+
+
+class Call:
+    """A request to a service on its way, which is sent again as `GraphClient.call` says."""
+
+    def __init__(self, node: Node, client: Any, request: Any, *, again: bool) -> None:
+        self._node, self._client, self._request, self._again = node, client, request, again
+        self._asked: list[Any] = []
+        self._send(_ASK_AGAIN_S[0])
+
+    def _send(self, pause_s: float) -> None:
+        self._servers = self._node.count_services(self._client.srv_name)
+        self._sent, self._pause = time.monotonic(), pause_s
+        self._asked.append(self._client.call_async(self._request))
+
+    def answer(self) -> Any:
+        """The response; None while there is none."""
+        first, longest = _ASK_AGAIN_S
+        servers, self._servers = self._servers, self._node.count_services(self._client.srv_name)
+        if self._again and self._servers > servers:
+            self._send(first)
+        elif self._again and time.monotonic() - self._sent > self._pause:
+            self._send(min(2.0 * self._pause, longest))
+        return next((future.result() for future in self._asked if future.done()), None)
+
+    def close(self) -> None:
+        for future in self._asked:
+            self._client.remove_pending_request(future)
 
 
 class GraphClient:
@@ -69,17 +96,10 @@ class GraphClient:
     def __enter__(self: Client) -> Client:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *ending: object) -> None:
         self.executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
         self.context.try_shutdown()
-
-    # ------------------------------------------------------------------ waiting
 
     def until(
         self, condition: Callable[[], Any], within_s: float, what: str | Callable[[], str]
@@ -113,8 +133,6 @@ class GraphClient:
         end = time.monotonic() + seconds
         self.until(lambda: time.monotonic() >= end, seconds + 60.0, "waiting")
 
-    # ------------------------------------------------------------------ asking
-
     def call(
         self, client: Any, request: Any, within_s: float = _ANSWER_S, *, again: bool = False
     ) -> Any:
@@ -128,24 +146,11 @@ class GraphClient:
                 requests that may be served twice.
         """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
-        (first, longest), servers = _ASK_AGAIN_S, self.node.count_services(client.srv_name)
-        pause, sent, asked = first, time.monotonic(), [client.call_async(request)]
-
-        def answered() -> Any:
-            nonlocal pause, sent, servers
-            before, servers = servers, self.node.count_services(client.srv_name)
-            if again and (servers > before or time.monotonic() - sent > pause):
-                pause = first if servers > before else min(2.0 * pause, longest)
-                asked.append(client.call_async(request))
-                sent = time.monotonic()
-            return next((future for future in asked if future.done()), None)
-
+        asked = Call(self.node, client, request, again=again)
         try:
-            future = self.until(answered, within_s, f"no answer of {client.srv_name}")
+            return self.until(asked.answer, within_s, f"no answer of {client.srv_name}")
         finally:
-            for waiting in asked:
-                client.remove_pending_request(waiting)
-        return future.result()
+            asked.close()
 
     def ask(self, node: str, service: Service, request: Any, within_s: float = _ANSWER_S) -> Any:
         """The response of a node's own service to a request that may be served twice."""
@@ -162,11 +167,21 @@ class GraphClient:
         return [parameter_value_to_python(value) for value in answer.values]
 
     def set_parameter(self, node: str, name: str, value: bool | float | str) -> None:
-        """Set a parameter of a node."""
         told = Parameter(name, value=value).to_parameter_msg()
         answer = self.ask(node, _SET, SetParameters.Request(parameters=[told]))
         if not answer.results[0].successful:
             raise JobError(answer.results[0].reason, node=node, parameter=name, value=value)
+
+
+def reported(message: DiagnosticArray, namespace: str) -> dict[str, dict[str, DiagnosticStatus]]:
+    """What a message says of the nodes of a namespace: each part's status, by node and part."""
+    nodes: dict[str, dict[str, DiagnosticStatus]] = {}
+    for status in message.status:
+        node, colon, part = status.name.partition(": ")
+        name = node.removeprefix(f"{namespace.rstrip('/')}/")
+        if colon and name != node and "/" not in name:
+            nodes.setdefault(name, {})[part] = status
+    return nodes
 
 
 class Reports:
@@ -177,16 +192,13 @@ class Reports:
     """
 
     def __init__(self, client: GraphClient) -> None:
-        self._client, self._space = client, client.node.get_namespace().rstrip("/")
+        self._client = client
         self.nodes: dict[str, dict[str, DiagnosticStatus]] = {}
         self._heard = graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            node, colon, part = status.name.partition(": ")
-            name = node.removeprefix(f"{self._space}/")
-            if colon and name != node and "/" not in name:
-                self.nodes.setdefault(name, {})[part] = status
+        for node, parts in reported(message, self._client.node.get_namespace()).items():
+            self.nodes.setdefault(node, {}).update(parts)
 
     def said(self, node: str, part: str) -> str:
         """The last message of a part; empty before the first."""
@@ -194,5 +206,4 @@ class Reports:
         return "" if status is None else str(status.message)
 
     def close(self) -> None:
-        """Hear no more."""
         self._client.node.destroy_subscription(self._heard)

@@ -1,26 +1,38 @@
-"""Targets through the `compensate` service, executed, and where the tip came to rest."""
+"""Targets through the `compensate` service, and where the tip came to rest: once, or twice to
+compare a method with none."""
 
 from __future__ import annotations
 
+import itertools
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 
 from longarm_comp.core.compensation.compensate import Method, Status
+from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.client import ArmClient, Pace
-from longarm_comp.jobs.graph_client import Reports
+from longarm_comp.jobs.graph_client import GraphClient, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import NO_JOINTS
 from longarm_comp.nodes.messages import joints_of
+from longarm_comp.workflows.verification import Verification, verification
 from longarm_interfaces.srv import Compensate
 
 Witness = Callable[[int], np.ndarray]
 """Gives the tip (3,), m, as another instrument sees it after a time (ns) at which it rests."""
 Say = Callable[[str, float], None]
+Draw = Callable[[int], np.ndarray]
+"""Draws so many further targets, (n, 3) m; fewer where there are no more."""
+Refused = tuple[np.ndarray, str]
+"""A target (3,), m, that the graph refuses, and why."""
+
+WITHOUT, COMPENSATED = "without compensation", "with compensation"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +70,14 @@ class Trial:
 
     @property
     def refused(self) -> int:
-        """How many targets were refused."""
         return sum(not Status(int(status)).success for status in self.status)
 
     def count(self, status: int) -> int:
-        """How many targets ended with a status of the service."""
         return int((self.status == status).sum())
+
+    def against(self, before: Trial, seed: int = 0) -> Verification:
+        """Compared with another run over the same targets, paired."""
+        return verification((before.name, self.name), before.off, self.off, seed)
 
 
 class TargetRunner:
@@ -151,3 +165,75 @@ class TargetRunner:
         seen = np.mean(looks, axis=0) if looks else np.full(3, np.nan)
         true = np.full(3, np.nan) if self._witness is None else self._witness(rest)
         return seen, true, int(answer.status)
+
+
+def choose(
+    runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]
+) -> tuple[np.ndarray, list[Refused]]:
+    """Up to n targets (N, 3), m, that the graph accepts with every method, and those that it
+    refused; nothing moves.
+    """
+    kept: list[np.ndarray] = []
+    refused: list[Refused] = []
+    # Random targets are drawn at most so many times as often as they are wanted
+    while len(kept) < n and len(kept) + len(refused) < 4 * n:
+        drawn = draw(n - len(kept))
+        if not len(drawn):
+            break
+        for xyz, why in zip(drawn, runner.refusals(drawn, methods), strict=True):
+            if why:
+                refused.append((xyz, why))
+            else:
+                kept.append(xyz)
+    if len(kept) < 2:
+        why = f": {refused[0][1]}" if refused else ""
+        raise JobError(f"fewer than two targets are reachable{why}", refused=len(refused))
+    return np.array(kept), refused
+
+
+def one_by_one(targets: np.ndarray) -> Draw:
+    """Hands out (N, 3) targets of a file, m, in their order."""
+    left = iter(targets)
+    return lambda n: np.array(list(itertools.islice(left, n))).reshape(-1, 3)
+
+
+def method_at_work(client: GraphClient) -> Method:
+    """What the kinematics node compensates now; everything, where it compensates nothing."""
+    (name,) = client.parameters("kinematics", "method")
+    return Method.BOTH if Method(name) is Method.NONE else Method(name)
+
+
+def verify(
+    runner: TargetRunner,
+    xyz: np.ndarray,
+    refused: Sequence[Refused],
+    method: Method,
+    *,
+    seed: int = 0,
+    progress: Say = lambda text, share: None,
+) -> tuple[Verification, dict[str, Any]]:
+    """Drive targets (N, 3), m, without compensation, then with a method.
+
+    Returns:
+        The comparison, and everything as plain data, for --json and the file.
+    """
+    without = runner.run(WITHOUT, xyz, Method.NONE, progress)
+    compensated = runner.run(COMPENSATED, xyz, method, progress)
+    result = compensated.against(without, seed)
+    errors = zip(xyz, without.off, compensated.off, strict=True)
+    return result, {
+        "rows": result.rows,
+        "helps": result.helps,
+        "summary": result.summary,
+        "gain_mm": 1e3 * result.gain_m,
+        "gain_ci95_mm": [1e3 * g for g in result.gain_ci95_m],
+        "method": method.value,
+        "targets": len(xyz),
+        "seen_in_both": len(result.without),
+        "status": dict(Counter(str(Status(int(s))) for s in compensated.status)),
+        "refused": [{"target": target, "why": why} for target, why in refused],
+        "errors": [
+            {"target": target, "without_mm": 1e3 * before, "compensated_mm": 1e3 * after}
+            for target, before, after in errors
+        ],
+    }

@@ -60,7 +60,6 @@ class TouchLog:
         return q
 
     def session(self) -> Session:
-        """The rows so far."""
         if not self.rows:
             raise InputError("touch", "rows", 0, "one touch at least")
         q, columns, names = zip(*self.rows, strict=True)

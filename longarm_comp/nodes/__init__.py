@@ -3,3 +3,6 @@
 from longarm_comp.libraries import refuse_old_libraries
 
 refuse_old_libraries()  # here, because the imports of a node fail before its main can say so
+
+GUARD = "LONGARM_SUPERVISOR"
+"""Environment variable with the supervisor's process id. Its nodes end when it is gone."""

@@ -19,6 +19,7 @@ from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.messages import efforts_of, joints_of, tilt_of
@@ -27,7 +28,6 @@ from longarm_comp.nodes.node import WATCH, ArmNode
 from longarm_comp.nodes.orders import untimely
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import PredictorClient
-from longarm_comp.nodes.stamps import stamp_ns
 
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm"),
@@ -68,11 +68,10 @@ class ArmState:
         self.arm = self.files.arm
         self.base_frame = prefix_of(node) + p.get("base_frame", "base")
         self.worker = node.worker(capacity)
-        inlets = self.worker.inlets
-        caller = inlets.caller(graph.PREDICT_ERROR)
+        caller = self.worker.caller(graph.PREDICT_ERROR)
         self.predictor = PredictorClient(caller, self.arm, p["predictor_timeout_s"])
         self.driver = DriverLink(
-            inlets, self.arm, acknowledged=p["acknowledged"], joints=lambda: self.joints,
+            self.worker, self.arm, acknowledged=p["acknowledged"], joints=lambda: self.joints,
             refused=node.tally.count,
         )  # fmt: skip
         self.moved: Callable[[np.ndarray, float], None] = lambda q, at_s: None
@@ -92,16 +91,12 @@ class ArmState:
 
     @property
     def now_s(self) -> float:
-        """Seconds of the node's clock."""
         return 1e-9 * float(self.node.get_clock().now().nanoseconds)
 
     @property
     def stamp(self) -> Time:
-        """Time of the node's clock."""
         stamp: Time = self.node.get_clock().now().to_msg()
         return stamp
-
-    # ------------------------------------------------------------------ circumstances
 
     def context(self, history: History | None = None, model: Model | None = None) -> Context:
         """Circumstances at this moment for joints of a history.
@@ -144,8 +139,6 @@ class ArmState:
             self.readings = self.readings.told(source, columns, time.monotonic())
         else:
             self.node.tally.count(f"bad {source}", f"{source}: {columns} is not finite")
-
-    # ------------------------------------------------------------------ joints
 
     @property
     def joints(self) -> np.ndarray | None:

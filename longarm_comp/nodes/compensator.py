@@ -23,6 +23,7 @@ from longarm_comp.core.learn.expansion import Nearby
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.clock import stamp_ns, steady_timer
 from longarm_comp.nodes.frames import FrameListener
 from longarm_comp.nodes.health import OK, WARN, Report, Twins
 from longarm_comp.nodes.messages import (
@@ -35,8 +36,6 @@ from longarm_comp.nodes.messages import (
 )
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer
-from longarm_comp.nodes.stamps import stamp_ns
-from longarm_comp.nodes.ticks import steady_timer
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (

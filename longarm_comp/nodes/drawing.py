@@ -86,7 +86,6 @@ class Markers:
             self._pseudo = _position(answer.outcome.pseudo_target)
 
     def on_tip(self, message: PoseWithCovarianceStamped) -> None:
-        """Keep the latest sighting of the tip, or that it was lost."""
         tip, _ = sighting_of(message)
         self._tip = tip if all(map(math.isfinite, tip.tolist())) else None
 

@@ -14,7 +14,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.messages import driver_words, joints_of, path_of
-from longarm_comp.nodes.rclpy_inside import Inlets
+from longarm_comp.nodes.worker import Worker
 from longarm_interfaces.msg import DriverState, Motion
 
 _SILENT_S = 3.0
@@ -28,7 +28,7 @@ class DriverLink:
     gives none) it is what was published on `joint_trajectory`.
 
     Args:
-        inlets: of the worker, so that what the driver tells is known before the next target.
+        worker: hears it, so that what the driver tells is known before the next target.
         acknowledged: whether the driver tells its state and what becomes of trajectories.
         joints: the last joint reading (n,), or None.
         refused: called for every message that is refused, with its kind and the reason.
@@ -41,7 +41,7 @@ class DriverLink:
 
     def __init__(
         self,
-        inlets: Inlets,
+        worker: Worker,
         arm: Arm,
         *,
         acknowledged: bool,
@@ -63,7 +63,7 @@ class DriverLink:
         else:
             heard = {graph.JOINT_TRAJECTORY: self._on_trajectory}
         for topic, callback in heard.items():
-            inlets.hear(topic, callback)
+            worker.hear(topic, callback)
 
     @property
     def refusal(self) -> str:
@@ -81,8 +81,6 @@ class DriverLink:
             why = f": {state.message}" if state.message else ""
             return f"servo_driver is {driver_words(state.state).partition(':')[0]}{why}"
         return ""
-
-    # ------------------------------------------------------------------ one trajectory
 
     def expect(self, name: str) -> None:
         """Wait from now on for the acknowledgement of the trajectory of that id."""
@@ -102,8 +100,6 @@ class DriverLink:
             return "sent, but not acknowledged by the driver in time, so it was withdrawn"
         refused = self._answer.event == Motion.REFUSED
         return f"the driver refused it: {self._answer.message}" if refused else ""
-
-    # ------------------------------------------------------------------ what is heard
 
     def _on_motion(self, message: Motion) -> None:
         if message.event == Motion.ACCEPTED:
@@ -156,7 +152,6 @@ class DriverLink:
         self._state, self._heard_s = message, now
 
     def report(self) -> Report:
-        """State of the driver, for diagnostics."""
         if not self.acknowledged:
             return Report(OK, "no acknowledgement is expected: what is sent counts as accepted")
         why = self.refusal

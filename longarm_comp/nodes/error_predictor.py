@@ -34,10 +34,11 @@ PARAMS = (
 )
 
 
+_OUTSIDE = "outside the training data"
+
+
 @dataclass(frozen=True)
 class _Loaded:
-    """A predictor and its file's SHA-256."""
-
     predictor: Predictor
     expand: Expander
     hash: str
@@ -55,8 +56,7 @@ class _ErrorPredictor(ArmNode):
         self._path, self._base_frame = p["predictor"], prefix_of(self) + p["base_frame"]
         self._loaded: _Loaded | None = None
         self._fault = ""
-        self._answered = self._refused = self._outside = 0
-        self._last = ""
+        self.tally.counts |= {"answered": 0, _OUTSIDE: 0, "refused": 0}
         asked, files = self.worker(100), self.worker(4)
         self._reload()
         self._errors = graph.PREDICTED_ERROR.publisher(self)
@@ -64,7 +64,7 @@ class _ErrorPredictor(ArmNode):
         self.on_change((self._path, p["model"]), files, self._reload)
         self.health.parts["predictor"] = self._report
         files.start()
-        asked.inlets.serve(graph.PREDICT_ERROR, self._on_predict)
+        asked.serve(graph.PREDICT_ERROR, self._on_predict)
         asked.start()
 
     def _on_predict(
@@ -86,12 +86,12 @@ class _ErrorPredictor(ArmNode):
         try:
             if loaded is None:
                 response.message = self._fault or "no predictor file is configured"
-                self._refused += 1
+                self.tally.count("refused", "")
                 return response
             self._predict(loaded, request, response)
         except LongarmError as error:
-            self._refused += 1
-            response.message = self._last = str(error)
+            self.tally.count("refused", str(error))
+            response.message = str(error)
             response.sigma = math.inf  # a predictor is loaded, but the request was invalid
         except Exception as error:
             self.survived(error)
@@ -112,11 +112,8 @@ class _ErrorPredictor(ArmNode):
         response.jacobian = found.jacobian.ravel()
         response.reach = found.reach
         response.beside_deflection = loaded.predictor.provenance.beside_deflection
-        if not response.success:
-            self._outside += 1
-            self._last = found.reason
-            return
-        self._answered += 1
+        self.tally.count("answered" if found.in_domain else _OUTSIDE, "")
+        self.tally.last = found.reason or self.tally.last
 
     def _reload(self) -> tuple[bool, str]:
         """Read the file. If that fails and the model is the same, the one in use stays."""
@@ -141,10 +138,7 @@ class _ErrorPredictor(ArmNode):
         facts = {
             "file": self._path,
             "sha256": self._loaded.hash if self._loaded else "",
-            "answered": self._answered,
-            "outside the training data": self._outside,
-            "refused": self._refused,
-            "last refusal": self._last,
+            **self.tally.facts,
         }
         if self._loaded is None:
             if self._fault and Path(self._path).exists():

@@ -21,8 +21,8 @@ from longarm_comp.core.arm.frame_tree import FrameTree, NotYet
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import Placed
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.messages import quaternion_message, vector_message
-from longarm_comp.nodes.stamps import stamp_ns
 
 
 def prefix_of(node: Node) -> str:
@@ -40,7 +40,6 @@ class FrameTeller:
         self._node = node
 
     def tell(self, frames: Sequence[Placed], stamp: Time) -> None:
-        """Publish where frames are at a time."""
         if self._moving is not None:
             self._moving.publish(self._message(frames, stamp))
 

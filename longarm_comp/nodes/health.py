@@ -13,9 +13,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.interfaces import DIAGNOSTICS
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.ticks import steady_timer
 
 _ALONE = 3
 """So many reports of its own, and none of another in between: the other is gone."""
@@ -100,6 +100,11 @@ class Tally:
         if why:
             self.last = why
             self._node.get_logger().warning(why, throttle_duration_sec=1.0)
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """Both, for diagnostics."""
+        return {**self.counts, "last refusal": self.last}
 
 
 class Health:

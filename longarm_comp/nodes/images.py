@@ -1,19 +1,24 @@
-"""Conversions between image messages and arrays, and of camera calibrations to messages."""
+"""Images of cameras: heard with losses counted, as messages and as arrays; calibrations."""
 
 from __future__ import annotations
 
 import array
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from longarm_comp.devices.camera_info import CameraInfo as Calibration
 from longarm_comp.devices.stereo import RefusalReason, StereoRefusal
-from longarm_comp.nodes.stamps import stamp_of
+from longarm_comp.nodes.clock import stamp_of
+from longarm_comp.nodes.interfaces import BEST_EFFORT, RELIABLE, Topic
+from longarm_comp.nodes.worker import SequenceWatch
 
 Grey = NDArray[np.uint8]
 Samples = NDArray[np.uint8] | NDArray[np.uint16]
@@ -128,7 +133,6 @@ def image_message(grey: Grey, ns: int, frame: str) -> Image:
 
 
 def info_message(info: Calibration, ns: int, frame: str) -> CameraInfo:
-    """Message of a camera's calibration."""
     message = CameraInfo(
         width=info.width, height=info.height, distortion_model=info.distortion_model,
         d=list(info.d), k=list(info.k), r=list(info.r), p=list(info.p),
@@ -141,3 +145,48 @@ def same_camera(a: Calibration, b: Calibration) -> bool:
     """Whether two messages or files hold the same calibration."""
     keys = ("width", "height", "distortion_model", "d", "k", "r", "p")
     return all(np.array_equal(getattr(a, key), getattr(b, key)) for key in keys)
+
+
+class ImageInlet:
+    """A subscription that follows its publishers.
+
+    A reliable subscription hears no best-effort publisher, and says nothing of it.
+
+    Args:
+        reliable: whether nothing may be lost, where the publishers offer that.
+    """
+
+    def __init__(
+        self, node: Node, topic: Topic, take: Callable[[Any], None], *, reliable: bool
+    ) -> None:
+        self._node, self._topic, self._take = node, topic, take
+        self._reliable, self._watch = reliable, SequenceWatch()
+        self._subscription: Any = None
+        self._how: ReliabilityPolicy | None = None
+        self.adapt()
+
+    @property
+    def lost(self) -> int:
+        """Images that the middleware has lost or that a full queue has dropped."""
+        return self._watch.lost
+
+    @property
+    def reliability(self) -> str:
+        return "reliable" if self._how is RELIABLE else "best effort"
+
+    def adapt(self) -> None:
+        """Subscribe again if the publishers that there are now cannot be heard as before."""
+        name = self._node.resolve_topic_name(self._topic.name)
+        ends = self._node.get_publishers_info_by_topic(name)
+        offered = all(end.qos_profile.reliability is not BEST_EFFORT for end in ends)
+        wanted = RELIABLE if self._reliable and offered else BEST_EFFORT
+        if wanted is self._how:
+            return
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+        self._how = wanted
+        self._subscription = self._topic.subscription(self._node, self._hear, listens=wanted)
+
+    def _hear(self, message: Any, info: Any) -> None:
+        self._watch.taken([info["publication_sequence_number"] or 0], full=True)
+        self._take(message)

@@ -1,4 +1,4 @@
-"""Table of all topics and services of the graph: name, type, quality of service, meaning.
+"""Table of all topics and services of the graph: name, type, quality of service.
 
 All names are relative, so that arms can be separated by namespaces; only /diagnostics is shared.
 Programs that talk to the graph use this table too, so that their QoS is compatible: for instance
@@ -65,7 +65,6 @@ class Topic:
     type: type
     depth: int
     listens: ReliabilityPolicy
-    meaning: str
     latched: bool = False
 
     def publisher(self, node: Node) -> Any:
@@ -102,11 +101,8 @@ class Topic:
 
 @dataclass(frozen=True)
 class Action:
-    """One action."""
-
     name: str
     type: Any  # with Goal, Result and Feedback
-    meaning: str
 
     def server(self, node: Node, serve: Callable[[Any], Any]) -> Any:
         """Offer the action on a node; the goal that ``serve`` awaits may be cancelled."""
@@ -122,7 +118,6 @@ class Service:
 
     name: str
     type: type
-    meaning: str
 
     def server(
         self, node: Node, callback: Callable[..., Any], group: CallbackGroup | None = None
@@ -137,125 +132,68 @@ class Service:
         return node.create_client(self.type, name, qos_profile=_PATIENT, callback_group=group)
 
 
-TARGET_POSE = Topic(
-    "target_pose",
-    PoseStamped,
-    2000,
-    RELIABLE,
-    "pose that the tip shall reach, base frame; the latest wins",
-)
-JOINT_TRAJECTORY = Topic(
-    "joint_trajectory", JointTrajectory, 200, RELIABLE, "compensated joints, rad and m"
-)
-COMPENSATION = Topic(
-    "compensation", Compensation, 2000, RELIABLE, "full record of one target, also of a refused one"
-)
-JOINT_STATES = Topic(
-    "joint_states", JointState, 10, BEST_EFFORT, "joints as the servos report them, rad and m"
-)
-PLANNED_JOINTS = Topic(
-    "planned_joint_states",
-    JointState,
-    10,
-    RELIABLE,
-    "the joints as a planner for the declared arm should see them",
-)
-MOTION = Topic(
-    "motion", Motion, 2000, RELIABLE, "what happens to every trajectory, from the driver"
-)
-WITHDRAWN = Topic(
-    "withdrawn", String, 10, RELIABLE, "id of a trajectory that must not move the arm any more"
-)
-DRIVER_STATE = Topic(
-    "servo_driver/state", DriverState, 1, RELIABLE, "whether the driver takes trajectories",
-    latched=True,
-)  # fmt: skip
-PREDICTED_ERROR = Topic(
-    "predicted_error",
-    Vector3Stamped,
-    20,
-    RELIABLE,
-    "every learned error that was asked for, base frame, m",
-)
-TIP_MEASURED = Topic(
-    "tip_measured",
-    PoseWithCovarianceStamped,
-    20,
-    RELIABLE,
-    "tip as the cameras see it, base frame; position NaN: marker lost",
-)
-TIP_BY_READINGS = Topic(
-    "tip_by_readings",
-    PoseWithCovarianceStamped,
-    20,
-    RELIABLE,
-    "tip computed from the joints' readings, with its covariance, base frame",
-)
-LEFT_IMAGE = Topic(
-    "left/image_raw", Image, 5, BEST_EFFORT, "left image, grey, colour, YUV or Bayer"
-)
-RIGHT_IMAGE = Topic("right/image_raw", Image, 5, BEST_EFFORT, "right image of any such encoding")
-LEFT_COMPRESSED = Topic(
-    "left/image_raw/compressed", CompressedImage, 5, BEST_EFFORT, "left image as JPEG or PNG"
-)
-RIGHT_COMPRESSED = Topic(
-    "right/image_raw/compressed", CompressedImage, 5, BEST_EFFORT, "right image as JPEG or PNG"
-)
-LEFT_INFO = Topic("left/camera_info", CameraInfo, 5, BEST_EFFORT, "calibration of the left camera")
-RIGHT_INFO = Topic(
-    "right/camera_info", CameraInfo, 5, BEST_EFFORT, "calibration of the right camera"
-)
-TEMPERATURE = Topic("temperature", Temperature, 5, BEST_EFFORT, "of the arm, degrees Celsius")
-PAYLOAD = Topic("payload", Float64, 5, BEST_EFFORT, "mass carried at the tool, kg")
-CONTACT = Topic(
-    "contact", String, 5, RELIABLE, "name of the socket that the ball sits in, or blank"
-)
-INCLINATION = Topic(
-    "inclination", Imu, 5, BEST_EFFORT, "tilt of a frame; frame_id is the row's number, 0 the base"
-)
-WRENCH = Topic(
-    "wrench", WrenchStamped, 5, BEST_EFFORT, "load on a wrist sensor, N; frame_id: the row's number"
-)
-MARKERS = Topic(
-    "markers", MarkerArray, 5, RELIABLE, "for RViz: arm as declared and as it hangs, target, tip"
-)
-ROBOT_DESCRIPTION = Topic(
-    "robot_description", String, 1, RELIABLE, "URDF of the declared arm", latched=True
-)
-TF = Topic("/tf", TFMessage, 100, RELIABLE, "links, declared, expected and measured tip")
-TF_STATIC = Topic("/tf_static", TFMessage, 100, RELIABLE, "cameras, foot of the arm", latched=True)
+# pose that the tip shall reach, base frame; the latest wins
+TARGET_POSE = Topic("target_pose", PoseStamped, 2000, RELIABLE)
+# compensated joints, rad and m
+JOINT_TRAJECTORY = Topic("joint_trajectory", JointTrajectory, 200, RELIABLE)
+# full record of one target, also of a refused one
+COMPENSATION = Topic("compensation", Compensation, 2000, RELIABLE)
+# joints as the servos report them, rad and m
+JOINT_STATES = Topic("joint_states", JointState, 10, BEST_EFFORT)
+# the joints as a planner for the declared arm should see them
+PLANNED_JOINTS = Topic("planned_joint_states", JointState, 10, RELIABLE)
+# what happens to every trajectory, from the driver
+MOTION = Topic("motion", Motion, 2000, RELIABLE)
+# id of a trajectory that must not move the arm any more
+WITHDRAWN = Topic("withdrawn", String, 10, RELIABLE)
+DRIVER_STATE = Topic("servo_driver/state", DriverState, 1, RELIABLE, latched=True)
+PREDICTED_ERROR = Topic("predicted_error", Vector3Stamped, 20, RELIABLE)
+# tip as the cameras see it, base frame; position NaN: marker lost
+TIP_MEASURED = Topic("tip_measured", PoseWithCovarianceStamped, 20, RELIABLE)
+# tip computed from the joints' readings, with its covariance, base frame
+TIP_BY_READINGS = Topic("tip_by_readings", PoseWithCovarianceStamped, 20, RELIABLE)
+LEFT_IMAGE = Topic("left/image_raw", Image, 5, BEST_EFFORT)
+RIGHT_IMAGE = Topic("right/image_raw", Image, 5, BEST_EFFORT)
+LEFT_COMPRESSED = Topic("left/image_raw/compressed", CompressedImage, 5, BEST_EFFORT)
+RIGHT_COMPRESSED = Topic("right/image_raw/compressed", CompressedImage, 5, BEST_EFFORT)
+LEFT_INFO = Topic("left/camera_info", CameraInfo, 5, BEST_EFFORT)
+RIGHT_INFO = Topic("right/camera_info", CameraInfo, 5, BEST_EFFORT)
+TEMPERATURE = Topic("temperature", Temperature, 5, BEST_EFFORT)  # of the arm, degrees Celsius
+PAYLOAD = Topic("payload", Float64, 5, BEST_EFFORT)  # mass carried at the tool, kg
+# name of the socket that the ball sits in, or blank
+CONTACT = Topic("contact", String, 5, RELIABLE)
+# tilt of a frame; frame_id is the row's number, 0 the base
+INCLINATION = Topic("inclination", Imu, 5, BEST_EFFORT)
+# load on a wrist sensor, N; frame_id: the row's number
+WRENCH = Topic("wrench", WrenchStamped, 5, BEST_EFFORT)
+# for RViz: arm as declared and as it hangs, target, tip
+MARKERS = Topic("markers", MarkerArray, 5, RELIABLE)
+ROBOT_DESCRIPTION = Topic("robot_description", String, 1, RELIABLE, latched=True)
+TF = Topic("/tf", TFMessage, 100, RELIABLE)  # links, declared, expected and measured tip
+TF_STATIC = Topic("/tf_static", TFMessage, 100, RELIABLE, latched=True)  # cameras, foot of the arm
 """Where tf2_msgs is installed (`HAS_TF`). Both are shared by all arms."""
 
 HAS_TF = TFMessage is not None
 
-COLLECT_PROGRESS = Topic(
-    "collect/progress", DiagnosticStatus, 1, RELIABLE, "how far `longarm collect` is", latched=True
-)
-DIAGNOSTICS = Topic(
-    "/diagnostics", DiagnosticArray, 50, RELIABLE, "health of every node, once a second"
-)
+COLLECT_PROGRESS = Topic("collect/progress", DiagnosticStatus, 1, RELIABLE, latched=True)
+DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, 50, RELIABLE)
 
-COMPENSATE = Service("compensate", Compensate, "joints for one target, executed or not")
-PREDICT_ERROR = Service("predict_error", PredictError, "learned error at given joints")
-RELOAD = Service("~/reload", Trigger, "read the node's files again")
-ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; false: ready again")
-HOLD = Service("~/hold", SetBool, "true: stop, stay with torque on, refuse commands; false: ready")
-FREEZE = Service("~/freeze", SetBool, "true: learn no more at work; false: learn again")
-UNDO = Service(
-    "~/undo", Trigger, "go back to the version before the last learned change, and freeze"
-)
-RESET = Service("~/reset", Trigger, "end a fault whose cause is gone")
+COMPENSATE = Service("compensate", Compensate)  # joints for one target, executed or not
+PREDICT_ERROR = Service("predict_error", PredictError)  # learned error at given joints
+RELOAD = Service("~/reload", Trigger)  # read the node's files again
+ESTOP = Service("~/estop", SetBool)  # true: torque off now, commands refused; false: ready again
+HOLD = Service("~/hold", SetBool)  # true: stop, stay with torque on, refuse commands; false: ready
+FREEZE = Service("~/freeze", SetBool)  # true: learn no more at work; false: learn again
+# go back to the version before the last learned change, and freeze
+UNDO = Service("~/undo", Trigger)
+RESET = Service("~/reset", Trigger)  # end a fault whose cause is gone
 
-REACH = Action("reach", Reach, "move the tip to a target and say where it came to rest")
-FOLLOW = Action(
-    "servo_driver/follow_joint_trajectory", FollowJointTrajectory,
-    "joint_trajectory as an action; where control_msgs is installed (`HAS_FOLLOW`)",
-)  # fmt: skip
+REACH = Action("reach", Reach)  # move the tip to a target and say where it came to rest
+# joint_trajectory as an action; where control_msgs is installed (`HAS_FOLLOW`)
+FOLLOW = Action("servo_driver/follow_joint_trajectory", FollowJointTrajectory)
 
-FOLLOW_PLANNED = Action(
-    "follow_joint_trajectory", FollowJointTrajectory,
-    "a planned trajectory, compensated and forwarded by `trajectory_compensator`",
-)  # fmt: skip
+# a planned trajectory, compensated and forwarded by `trajectory_compensator`
+FOLLOW_PLANNED = Action("follow_joint_trajectory", FollowJointTrajectory)
 
 HAS_FOLLOW = FollowJointTrajectory is not None
 

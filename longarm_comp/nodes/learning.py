@@ -16,8 +16,7 @@ from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.params import Param
 
 if TYPE_CHECKING:
-    from longarm_comp.core.at_work.asking import Asked
-    from longarm_comp.core.at_work.learner import Learner
+    from longarm_comp.core.at_work.learner import Asked, Learner
 
 PARAMS = (
     Param("learning", False, "the model learns from ordinary moves (docs/at_work.md)"),
@@ -66,7 +65,6 @@ class Learning:
         self._asked = after.asked(context)
 
     def freeze(self, frozen: bool) -> tuple[bool, str]:
-        """Learn no more, or again."""
         if self.learner is None:
             return False, _OFF
         self._take(self.learner.freeze() if frozen else self.learner.thaw())
@@ -92,7 +90,6 @@ class Learning:
             self._fault = str(error)
 
     def report(self) -> Report:
-        """What changed, for diagnostics."""
         learner = self.learner
         assert learner is not None
         facts = {

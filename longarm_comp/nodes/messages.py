@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,9 @@ from longarm_comp.core.compensation.compensate import Compensation as Outcome
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.devices import joint_path as devices
-from longarm_interfaces.msg import Compensation, DriverState
+from longarm_comp.devices.servo_arm import ServoReading
+from longarm_comp.devices.servo_follower import Accepted
+from longarm_interfaces.msg import Compensation, DriverState, Motion
 from longarm_interfaces.srv import Compensate
 
 
@@ -129,7 +131,6 @@ def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str
 
 
 def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
-    """The points of a trajectory, (k, n)."""
     where, names = "joint_trajectory", message.joint_names
     if not message.points:
         raise InputError(where, "points", 0, "at least one")
@@ -244,7 +245,6 @@ class Answer:
 
     @property
     def outcome(self) -> Outcome | None:
-        """Result of the computation; None without one."""
         return None if self.arrival is None else self.arrival.outcome
 
 
@@ -324,5 +324,45 @@ _DRIVER_STATES = {
 
 
 def driver_words(state: int) -> str:
-    """A state of the driver in words."""
     return _DRIVER_STATES.get(state, f"in the unknown state {state}")
+
+
+def readings_message(readings: Mapping[str, ServoReading], stamp: Time) -> JointState:
+    """The last read-back; empty where a servo was silent."""
+    message = JointState(
+        name=list(readings),
+        position=[joint.position for joint in readings.values()],
+        velocity=[joint.velocity for joint in readings.values()],
+        effort=[joint.effort for joint in readings.values()],
+    )
+    if all(map(math.isnan, message.effort)):
+        message.effort = []  # of no joint is it known
+    message.header.stamp = stamp
+    return message
+
+
+def motion_message(
+    name: str,
+    event: int,
+    why: str,
+    joints: JointState,
+    taken: Accepted | None,
+    names: Sequence[str],
+) -> Motion:
+    """What became of the trajectory of that id, and where the joints are.
+
+    Args:
+        name: id. event: as `Motion` lists them. why: in words.
+        joints: read-back with the time of the event.
+        taken: start and way-points, where it was accepted now.
+        names: of the joints.
+    """
+    message = Motion(id=name, event=event, message=why, joints=joints)
+    message.header.stamp = joints.header.stamp
+    if taken is not None:
+        message.start = JointState(name=list(names), position=taken.start.tolist())
+        message.points = [
+            JointTrajectoryPoint(positions=row, time_from_start=duration(at))
+            for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
+        ]
+    return message

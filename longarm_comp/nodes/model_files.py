@@ -63,7 +63,6 @@ class ModelFiles:
             self.loaded = replace(self.loaded, model=model, learned=self.loaded.learned + 1)
 
     def report(self) -> Report:
-        """State of the model, for diagnostics."""
         facts = {"file": self._path, "sha256": self.loaded.file_hash, "loads": self.loads}
         if self.loaded.file_hash and self._fault:
             return Report(WARN, f"the last good model is kept: {self._fault}", facts)
@@ -75,5 +74,4 @@ class ModelFiles:
 
 
 def file_hash(path: str | Path) -> str:
-    """SHA-256 of a file's bytes."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()

@@ -23,11 +23,11 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.ring import MoveRing, ring_after
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.messages import joints_of, path_of, seconds, sighting_of, tip_message
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer
-from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.msg import Motion
 
 PARAMS = (
@@ -76,7 +76,6 @@ class ReadingsTeller:
         return found
 
     def report(self) -> Report:
-        """The last one, for diagnostics."""
         return Report(OK, "not known yet" if self.last is None else self.last.said())
 
 
@@ -121,7 +120,6 @@ class TipMonitor:
         self._outside = 0
 
     def reset(self) -> None:
-        """Start the tests again, because another model predicts other tips."""
         self._monitor = self._at_target = self._servos = Monitor(self._run_length)
 
     def aimed(self, q: np.ndarray, target: np.ndarray) -> None:
@@ -135,7 +133,6 @@ class TipMonitor:
             self._watch.commanded(q, history)
 
     def on_reached(self) -> None:
-        """Take the driver's word that the last command's end is reached."""
         with self._feeding:
             self._watch.reached()
 
@@ -239,7 +236,6 @@ class TipMonitor:
         )
 
     def report(self) -> Report:
-        """Whether tips are seen where they were predicted, for diagnostics."""
         verdict = self._monitor.verdict()
         facts = {
             "rest poses": verdict.samples,
@@ -299,7 +295,6 @@ class RingTeller:
             self._said = self._last.said()
 
     def report(self) -> Report:
-        """The last one, for diagnostics."""
         ring = None if self._shaped else self._last
         facts: dict[str, object] = {} if ring is None else {
             "frequency [Hz]": ring.hz, "size [m]": ring.size_m, "settles in [s]": ring.settle_s,

@@ -18,11 +18,11 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from longarm_comp.core.errors import LongarmError
+from longarm_comp.nodes import GUARD
+from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.health import PERIOD, Health, Tally
 from longarm_comp.nodes.interfaces import Service
 from longarm_comp.nodes.params import Param, declare
-from longarm_comp.nodes.supervisor import GUARD
-from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.nodes.worker import Worker
 
 WATCH = Param(

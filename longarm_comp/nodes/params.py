@@ -67,7 +67,6 @@ class Param:
 
     @property
     def allowed(self) -> str:
-        """The allowed values, in words."""
         kind = "numbers" if isinstance(self.default, list) else type(self.default).__name__
         if self.choices:
             return "one of " + ", ".join(self.choices)
@@ -187,7 +186,6 @@ def overrides(node: Node) -> dict[str, Any]:
 
 
 def where(node: Node) -> str:
-    """The source named in error messages."""
     return f"parameters of {node.get_fully_qualified_name()}"
 
 

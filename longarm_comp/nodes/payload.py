@@ -51,7 +51,6 @@ class Weigher:
         self._due = math.inf
 
     def reached(self) -> None:
-        """The driver says that the arm rests where it was sent."""
         self._due = time.monotonic() + self._settle_s
 
     def read(self) -> None:
@@ -100,7 +99,6 @@ class Weigher:
         return max(self._told or 0.0, 0.0 if declared is None else declared.mass_kg)
 
     def report(self) -> Report:
-        """What is felt, against what is told, for diagnostics."""
         found = self._weighing.payload
         if self._arm.payload is None:
             return Report(OK, "arm.yaml declares no payload")

@@ -13,7 +13,7 @@ from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.expansion import Expansion
 from longarm_comp.nodes.messages import joints_message
-from longarm_comp.nodes.rclpy_inside import ServiceCaller
+from longarm_comp.nodes.worker import ServiceCaller
 from longarm_interfaces.srv import PredictError
 
 
@@ -51,7 +51,6 @@ class PredictorClient:
 
     @property
     def present(self) -> bool:
-        """Whether a predictor is on the graph."""
         return self._caller.present
 
     def ask(self, q: np.ndarray, context: Context, *, deflection: bool = True) -> Expansion:

@@ -12,11 +12,11 @@ import numpy as np
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.clock import Ticks
 from longarm_comp.nodes.messages import Answer, joints_message, vector_message
 from longarm_comp.nodes.monitoring import ReadingsTeller, Sighted, TipMonitor
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.targets import Request, TargetInlet
-from longarm_comp.nodes.ticks import Ticks
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import Motion
 from longarm_interfaces.srv import Compensate
@@ -52,8 +52,6 @@ class ReachServer:
         if not self._state.driver.acknowledged:
             return "the driver does not report what is reached: acknowledged is false"
         return self._state.driver.refusal
-
-    # ------------------------------------------------------------------ one goal
 
     async def _serve(self, goal: Any) -> Reach.Result:
         turn = object()

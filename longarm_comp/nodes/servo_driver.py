@@ -36,15 +36,13 @@ from longarm_comp.devices.servo_follower import (
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders
-from longarm_comp.nodes.driver_messages import bus_report, motion_message, readings_message
-from longarm_comp.nodes.follow import FollowServer
+from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
-from longarm_comp.nodes.messages import trajectory_of
+from longarm_comp.nodes.messages import motion_message, readings_message, trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import ArmNode, program
-from longarm_comp.nodes.orders import Intake
+from longarm_comp.nodes.orders import FollowServer, Intake
 from longarm_comp.nodes.params import Param, declare_sections, where
-from longarm_comp.nodes.ticks import steady_timer
 from longarm_interfaces.msg import DriverState, Motion
 
 PARAMS = (
@@ -74,8 +72,6 @@ _DONE, _FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAIL
 
 
 class _ServoDriver(ArmNode, LifecycleNode):
-    """One arm's servos."""
-
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "servo_driver", PARAMS, tuple(SECTIONS))
         p = self.p
@@ -86,8 +82,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._arm: ServoArm | None = None
         self._active = False
         self._last: Cycle | None = None
-        self._counts = {"trajectories": 0, "refused": 0, "incomplete cycles": 0}
-        self._fault = self._refusal = self._trouble = self._waiting = self._motion = ""
+        self.tally.counts |= {"trajectories": 0, "refused": 0, "incomplete cycles": 0}
+        self._fault = self._trouble = self._waiting = self._motion = ""
         self._instance = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
         self._said: tuple[int, str] | None = None
         self._patient_until = time.monotonic() + p["patience_s"]
@@ -110,7 +106,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell_change()
 
     def close(self) -> bool:
-        """Switch the torque off and release the port."""
         self._release()
         self._fault = "the driver has ended"
         self._tell_state()
@@ -132,8 +127,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         keeps_out = keeper(declared_model(arm), names, file)
         return keeps_out, shaping(files.loaded.model, names, file) if p["shaping"] else None
 
-    # ------------------------------------------------------------------ lifecycle
-
     def _start(self) -> None:
         if not self._autostart:
             return
@@ -143,7 +136,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self.trigger_activate()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Open the port and find every servo."""
         try:
             self._arm = ServoArm(self._config, self._keeps_out, self._shapes, self._trim)
         except LongarmError as error:
@@ -161,7 +153,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque off."""
         self._active = self._autostart = False
         self._tell(Motion.BROKEN_OFF, self._motion, "torque off")
         try:
@@ -171,12 +162,10 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release the port."""
         self._release()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque off, port released."""
         self._autostart = False
         self._release()
         return super().on_shutdown(state)
@@ -209,8 +198,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self._arm.close()
         self._arm = self._last = None
 
-    # ------------------------------------------------------------------ the loop
-
     def _cycle(self) -> None:
         if self._arm is not None:
             self._drive(self._arm)
@@ -225,7 +212,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if cycle.joints:
             self._joint_states.publish(self._joints())
         else:
-            self._counts["incomplete cycles"] += 1
+            self.tally.count("incomplete cycles", "")
         for event in cycle.step.events:
             self._on_event(event)
 
@@ -251,7 +238,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @property
     def readings(self) -> Mapping[str, ServoReading]:
-        """The last read-back by joint; empty where a servo was silent."""
         return self._last.joints if self._last is not None else {}
 
     @property
@@ -280,7 +266,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         except LongarmError as error:
             self.refuse(name, str(error))
             return
-        self._counts["trajectories"] += 1
+        self.tally.count("trajectories", "")
         if accepted.replaces:
             self._tell(Motion.REPLACED, self._motion, "another trajectory was accepted")
         self._motion = name
@@ -288,15 +274,10 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell_change()
 
     def refuse(self, name: str, why: str) -> None:
-        self._counts["refused"] += 1
-        self._refusal = why
+        self.tally.count("refused", why)
         self._tell(Motion.REFUSED, name, why)
-        self.get_logger().warning(f"trajectory refused: {why}", throttle_duration_sec=1.0)
-
-    # ------------------------------------------------------------------ what became of it
 
     def _tell(self, event: int, name: str, why: str = "", taken: Accepted | None = None) -> None:
-        """Publish what became of the trajectory of that id."""
         message = motion_message(name, event, why, self._joints(), taken, self.names)
         self._motions.publish(message)
         if self._follow is not None:
@@ -360,17 +341,24 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
         service.server(self, serve)
 
-    # ------------------------------------------------------------------ diagnostics
-
     def _bus_report(self) -> Report:
         facts: dict[str, object] = {"port": self._config.bus.port}
         if self._arm is None:
             why = self._fault or self._waiting or "not configured"
             return Report(ERROR if self._fault else WARN, why, facts)
-        return bus_report(self._config, self._arm.bus, self._last, facts)
+        if (bus := self._arm.bus) is not None:
+            facts |= {name: getattr(bus.counters, name) for name in bus.counters.__slots__}
+        for name, servo_id in self._config.ids.items():
+            state = self._last.states.get(servo_id) if self._last else None
+            if state is not None:
+                facts[f"{name} temperature [C]"] = state.temperature_c
+                facts[f"{name} load [share]"] = round(state.load, 3)
+                facts[f"{name} voltage [V]"] = round(state.voltage_v, 1)
+        trouble = "" if self._last is None else self._last.trouble
+        return Report(ERROR if trouble else OK, trouble or "every servo answers", facts)
 
     def _arm_report(self) -> Report:
-        facts: dict[str, object] = {**self._counts, "last refusal": self._refusal}
+        facts = self.tally.facts
         state, why = self._state()
         if self._arm is None or state == DriverState.INACTIVE:
             return Report(WARN, self._fault or "not active: torque is off", facts)

@@ -20,13 +20,12 @@ from std_msgs.msg import Float64, String
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_of, steady_timer
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, Report
 from longarm_comp.nodes.images import image_message, info_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.stamps import stamp_of
-from longarm_comp.nodes.ticks import steady_timer
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.plant import Plant, PlantConfig, hidden_effects, mounting
 from longarm_comp.sim.servo_emulator import MotorSpec, read_arm
@@ -167,7 +166,6 @@ class _SimulatedArm(ArmNode):
         self._plant.start()
 
     def close(self) -> bool:
-        """Power off."""
         ended = super().close()
         self._plant.stop()
         return ended
@@ -184,7 +182,6 @@ class _SimulatedArm(ArmNode):
         self._covered = _named("covered", text, _SIDES)
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take up what may be set while running."""
         try:
             for parameter in parameters:
                 if parameter.name in self._live:

@@ -27,15 +27,13 @@ from longarm_comp.devices.stereo import (
 from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import stamp_ns, stamp_of, steady_timer
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
-from longarm_comp.nodes.image_inlet import ImageInlet
-from longarm_comp.nodes.images import decoded, pixels_of, same_camera
+from longarm_comp.nodes.images import ImageInlet, decoded, pixels_of, same_camera
 from longarm_comp.nodes.messages import pose_message, tip_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.stamps import stamp_ns, stamp_of
-from longarm_comp.nodes.ticks import steady_timer
 
 _TRANSPORTS = {
     "raw": ((graph.LEFT_IMAGE, graph.RIGHT_IMAGE), pixels_of),
@@ -112,7 +110,6 @@ class _StereoBridge(ArmNode):
         self._files = {s: _file(p["cameras"], s) for s in Side} if p["cameras"] else {}
         self._eye: StereoEye | None = None
         self._sightings = 0
-        self._refusals: dict[str, int] = {}
         self._last = "no pair of images yet"
         self._lost = True
         if self._files:
@@ -205,7 +202,7 @@ class _StereoBridge(ArmNode):
         self._count(error.reason.value if isinstance(error, StereoRefusal) else str(error), ns)
 
     def _count(self, why: str, ns: int | None) -> None:
-        self._refusals[why] = self._refusals.get(why, 0) + 1
+        self.tally.count(f"refused: {why}", "")
         self._lost = True
         if ns is None or not self._publish_lost:
             return
@@ -223,7 +220,7 @@ class _StereoBridge(ArmNode):
         facts: dict[str, object] = {
             "sightings": self._sightings,
             "pairs": self._pairer.pairs,
-            **{f"refused: {why}": n for why, n in sorted(self._refusals.items())},
+            **dict(sorted(self.tally.counts.items())),
             **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
             **{f"lost on the way: {s.name.lower()}": i.lost for s, i in self._inlets.items()},
             "calibration": self._calibration(),

@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.drawing import Markers
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
@@ -30,7 +31,6 @@ from longarm_comp.nodes.messages import (
 from longarm_comp.nodes.monitoring import TipMonitor
 from longarm_comp.nodes.orders import Freshness, Stamps, order_id
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
@@ -81,8 +81,8 @@ class TargetInlet:
         self._compensation = graph.COMPENSATION.publisher(node)
         self._withdrawals = graph.WITHDRAWN.publisher(node)
         worker.idle = self._idle
-        worker.inlets.hear_raw(graph.TARGET_POSE, self._on_target)
-        worker.inlets.serve(graph.COMPENSATE, self._on_compensate)
+        worker.hear_sent(graph.TARGET_POSE, self._on_target)
+        worker.serve(graph.COMPENSATE, self._on_compensate)
 
     def asked(self, message: Compensate.Request, sent: float | None = None) -> Request:
         """A target that is taken now; ``sent`` when (monotonic s), where that is known."""
@@ -212,17 +212,13 @@ class TargetInlet:
         self._trajectory.publish(message)
         return order_id(message)
 
-    # ------------------------------------------------------------------ diagnostics
-
     def report(self) -> Report:
-        """What became of the targets, for diagnostics."""
         facts: dict[str, object] = {
-            **self._node.tally.counts,
+            **self._node.tally.facts,
             "waiting": self._worker.waiting + (self._latest is not None),
             "superseded, not told yet": len(self._passed),
-            "last refusal": self._node.tally.last,
             "superseded; its fate was not recorded": self._untold,
-            "lost on the way": self._worker.inlets.lost,
+            "lost on the way": self._worker.lost,
         }
         if self._state.doubt:
             return Report(WARN, self._state.doubt, facts)

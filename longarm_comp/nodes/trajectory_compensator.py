@@ -36,13 +36,13 @@ from longarm_comp.core.learn.expansion import Nearby
 from longarm_comp.nodes import arm_state
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.clock import Ticks
 from longarm_comp.nodes.health import OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import joints_message, seconds, trajectory_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.orders import Freshness, Stamps
 from longarm_comp.nodes.params import Param, where
 from longarm_comp.nodes.predictor_client import NoAnswer
-from longarm_comp.nodes.ticks import Ticks
 
 PARAMS = (
     *arm_state.PARAMS,
@@ -108,8 +108,6 @@ class _TrajectoryCompensator(ArmNode):
                 raise InputError(where(self), name, p[name], f"{allowed}, above 0")
             found.append(np.array([value or np.inf for value in given]))
         return MotionLimits(*found)
-
-    # ------------------------------------------------------------------ one goal
 
     async def _serve(self, goal: Any) -> Any:
         result = graph.FOLLOW.type.Result
@@ -189,8 +187,6 @@ class _TrajectoryCompensator(ArmNode):
             (goal.canceled if cancelled else goal.abort)()
         return answer.result
 
-    # ------------------------------------------------------------------ on the worker's thread
-
     def _compensated(self, request: Any) -> tuple[CompensatedPath | None, str]:
         """The path to send, or why there is none."""
         asked = request.trajectory
@@ -254,11 +250,9 @@ class _TrajectoryCompensator(ArmNode):
             self._arm, np.array(times), np.array(joints), np.array(speeds) if fast else None
         )
 
-    # ------------------------------------------------------------------ for the planner
-
     def _fall_due(self) -> None:
         self._due = True
-        self._worker.inlets.wake()
+        self._worker.wake()
 
     def _tell_planned(self) -> bool:
         """Publish the joints at which the declared arm's tip is where the real one is.
@@ -279,7 +273,7 @@ class _TrajectoryCompensator(ArmNode):
         return True
 
     def _report(self) -> Report:
-        facts: dict[str, object] = {**self.tally.counts, "last refusal": self.tally.last}
+        facts = self.tally.facts
         if not self._out.server_is_ready():
             return Report(WARN, f"no controller offers {self._controller}", facts)
         if self._state.doubt or not self._ready:

@@ -1,6 +1,9 @@
-"""A worker thread with a queue of jobs, which keeps long computations out of the executor.
+"""A worker thread, which keeps long computations out of the executor.
 
-The thread also takes the messages and requests of these jobs.
+Through rclpy's executor each message costs a wait set of all entities of the node, built in
+Python, and a switch of threads.  Together these take longer than computing a target.  So a worker
+takes the messages, requests and responses of its jobs itself, with the calls that the executor
+uses.  They are beyond rclpy's documented interface; nothing else in this package uses them.
 """
 
 from __future__ import annotations
@@ -9,19 +12,98 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
+from rclpy.client import Client
 from rclpy.executors import Executor
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.service import Service
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from longarm_comp.nodes.rclpy_inside import Inlets
+from longarm_comp.core.errors import JobError
+from longarm_comp.nodes.clock import sent_s
+from longarm_comp.nodes.interfaces import Service as ServiceName
+from longarm_comp.nodes.interfaces import Topic
+
+CHECKED = "7.1"
+"""Version of rclpy (Jazzy) that these calls were checked against, by the tests."""
+
+_USED: dict[str, tuple[str, ...]] = {
+    "WaitSet": (
+        *("add_client", "add_guard_condition", "add_service", "add_subscription"),
+        *("clear_entities", "wait"),
+    ),
+    "Subscription": ("take_message",),
+    "Service": ("service_take_request", "service_send_response"),
+    "Client": ("send_request", "take_response"),
+}
 
 Job = Callable[[], Any]
+
+_LAST_JOB_S = 2.0
+"""Time that the current job has when the node ends, s: a node has three in all."""
+_WAIT_S = 0.05
+"""The longest wait at once, s: a longer one is a process that was stopped."""
+_PAUSE_S = 0.01
+"""Pause after an exception, s, so that a repeating one does not use the whole processor."""
+
+
+def check_rclpy(implementation: Any = rclpy_implementation) -> None:
+    """Raise `JobError` where this rclpy lacks a call that is needed."""
+    for kind, names in _USED.items():
+        for name in names:
+            if not hasattr(getattr(implementation, kind, None), name):
+                raise JobError(f"this rclpy has no {kind}.{name}; use rclpy {CHECKED} (Jazzy)")
+
+
+class SequenceWatch:
+    """Finds gaps in the numbers that publishers give their messages.
+
+    A message tells its number, not its publisher. Each number is taken to go on with the nearest
+    one below it. Gaps count only where the queue was full: elsewhere they are a publisher that
+    was heard for the first time.
+    """
+
+    def __init__(self) -> None:
+        self._last: list[int] = []
+        self.lost = 0
+
+    def taken(self, numbers: list[int], *, full: bool) -> None:
+        """Enter the numbers of messages taken from the queue at once, the oldest first.
+
+        Args:
+            numbers: as published, from 1 for each publisher.
+            full: whether the queue may have been full.
+        """
+        for number in numbers:
+            before = max((last for last in self._last if last < number), default=None)
+            if before is None:
+                self._last.append(number)
+                continue
+            self._last[self._last.index(before)] = number
+            if full:
+                self.lost += number - before - 1
+
+
+class _Aside(CallbackGroup):
+    """Callback group of entities that a worker takes; the executor ignores them."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    beginning_execution = ending_execution = can_execute
 
 
 class Worker:
     """One thread with a bounded queue of jobs, worked off in the order of arrival.
+
+    Before each job it runs the callbacks of the topics and services that were declared before
+    `start`.
 
     Args:
         executor: woken when an awaited job is done.
@@ -29,30 +111,60 @@ class Worker:
 
     Attributes:
         idle: called while no job waits; does a piece of what can wait, and says whether it did.
-        inlets: topics, services and clients whose callbacks run on the thread, before the next
-            job. They are declared before `start`.
     """
 
     def __init__(
         self, node: Node, executor: Executor, capacity: int, on_error: Callable[[Exception], None]
     ) -> None:
-        self._context = node.context
-        self._executor = executor
-        self._on_error = on_error
+        check_rclpy()
+        self._node, self._executor, self._on_error = node, executor, on_error
         self._jobs: deque[Job] = deque()
         self._capacity = capacity
         self._closing = False
         self._thread: threading.Thread | None = None
         self.idle: Callable[[], bool] = lambda: False
-        self.inlets = Inlets(node)
+        self._aside = _Aside()
+        self._bell = GuardCondition(None, None, context=node.context)
+        self._topics: list[tuple[Subscription, SequenceWatch, Callable[[Any, float], None]]] = []
+        self._services: list[Service] = []
+        self._set: Any = None
+
+    def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
+        self.hear_sent(topic, lambda message, _: callback(message), raw=False)
+
+    def hear_sent(
+        self, topic: Topic, callback: Callable[[Any, float], None], *, raw: bool = True
+    ) -> None:
+        """The same; the callback gets bytes, and when they were sent (monotonic s)."""
+        made = topic.subscription(self._node, lambda message: None, self._aside, raw=raw)
+        self._topics.append((made, SequenceWatch(), callback))
+
+    def serve(self, service: ServiceName, callback: Callable[[Any, Any, float], None]) -> None:
+        """Offer a service.
+
+        The callback gets the request, a function that replies, and when the request was sent
+        (monotonic s).
+        """
+        self._services.append(service.server(self._node, callback, self._aside))
+
+    def caller(self, service: ServiceName) -> ServiceCaller:
+        """A client of a service, for this thread."""
+        return ServiceCaller(service.client(self._node, self._aside), self._node)
+
+    @property
+    def lost(self) -> int:
+        """Messages that were lost, by the numbers of those that came."""
+        return sum(watch.lost for _, watch, _ in self._topics)
 
     @property
     def waiting(self) -> int:
         return len(self._jobs)
 
     def start(self) -> None:
-        """Start the thread, once."""
-        self.inlets.start()
+        with self._node.context.handle:
+            self._set = rclpy_implementation.WaitSet(
+                len(self._topics), 1, 0, 0, len(self._services), 0, self._node.context.handle
+            )
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -62,7 +174,7 @@ class Worker:
             return False
         self._jobs.append(job)
         if threading.current_thread() is not self._thread:  # the worker itself need not be woken
-            self.inlets.wake()
+            self.wake()
         return True
 
     def ask(self, job: Job) -> Future | None:
@@ -85,41 +197,112 @@ class Worker:
         """
         left = within_s
         while not self._closing:
-            self.inlets.empty(self._capacity)
+            self._empty()
             if until():
                 return True
             if left <= 0.0:
                 return False
             begun = time.monotonic()
-            self.inlets.wait(min(left, _WAIT_S))
+            self.wait(min(left, _WAIT_S))
             left -= min(time.monotonic() - begun, _WAIT_S)
         return until()
 
     def close(self) -> bool:
         """Finish the current job and drop the others; whether the thread has ended."""
         self._closing = True
-        self.inlets.wake()
+        self.wake()
         if self._thread is None:
             return True
         self._thread.join(_LAST_JOB_S)
         return not self._thread.is_alive()
 
+    def wake(self) -> None:
+        """End a wait; from any thread."""
+        self._bell.trigger()
+
+    def wait(self, at_most_s: float | None = None) -> None:
+        """Sleep until a message or a request arrives, or `wake`."""
+        self._set.clear_entities()
+        self._set.add_guard_condition(self._bell.handle)
+        for topic, *_ in self._topics:
+            self._set.add_subscription(topic.handle)
+        for service in self._services:
+            self._set.add_service(service.handle)
+        self._set.wait(-1 if at_most_s is None else max(1, int(1e9 * at_most_s)))
+
     def _run(self) -> None:
-        while not self._closing and self._context.ok():
+        while not self._closing and self._node.context.ok():
             try:
-                self.inlets.empty(self._capacity)
+                self._empty()
                 if self._jobs:
                     self._jobs.popleft()()
                 elif not self.idle():
-                    self.inlets.wait()
+                    self.wait()
             except Exception as error:  # reported; the worker goes on with the next job
                 self._on_error(error)
                 time.sleep(_PAUSE_S)
 
+    def _empty(self) -> None:
+        """Run the callbacks of everything received, so that no middleware queue overflows."""
+        for service in self._services:
+            for _ in range(self._capacity):
+                with service.handle:
+                    request, header = service.handle.service_take_request(service.srv_type.Request)
+                if header is None:
+                    break
+                reply = partial(_send, service, header)
+                service.callback(request, reply, sent_s(header.source_timestamp))
+        for topic, watch, callback in self._topics:
+            depth = topic.qos_profile.depth
+            numbers: list[int] = []
+            for _ in range(max(self._capacity, depth)):
+                with topic.handle:
+                    taken = topic.handle.take_message(topic.msg_type, topic.raw)
+                if taken is None:
+                    break
+                numbers.append(taken[1]["publication_sequence_number"] or 0)
+                callback(taken[0], sent_s(taken[1]["source_timestamp"]))
+            watch.taken(numbers, full=len(numbers) >= depth > 1)
 
-_LAST_JOB_S = 2.0
-"""Time that the current job has when the node ends, s: a node has three in all."""
-_WAIT_S = 0.05
-"""The longest wait at once, s: a longer one is a process that was stopped."""
-_PAUSE_S = 0.01
-"""Pause after an exception, s, so that a repeating one does not use the whole processor."""
+
+def _send(service: Service, header: Any, response: Any) -> None:
+    service.send_response(response, header)
+
+
+class ServiceCaller:
+    """A service client that waits in the calling thread, without an executor.
+
+    rclpy offers this only for topics (`rclpy.wait_for_message`); this works the same way.
+    """
+
+    def __init__(self, client: Client, node: Node) -> None:
+        self._client = client
+        one_client = (0, 0, 0, 1, 0, 0)
+        with node.context.handle:
+            self._waiting = rclpy_implementation.WaitSet(*one_client, node.context.handle)
+
+    @property
+    def present(self) -> bool:
+        return bool(self._client.service_is_ready())
+
+    def send(self, request: Any) -> int:
+        handle = self._client.handle
+        with handle:
+            return int(handle.send_request(request))
+
+    def answer(self, number: int, within_s: float) -> Any:
+        """The response to a request, or None after ``within_s``. Earlier responses are dropped."""
+        handle = self._client.handle
+        end = time.monotonic() + within_s
+        while True:
+            with handle:
+                header, response = handle.take_response(self._client.srv_type.Response)
+                if header is not None and header.request_id.sequence_number == number:
+                    return response
+                left = end - time.monotonic()
+                if header is None and left <= 0.0:
+                    return None
+                if header is None:
+                    self._waiting.clear_entities()
+                    self._waiting.add_client(handle)
+                    self._waiting.wait(max(1, int(1e9 * left)))

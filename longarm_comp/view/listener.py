@@ -4,35 +4,32 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.model.link_frames import exaggerated
+from longarm_comp.jobs.graph_client import GraphClient, reported
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import RING_SAID
 from longarm_comp.nodes.messages import driver_words, sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
-from longarm_comp.view.state import CollectProgress, LastAnswer, PageState, Part, Picture, SeenTip
+from longarm_comp.view.words import CollectProgress, LastAnswer, PageState, Part, Picture, SeenTip
 from longarm_interfaces.msg import Compensation, DriverState
 
 
 class Listener:
     """Subscribes to an arm's topics; `state` is what they have said last."""
 
-    def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic) -> None:
-        self.state = PageState()
-        self._clock = clock
-        self._namespace = node.get_namespace().rstrip("/") + "/"
+    def __init__(self, client: GraphClient) -> None:
+        self.state, self._namespace = PageState(), client.node.get_namespace()
         for topic, callback in (
             (graph.MARKERS, self._on_markers),
             (graph.TIP_MEASURED, self._on_tip),
@@ -42,10 +39,10 @@ class Listener:
             (graph.DIAGNOSTICS, self._on_diagnostics),
             (graph.COLLECT_PROGRESS, self._on_progress),
         ):
-            topic.subscription(node, callback)
+            topic.subscription(client.node, callback)
 
     def _heard(self, **changes: Any) -> None:
-        self.state = replace(self.state, heard=self._clock(), **changes)
+        self.state = replace(self.state, heard=time.monotonic(), **changes)
 
     def _on_markers(self, message: MarkerArray) -> None:
         lines = {marker.ns: marker for marker in message.markers}
@@ -62,14 +59,14 @@ class Listener:
             points[name][0] if len(points.get(name, _NONE)) else None
             for name in ("target", "pseudo_target")
         )
-        self._heard(picture=Picture(declared, hanging, target, pseudo, self._clock()))
+        self._heard(picture=Picture(declared, hanging, target, pseudo, time.monotonic()))
 
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
-        self._heard(tip=SeenTip(sighting_of(message)[0], self._clock()))
+        self._heard(tip=SeenTip(sighting_of(message)[0], time.monotonic()))
 
     def _on_joints(self, message: JointState) -> None:
         joints = dict(zip(message.name, message.position, strict=False))
-        self.state = self.state.with_joints(joints, self._clock())
+        self.state = self.state.with_joints(joints, time.monotonic())
         self._heard()
 
     def _on_driver(self, message: DriverState) -> None:
@@ -82,39 +79,24 @@ class Listener:
         self._heard(answer=LastAnswer(status, message.message, sent))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        reports: dict[str, list[DiagnosticStatus]] = {}
-        for status in message.status:
-            node, colon, _ = status.name.partition(": ")
-            inside = node.removeprefix(self._namespace)
-            if colon and inside != node and "/" not in inside:
-                reports.setdefault(inside, []).append(status)
-        for node, statuses in reports.items():
-            self._on_report(node, statuses)
-
-    def _on_report(self, node: str, statuses: list[DiagnosticStatus]) -> None:
-        now, parts = self._clock(), []
-        for status in statuses:
-            part = status.name.partition(": ")[2]
-            facts = {value.key: value.value for value in status.values}
-            if EVIDENCE in facts and part == "monitor":
-                self._heard(evidence=_number(facts[EVIDENCE]))
-            if part == LEARNED_SAID:
-                self._heard(learned=status.message)
-            if part == RING_SAID:
-                self._heard(ring=status.message)
-            parts.append(Part(part, ord(status.level), status.message))
-        if parts:
-            self.state = self.state.with_report(node, tuple(parts), now)
-            self._heard()
+        for node, parts in reported(message, self._namespace).items():
+            health = tuple(Part(name, min(ord(s.level), 3), s.message) for name, s in parts.items())
+            told = {words: parts[name].message for name, words in _TOLD.items() if name in parts}
+            self.state = self.state.with_report(node, health, time.monotonic())
+            self._heard(told={**self.state.told, **told})
+            if "monitor" in parts:
+                facts = {value.key: value.value for value in parts["monitor"].values}
+                self._heard(evidence=_number(facts.get(EVIDENCE, "")))
 
     def _on_progress(self, message: DiagnosticStatus) -> None:
         facts = {value.key: value.value for value in message.values}
-        done, of = _number(facts.get("done", "")), _number(facts.get("total", ""))
-        if math.isfinite(done) and of > 0:
-            job, words = message.name.rpartition("/")[2], message.message
-            self._heard(progress=CollectProgress(job, int(done), int(of), words, self._clock()))
+        share = _number(facts.get("done", "")) / max(1.0, _number(facts.get("total", "")))
+        if math.isfinite(share):
+            self._heard(progress=CollectProgress(share, message.message, time.monotonic()))
 
 
+_TOLD = {RING_SAID: "After the last move", LEARNED_SAID: "At work"}
+"""Parts whose message the page repeats, and how it begins there."""
 _NONE = np.empty((0, 3))
 
 

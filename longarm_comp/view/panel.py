@@ -1,19 +1,109 @@
-"""The page's panel: state in words, buttons, sliders, health and progress."""
+"""The page's panel: state in words, buttons that call services of the graph, sliders, health."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from html import escape
 from typing import Any
 
 import viser
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
 
+from longarm_comp.jobs.graph_client import Call
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.interfaces import Service
 from longarm_comp.view import words
-from longarm_comp.view.commands import RELEASES, STOPS, Button
-from longarm_comp.view.state import PageState
+from longarm_comp.view.words import PageState
 
-_BAD, _DOUBTFUL, _GOOD = "#b00020", "#8a4b00", "inherit"
+_PATIENCE_S = 5.0
+"""After so long without an answer a call is given up."""
+
+
+@dataclass(frozen=True)
+class Button:
+    """A button: what it asks of which service, and what it looks like."""
+
+    label: str
+    service: Service
+    request: Callable[[], Any]
+    colour: tuple[int, int, int]
+    hint: str
+
+
+_ON, _OFF = partial(SetBool.Request, data=True), partial(SetBool.Request, data=False)
+_GREY = (105, 112, 120)
+
+STOPS = (
+    Button("Software stop (torque off)", graph.ESTOP, _ON, (176, 0, 32),
+           "Cuts the torque: an arm without brakes drops. It is no safety function."),
+    Button("Hold", graph.HOLD, _ON, (178, 84, 0),
+           "Stops smoothly and stays with torque on."),
+)  # fmt: skip
+RELEASES = (
+    Button("Release hold", graph.HOLD, _OFF, _GREY,
+           "Trajectories are taken again."),
+    Button("Release stop", graph.ESTOP, _OFF, _GREY,
+           "Torque on where the arm stands; trajectories are taken again."),
+    Button("Reset fault", graph.RESET, Trigger.Request, _GREY,
+           "Ends a fault whose cause is gone."),
+)  # fmt: skip
+
+
+class Buttons:
+    """Calls the services without waiting. `press` may be called from any thread."""
+
+    def __init__(self, node: Node) -> None:
+        self.said = ("", True)
+        """What came of the last press, in words, and whether it went well."""
+        self._node = node
+        self._pressed: deque[Button] = deque()
+        self._calls: list[tuple[Button, Call, float]] = []
+        services = {button.service for button in (*STOPS, *RELEASES)}
+        self._clients = {service: service.client(node, of="servo_driver") for service in services}
+
+    def press(self, button: Button) -> None:
+        """Ask for a call; `step` makes it."""
+        self._pressed.append(button)
+
+    def step(self, now: float) -> None:
+        """Send what was pressed and take the answers that have come. ``now``: monotonic, s."""
+        while self._pressed:
+            self._begin(self._pressed.popleft(), now)
+        self._calls = [call for call in self._calls if not self._ended(*call, now)]
+
+    def _begin(self, button: Button, now: float) -> None:
+        client = self._clients[button.service]
+        if not client.service_is_ready():
+            name = self._node.resolve_service_name(client.srv_name)
+            self._say(button, f"not done, nobody offers {name}")
+            return
+        self._say(button, "asked", well=True)
+        asked = Call(self._node, client, button.request(), again=True)
+        self._calls.append((button, asked, now))
+
+    def _ended(self, button: Button, asked: Call, since: float, now: float) -> bool:
+        """Whether a call is answered or given up."""
+        answer = asked.answer()
+        if answer is None and now - since < _PATIENCE_S:
+            return False
+        asked.close()
+        if answer is None:
+            self._say(button, f"no answer in {_PATIENCE_S:g} s, so perhaps not done")
+        else:
+            well = answer.success
+            self._say(button, answer.message if well else f"refused: {answer.message}", well=well)
+        return True
+
+    def _say(self, button: Button, what: str, *, well: bool = False) -> None:
+        self.said = (f"{button.label}: {what}", well)
+
+
+_BAD = "#b00020"
+_SIGNS = {words.WARNING: "#8a4b00", words.BAD: _BAD, words.SILENT: _BAD}
 
 
 class Panel:
@@ -22,11 +112,11 @@ class Panel:
     def __init__(
         self, server: viser.ViserServer, press: Callable[[Button], None], namespace: str
     ) -> None:
-        self._namespace, gui = namespace, server.gui
+        gui = server.gui
         gui.set_panel_label(f"longarm view {namespace}")
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
-        self._state = gui.add_html("")
+        self._places = {"state": gui.add_html("")}
         for button in STOPS:
             made = gui.add_button(button.label, color=button.colour, hint=button.hint)
             made.on_click(partial(_pressed, press, button))
@@ -34,61 +124,53 @@ class Panel:
         hints = "\n".join(f"{button.label}: {button.hint}" for button in RELEASES)
         group = gui.add_button_group("", tuple(named), hint=hints)
         group.on_click(lambda event: press(named[event.target.value]))
-        self._said = gui.add_html("")
-        self._job = gui.add_html("", visible=False)
+        self._places |= {"said": gui.add_html(""), "job": gui.add_html("")}
         self._bar = gui.add_progress_bar(0.0, visible=False)
-        self._tip = gui.add_html("")
+        self._places["tip"] = gui.add_html("")
         with gui.add_folder("Health"):
-            self._health = gui.add_html("")
+            self._places["health"] = gui.add_html("")
         self._deflection = gui.add_slider("Deflection ×", min=1, max=100, step=1, initial_value=10)
         self._error = gui.add_slider("Error arrows ×", min=1, max=500, step=1, initial_value=100)
-        self._scale = gui.add_html("")
+        self._places["scale"] = gui.add_html("")
 
     @property
     def exaggeration(self) -> tuple[float, float]:
         """How many times larger the deflection, and how many times longer error arrows are."""
         return self._deflection.value, self._error.value
 
-    def show(self, state: PageState, now: float, said: tuple[str, bool]) -> None:
-        """Show a state, and what came of the last press of a button."""
-        colour = _BAD if state.unread_s(now) else _GOOD
-        headline = words.headline(state, now, self._namespace)
-        self._write(self._state, [_line(headline, colour, bold=True), _line(words.target(state))])
-        text, well = said
-        self._write(self._said, [_line(text, _GOOD if well else _BAD)] if text else [])
-        told = [words.tip_at_target(state, now), words.tip_as_predicted(state, now)]
-        known = (*told, words.ring(state), words.drift(state), words.learned(state))
-        self._write(self._tip, [_line(text) for text in known if text])
-        scale = words.exaggeration(*self.exaggeration)
-        self._write(self._scale, [_line(scale), _line(words.LEGEND)])
-        self._show_health(state, now)
+    def show(
+        self, state: PageState, now: float, lines: Mapping[str, Sequence[str]], *, well: bool
+    ) -> None:
+        """Show what `words.sections` says; ``well``: how the last press of a button went."""
+        colours = {"state": _BAD if state.unread_s(now) else "", "said": "" if well else _BAD}
+        heads = {
+            *lines["state"][:1],
+            *(text for text in lines["health"] if _of(text) in state.nodes),
+        }
+        scale = [words.exaggeration(*self.exaggeration), words.LEGEND]
+        for place, texts in {**lines, "scale": scale}.items():
+            html = "".join(_line(text, colours.get(place, ""), text in heads) for text in texts)
+            _set(self._places[place], "content", html and f"<div style='{_STYLE}'>{html}</div>")
         if state.progress is not None:
-            job = state.progress
-            self._write(self._job, [_line(words.progress(job, now))])
-            _set(self._bar, "value", 100.0 * min(job.done / job.of, 1.0))
-            for handle in (self._job, self._bar):
-                _set(handle, "visible", True)
+            _set(self._bar, "value", 100.0 * min(state.progress.share, 1.0))
+            _set(self._bar, "visible", True)
 
-    def _show_health(self, state: PageState, now: float) -> None:
-        lines, colours = [], {words.WELL: _GOOD, words.WARNING: _DOUBTFUL}
-        for name in sorted(state.nodes):
-            for k, text in enumerate(words.health(state.nodes[name], now)):
-                lines.append(_line(text, colours.get(text[0], _BAD), bold=k == 0, indent=k > 0))
-        self._write(self._health, lines or [_line("no node has reported yet")])
 
-    @staticmethod
-    def _write(handle: Any, lines: Sequence[str]) -> None:
-        style = "font-size:0.85em;line-height:1.4;padding:0 0.75em;overflow-wrap:anywhere"
-        _set(handle, "content", f"<div style='{style}'>{''.join(lines)}</div>" if lines else "")
+_STYLE = "font-size:0.85em;line-height:1.4;padding:0 0.75em;overflow-wrap:anywhere"
+
+
+def _of(text: str) -> str:
+    """The node that a line of the health begins with, after its sign."""
+    return text[2:].partition(": ")[0]
 
 
 def _pressed(press: Callable[[Button], None], button: Button, _: object) -> None:
     press(button)
 
 
-def _line(text: str, colour: str = _GOOD, *, bold: bool = False, indent: bool = False) -> str:
-    style = f"color:{colour};font-weight:{'bold' if bold else 'normal'}"
-    return f"<div style='{style};padding-left:{1 if indent else 0}em'>{escape(text)}</div>"
+def _line(text: str, colour: str, head: bool) -> str:
+    style = f"color:{_SIGNS.get(text[0], colour)};font-weight:{'bold' if head else 'normal'}"
+    return f"<div style='{style}'>{escape(text)}</div>"
 
 
 def _set(handle: Any, name: str, value: Any) -> None:

@@ -10,9 +10,8 @@ from functools import partial
 
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.view import words
-from longarm_comp.view.commands import RELEASES, STOPS, Buttons
 from longarm_comp.view.listener import Listener
-from longarm_comp.view.panel import Panel
+from longarm_comp.view.panel import RELEASES, STOPS, Buttons, Panel
 from longarm_comp.view.scene import Scene
 from longarm_comp.view.server import Gate, PlainPage, serving
 
@@ -28,7 +27,7 @@ def view(
         opened: gets what draws a link to the page; each opens it once.
     """
     with GraphClient(namespace, stop, "view") as client, ExitStack() as open_page:
-        listener, commands = Listener(client.node), Buttons(client.node)
+        listener, commands = Listener(client), Buttons(client.node)
         plain = PlainPage((*STOPS, *RELEASES), commands.press)
         gate = Gate(plain=plain.answer)
         server = open_page.enter_context(serving(port, gate))
@@ -42,6 +41,8 @@ def view(
             commands.step(now)
             if now - drawn >= 0.2:  # s between two pictures
                 drawn = now
-                panel.show(listener.state, now, commands.said)
-                plain.lines = words.in_lines(listener.state, now, namespace, commands.said[0])
+                said, well = commands.said
+                lines = words.sections(listener.state, now, namespace, said)
+                panel.show(listener.state, now, lines, well=well)
+                plain.lines = [line for place in lines.values() for line in place]
                 scene.show(listener.state, now, panel.exaggeration)

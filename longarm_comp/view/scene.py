@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from longarm_comp.core.model.link_frames import exaggerated
-from longarm_comp.view.state import PageState, Picture
+from longarm_comp.view.words import PageState, Picture
 
 GREY, PALE = (150, 150, 150), (205, 205, 205)
 BLUE, GREEN, RED, ORANGE, YELLOW = (

@@ -22,7 +22,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from longarm_comp.core.errors import JobError
-from longarm_comp.view.commands import Button
+from longarm_comp.view.panel import Button
 
 Serve = Callable[[ServerConnection, Request], "Response | None"]
 
@@ -193,7 +193,6 @@ class _Server(viser.ViserServer):
     """Without viser's public link, which any client may ask for."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """Refuse."""
         return None
 
 

@@ -7,8 +7,7 @@ import time
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from longarm_comp.nodes.stamps import stamp_of
-from longarm_comp.nodes.ticks import steady_timer
+from longarm_comp.nodes.clock import stamp_of, steady_timer
 
 _PERIOD_S = 0.02
 _FINE = 1_000_000

@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from longarm_comp.core.files import write_text
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.stamps import stamp_of
+from longarm_comp.nodes.clock import stamp_of
 from soak.scene import Scene
 
 _BROKEN_S = 1.5

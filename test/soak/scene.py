@@ -23,9 +23,9 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import Supervisor
+from longarm_comp.nodes.clock import stamp_ns, stamp_of
 from longarm_comp.nodes.messages import duration, pose_message
-from longarm_comp.nodes.stamps import stamp_ns, stamp_of
-from longarm_comp.nodes.supervisor import Supervisor
 from longarm_interfaces.msg import Compensation
 from soak.clock import SimClock
 from soak.leaks import LeakWatch

@@ -74,7 +74,6 @@ class RecursivePosterior:
         covariance: np.ndarray,
         again: np.ndarray | None = None,
     ) -> RecursivePosterior:
-        """Nothing is seen yet."""
         c, k = space.places.shape
         again = np.zeros(c, bool) if again is None else again
         return cls(
@@ -114,8 +113,6 @@ class RecursivePosterior:
         )
         likelihood = -0.5 * (square + log_det) + after.total - self.total
         return dataclasses.replace(after._thinned(), log_likelihood=likelihood)
-
-    # ------------------------------------------------------------------ hypotheses
 
     @cached_property
     def hypotheses(self) -> _Hypotheses:

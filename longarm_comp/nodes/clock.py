@@ -1,13 +1,28 @@
-"""Coroutines of a node that wait for the next tick of a timer."""
+"""Stamps of messages as whole nanoseconds, and coroutines of a node that wait for the next tick."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
+
+
+def stamp_ns(stamp: Time) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def sent_s(source_ns: int) -> float:
+    """Monotonic seconds at which a message was sent, from the middleware's time of sending."""
+    return time.monotonic() - max(0.0, 1e-9 * (time.time_ns() - source_ns) if source_ns else 0.0)
+
+
+def stamp_of(ns: int) -> Time:
+    return Time(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
 
 
 def steady_timer(node: Node, period_s: float, callback: Callable[[], Any]) -> Any:
@@ -25,7 +40,6 @@ class Ticks:
         self._timer.cancel()
 
     def next(self) -> Future:
-        """What to await."""
         if self._timer.is_canceled():
             self._timer.reset()
         future = Future(executor=self._node.executor)

@@ -19,9 +19,8 @@ from nodes_bench import ROOT, Bench, bench
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes import rclpy_inside
-from longarm_comp.nodes.rclpy_inside import CHECKED, check_rclpy
-from longarm_comp.nodes.worker import Worker
+from longarm_comp.nodes import worker as worker_module
+from longarm_comp.nodes.worker import CHECKED, Worker, check_rclpy
 from longarm_interfaces.srv import PredictError
 
 
@@ -32,7 +31,7 @@ def test_this_rclpy_is_the_one_that_the_calls_were_checked_against() -> None:
 
 
 def test_a_call_that_is_missing_is_named() -> None:
-    part = SimpleNamespace(**vars(rclpy_inside.rclpy_implementation))
+    part = SimpleNamespace(**vars(worker_module.rclpy_implementation))
     part.Client = SimpleNamespace(send_request=None)
     with pytest.raises(JobError, match=r"no Client\.take_response; use rclpy 7\.1"):
         check_rclpy(part)
@@ -41,7 +40,7 @@ def test_a_call_that_is_missing_is_named() -> None:
 def test_nothing_else_looks_inside_rclpy() -> None:
     """Neither its implementation nor names with an underscore of what it hands out."""
     for path in sorted((ROOT / "longarm_comp").rglob("*.py")):
-        if path.name != Path(rclpy_inside.__file__).name:
+        if path.name != Path(worker_module.__file__).name:
             assert not list(_inside(path)), path
 
 
@@ -80,11 +79,11 @@ def test_a_worker_hears_serves_asks_and_counts(stage: Bench) -> None:
 
     node, executor = stage.node, stage.executor
     server = Worker(node, executor, 10, errors.append)
-    server.inlets.serve(graph.PREDICT_ERROR, serve)
-    server.inlets.hear(graph.TARGET_POSE, heard.append)
+    server.serve(graph.PREDICT_ERROR, serve)
+    server.hear(graph.TARGET_POSE, heard.append)
     server.start()
     asker = Worker(node, executor, 10, errors.append)
-    caller = asker.inlets.caller(graph.PREDICT_ERROR)
+    caller = asker.caller(graph.PREDICT_ERROR)
     asker.start()
     good = graph.TARGET_POSE.publisher(node)
     answers: list[float] = []
@@ -106,7 +105,7 @@ def test_a_worker_hears_serves_asks_and_counts(stage: Bench) -> None:
         stage.connected(good)
         good.publish(PoseStamped())
         stage.spin(lambda: heard)
-        assert server.inlets.lost == 0 and len(heard) == 1
+        assert server.lost == 0 and len(heard) == 1
     finally:
         for worker in (server, asker):
             worker.close()
@@ -119,7 +118,7 @@ def test_of_two_publishers_every_target_is_heard_or_counted_as_lost(stage: Bench
     errors: list[Exception] = []
     go_on = threading.Event()
     worker = Worker(stage.node, stage.executor, 10, errors.append)
-    worker.inlets.hear(graph.TARGET_POSE, heard.append)
+    worker.hear(graph.TARGET_POSE, heard.append)
     worker.start()
     both = [graph.TARGET_POSE.publisher(stage.node) for _ in range(2)]
     try:
@@ -127,16 +126,16 @@ def test_of_two_publishers_every_target_is_heard_or_counted_as_lost(stage: Bench
             stage.spin(lambda one=one: one.get_subscription_count())
             one.publish(PoseStamped())
             stage.spin(lambda count=count: len(heard) == count)
-        assert worker.inlets.lost == 0
+        assert worker.lost == 0
         worker.submit(go_on.wait)
         stage.spin(lambda: worker.waiting == 0)
         sent = graph.TARGET_POSE.depth + 600
         for number in range(sent):
             both[number % 2].publish(PoseStamped())
         go_on.set()
-        stage.spin(lambda: len(heard) - 2 + worker.inlets.lost >= sent)
-        assert len(heard) - 2 + worker.inlets.lost == sent
-        assert worker.inlets.lost > 0
+        stage.spin(lambda: len(heard) - 2 + worker.lost >= sent)
+        assert len(heard) - 2 + worker.lost == sent
+        assert worker.lost > 0
     finally:
         go_on.set()
         worker.close()

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,19 +19,86 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work
-from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.collect.run import collect
-from longarm_comp.jobs.loop.settings import RULE, LoopSettings, another_round
-from longarm_comp.jobs.measurement_schedule import visits
-from longarm_comp.jobs.targets import Say, TargetRunner, Trial, Witness
-from longarm_comp.jobs.verify import choose, method_at_work
+from longarm_comp.jobs.collect.visits import visits
+from longarm_comp.jobs.targets import Say, TargetRunner, Trial, Witness, choose, method_at_work
 from longarm_comp.report.pages import loop_page
 from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.sessions.poses import FILE as NEXT_POSES
 from longarm_comp.sessions.poses import read_poses, write_poses
 from longarm_comp.workflows.apply import nothing_to_apply
 from longarm_comp.workflows.diagnose import diagnose_files
-from longarm_comp.workflows.verification import Verification, error_row, verification
+from longarm_comp.workflows.verification import error_row
+
+NEAR_NOISE = 2.0
+"""A mean error below so many times what the noise alone shows is as good as measured."""
+
+RULE = (
+    "another round follows if the last one brought the tip nearer by more than chance and the mean "
+    f"error is still more than {NEAR_NOISE:g} times what the noise of the measurement alone shows"
+)
+
+
+def another_round(
+    gain_ci95_m: tuple[float, float], mean_m: float, sigma_m: tuple[float, float, float]
+) -> tuple[bool, str]:
+    """The rule: whether to go on, and why.
+
+    It has the 95 % interval of what the round took off the mean error at the tip, the mean after
+    it, and the noise of a measurement along each axis, all in m.
+    """
+    rms = math.sqrt(sum(s * s for s in sigma_m) / 3.0)
+    alone = math.sqrt(8.0 / math.pi) * rms  # mean length of a normal vector in three dimensions
+    shown = f"the mean error is {1e3 * mean_m:.3f} mm, the noise alone shows {1e3 * alone:.3f} mm"
+    if gain_ci95_m[0] <= 0.0:
+        return False, f"this round did not bring the tip nearer by more than chance; {shown}"
+    if mean_m <= NEAR_NOISE * alone:
+        return False, f"the error that is left is near the noise: {shown}"
+    return True, f"the error that is left is more than noise: {shown}"
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names of the runs over the targets; ``{k}`` stands for the round."""
+
+    without: str = "not compensated"
+    before: str = "before"
+    found: str = "round {k}: effects found"
+    learned: str = "round {k}: effects found + network"
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """One loop: poses to measure in a round, from random sides, and fresh targets to judge by.
+
+    `network`: train a predictor after every round.
+    """
+
+    out: Path
+    rounds: int = 3
+    poses: int = 180
+    targets: int = 40
+    network: bool = True
+    seed: int = 1
+    pace: Pace = field(default_factory=Pace)
+    names: Names = field(default_factory=Names)
+
+    def __post_init__(self) -> None:
+        # With fewer poses the diagnosis cannot weigh a library of some 170 parameters
+        for name, least in (("rounds", 1), ("poses", 60), ("targets", 2)):
+            if getattr(self, name) < least:
+                raise InputError("loop", f"--{name}", getattr(self, name), f"at least {least}")
+
+    def path(self, what: str, k: int) -> Path:
+        """A file or folder of round k: ``session``, ``session_2``, ..."""
+        name, dot, ending = what.partition(".")
+        return self.out / (what if k == 1 else f"{name}_{k}{dot}{ending}")
+
+    def facts(self) -> dict[str, Any]:
+        """What must be the same where an interrupted loop goes on; ``rounds`` may grow."""
+        return {k: v for k, v in asdict(self).items() if k not in ("out", "rounds")}
+
 
 _TRIAL = ("target", "seen", "true", "status")
 
@@ -59,7 +127,6 @@ class Journal:
                 raise InputError(path, name, value, f"{begun.get(name)}, as in the first call")
 
     def __contains__(self, step: str) -> bool:
-        """Whether a step was done."""
         return step in self._steps
 
     def once(self, step: str, make: Callable[[], Any]) -> Any:
@@ -84,32 +151,6 @@ _Agree = Callable[[DiagnosisReport], bool]
 """Shows a diagnosis and says whether to apply it."""
 
 
-@dataclass(frozen=True, eq=False)
-class _LoopResult:
-    """What came of it.
-
-    Attributes:
-        files: at work on the graph.
-        refused: targets that were left out, and why.
-        trials: all runs over the targets in their order; the first is not compensated.
-        rounds: as loop.json has them.
-        left: what the last diagnosis could not explain, in one sentence.
-        seconds: of each step done now.
-    """
-
-    files: FilesAtWork
-    refused: list[dict[str, Any]]
-    trials: list[Trial]
-    rounds: list[dict[str, Any]]
-    left: str
-    seconds: dict[str, float]
-
-
-def compared(before: Trial, after: Trial) -> Verification:
-    """Two runs over the same targets, paired."""
-    return verification((before.name, after.name), before.off, after.off)
-
-
 class Loop:
     """A loop on a running graph; ``agree`` is asked before a diagnosis is applied."""
 
@@ -129,8 +170,12 @@ class Loop:
         self._seconds: dict[str, float] = {}
         self._begun = time.monotonic()
 
-    def run(self, ready_s: float = 30.0) -> _LoopResult:
-        """Go round; see `rule` for when another round follows.
+    def run(self, ready_s: float = 30.0) -> tuple[list[Trial], dict[str, Any]]:
+        """Go round; see `RULE` for when another round follows. Writes loop.json and loop.html.
+
+        Returns:
+            All runs over the targets in their order, the first not compensated; and what loop.json
+            holds.
 
         Raises:
             InputError: data were refused, or files do not fit. JobError: a step could not be
@@ -149,22 +194,16 @@ class Loop:
         now = method if learned else Method.DEFLECTION
         chosen = self._journal.once("targets", partial(self._choose, now))
         targets = np.array(chosen["xyz"])
-        first = (
+        trials = [
             self._drive(names.without, targets, Method.NONE),
             self._drive(names.before, targets, now),
-        )
-        trials, rounds = list(first), list[dict[str, Any]]()
+        ]
+        rounds: list[dict[str, Any]] = []
         for k in range(1, self._settings.rounds + 1):
             rounds.append(self._round(k, files, targets, method, trials))
             if not rounds[-1]["again"]:
                 break
-        structure = read_report(Path(rounds[-1]["diagnosis"])).structure_left
-        left = "The last diagnosis found no structure in the residual of its session."
-        if structure.flag:
-            left = f"Of the last diagnosis: {structure.text}; no effect of the library explains it."
-        return _LoopResult(files, chosen["refused"], trials, rounds, left, self._seconds)
-
-    # ------------------------------------------------------------------ steps
+        return trials, self._write(files, chosen["refused"], trials, rounds)
 
     def _choose(self, method: Method) -> dict[str, Any]:
         settings = self._settings
@@ -216,7 +255,7 @@ class Loop:
         trials.append(self._drive(names.found.format(k=k), targets, Method.DEFLECTION))
         if applied["predictor"] is not None:
             trials.append(self._drive(names.learned.format(k=k), targets, method))
-        gain = compared(before, trials[-1])
+        gain = trials[-1].against(before)
         x, y, z = (1e-3 * s for s in report.noise.sigma_mm or (0.0, 0.0, 0.0))
         mean = float(np.linalg.norm(trials[-1].error, axis=1).mean())
         again, why = another_round(gain.gain_ci95_m, mean, (x, y, z))
@@ -282,41 +321,44 @@ class Loop:
         now = time.monotonic()
         self._seconds[step], self._begun = now - self._begun, now
 
-
-def write_loop(arm: str, settings: LoopSettings, result: _LoopResult) -> dict[str, Any]:
-    """Write ``loop.json`` and ``loop.html``; the contents of the former."""
-    page = settings.out / "loop.html"
-    applied = [r["applied"] for r in result.rounds if r["applied"] is not None]
-    predictor = result.files.predictor
-    against_none = compared(result.trials[0], result.trials[-1])
-    data = {
-        "arm": arm,
-        "rows": _rows(result.trials),
-        "helps": against_none.helps,
-        "summary": against_none.summary,
-        "rule": RULE,
-        "ended": result.rounds[-1]["why"],
-        "rounds": result.rounds,
-        "left": result.left,
-        "refused": result.refused,
-        "files": {
-            "model": str(result.files.model),
-            "predictor": None if predictor is None else str(predictor),
-            "page": str(page),
-        },
-        "undo": applied[-1]["undo"] if applied else None,
-        "seconds": {**result.seconds, "total": sum(result.seconds.values())},
-    }
-    write_text(settings.out / "loop.json", json.dumps(data, indent=2))
-    write_text(page, loop_page(data, {t.name: t.error for t in result.trials}))
-    return data
+    def _write(
+        self, files: FilesAtWork, refused: list[dict[str, Any]], trials: list[Trial],
+        rounds: list[dict[str, Any]],
+    ) -> dict[str, Any]:  # fmt: skip
+        page = self._settings.out / "loop.html"
+        structure = read_report(Path(rounds[-1]["diagnosis"])).structure_left
+        left = "The last diagnosis found no structure in the residual of its session."
+        if structure.flag:
+            left = f"Of the last diagnosis: {structure.text}; no effect of the library explains it."
+        gain = trials[-1].against(trials[0])
+        data = {
+            "arm": self._client.arm.name,
+            "rows": _rows(trials),
+            "helps": gain.helps,
+            "summary": gain.summary,
+            "rule": RULE,
+            "ended": rounds[-1]["why"],
+            "rounds": rounds,
+            "left": left,
+            "refused": refused,
+            "files": {
+                "model": str(files.model),
+                "predictor": None if files.predictor is None else str(files.predictor),
+                "page": str(page),
+            },
+            "undo": next((r["applied"]["undo"] for r in reversed(rounds) if r["applied"]), None),
+            "seconds": {**self._seconds, "total": sum(self._seconds.values())},
+        }
+        write_text(self._settings.out / "loop.json", json.dumps(data, indent=2))
+        write_text(page, loop_page(data, {t.name: t.error for t in trials}))
+        return data
 
 
 def _rows(trials: list[Trial]) -> list[dict[str, Any]]:
     """A row a run; ``refused``, and the gain against the first run with its interval."""
     rows = []
     for trial in trials:
-        low, high = (1e3 * g for g in compared(trials[0], trial).gain_ci95_m)
+        low, high = (1e3 * g for g in trial.against(trials[0]).gain_ci95_m)
         against = [None, None] if trial is trials[0] else [low, high]
         row = {**error_row(trial.name, trial.error), "gain_ci95_mm": against}
         rows.append({**row, "refused": trial.refused})

@@ -1,1 +1,0 @@
-"""The whole cycle on a running graph, real or simulated: `longarm loop`."""
