@@ -1,7 +1,8 @@
 # Everything runs from .venv, which `make setup` builds from nothing out of the package registry.
 PYTHON ?= python3
-# Three on two cores: tests of graphs wait for each other's nodes while others compute.
-PYTEST_ARGS ?= -m 'not long' -n 3 --dist loadfile --no-loadscope-reorder
+# Four on two cores: tests of graphs wait for each other's nodes while others compute.
+WORKERS ?= 4
+PYTEST_ARGS ?= -m 'not long' -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -60,7 +61,7 @@ test: setup
 
 # Every test: those that take a minute, and those that ask the same in another form, too.
 long: setup
-	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Damaged files given to every command that reads one; `make test` runs a few.
 fuzz: setup

@@ -8,8 +8,9 @@ for _pool in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_pool, "1")  # tests run side by side; read when numpy is first imported
 
 import fcntl
+import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,12 +30,16 @@ ROS_DOMAINS = range(1, 102)
 
 
 LONGEST = (
-    *("test_readings_on_the_graph", "test_package", "test_nodes_servo_driver", "test_diagnose"),
-    *("test_loop_graph", "test_explain", "test_collect", "test_hidden_effect"),
-    *("test_nodes_predictor", "test_fuzz", "test_nodes_kinematics", "test_python_api"),
-    *("test_collect_run", "test_diagnosed", "test_nodes_away", "test_functions"),
-    *("test_nodes_ready", "test_readings", "test_arm_folder_graph", "test_fleet"),
-    *("test_demo", "test_study_real", "test_nodes_paths", "test_nodes_graph"),
+    *("test_readings_on_the_graph", "test_explain", "test_loop_graph", "test_hidden_effect"),
+    *("test_nodes_servo_driver", "test_functions", "test_package", "test_diagnosed"),
+    *("test_collect", "test_fuzz", "test_arm_folder_graph", "test_open_catalogue"),
+    *("test_view", "test_python_api", "test_tip_on_the_graph", "test_fleet"),
+    *("test_nodes_predictor", "test_readings", "test_nodes_away", "test_study_real"),
+    *("test_touch_graph", "test_diagnose", "test_at_work_graph", "test_belonging"),
+    *("test_nodes_kinematics", "test_bench", "test_servo_setup", "test_realisable_arm"),
+    *("test_nodes_driver_link", "test_study_touch", "test_demo", "test_study_table1"),
+    *("test_collect_run", "test_slides", "test_nodes_ready", "test_report_sentences"),
+    *("test_nodes_paths", "test_strict_files", "test_nodes_graph", "test_report_browser"),
 )
 """Files that take longest, those that wait for nodes between those that compute. They begin first:
 no worker is left alone with one."""
@@ -44,6 +49,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files first (`--no-loadscope-reorder` keeps this order)."""
     order = {name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: order.get(item.path.stem, len(order)))
+
+
+Once = Callable[[str, Callable[[Path], object]], Path]
 
 
 @pytest.fixture(scope="session")
@@ -98,9 +106,37 @@ def shell(
 
 
 @pytest.fixture(scope="session")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+    """A folder by its name, filled once in a run, by whichever worker needs it first; read only."""
+    of_worker = tmp_path_factory.getbasetemp()
+    run = of_worker.parent if "PYTEST_XDIST_WORKER" in os.environ else of_worker
+
+    def filled(name: str, fill: Callable[[Path], object]) -> Path:
+        folder, done = run / name, run / f"{name}.done"
+        with (run / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not done.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                fill(folder)
+                done.touch()
+        return folder
+
+    return filled
+
+
+@pytest.fixture(scope="session")
+def work(once: Once) -> Path:
     """A folder with an arm, sessions, a model and a predictor; to be read only."""
-    return made_by_commands(tmp_path_factory.mktemp("work"))
+    return once("work", made_by_commands)
+
+
+@pytest.fixture(scope="session")
+def reports(once: Once) -> Path:
+    """The folders of a report a verdict; to be read only."""
+    from report_pages import write_all
+
+    return once("reports", write_all)
 
 
 @pytest.fixture(scope="module")

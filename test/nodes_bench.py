@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -38,7 +39,8 @@ class Bench:
         self.node = Node("tester", context=self.context)
         self.executor.add_node(self.node)
         self.processes: list[subprocess.Popen[str]] = []
-        self.asked: list[Any] = []
+        self.asked: Counter[Any] = Counter()
+        """How many requests were sent, by client."""
         self.said: dict[subprocess.Popen[str], IO[str]] = {}
 
     def start(
@@ -102,13 +104,13 @@ class Bench:
         is there: so a client's first request waits a moment, and is sent again after a while.
         """
         self.spin(client.service_is_ready, within)
-        if client not in self.asked:
-            self.asked.append(client)
+        if not self.asked[client]:
             moment = time.monotonic() + _MATCHED_S
             self.spin(lambda: time.monotonic() > moment)
         end = time.monotonic() + within
         while True:
             future = client.call_async(request)
+            self.asked[client] += 1
             patience = time.monotonic() + _ASK_AGAIN_S
             self.spin(lambda done=future.done, by=patience: done() or time.monotonic() > by, within)
             if future.done():

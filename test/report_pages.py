@@ -8,12 +8,20 @@ from pathlib import Path
 import numpy as np
 from report_samples import VERDICTS, Diagnosis
 
+from longarm_comp.report.write import write_report
+
 SEED = 5
 
 
 def sample(verdict: str) -> Diagnosis:
     """The diagnosis of a verdict, the same each time."""
     return VERDICTS[verdict](np.random.default_rng(SEED))
+
+
+def write_all(folder: Path) -> None:
+    """The report of every verdict, in a folder of its name."""
+    for verdict in VERDICTS:
+        write_report(*sample(verdict), folder / verdict)
 
 
 class Page(HTMLParser):

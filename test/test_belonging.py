@@ -137,7 +137,9 @@ def test_real_rows_are_told_from_spoilt_ones(data_dir: Path, name: str) -> None:
             admit(spoil(rows), arm)
 
 
-@pytest.mark.parametrize(("name", "last"), [("wam", "q7"), ("ur5", "q6")])
+@pytest.mark.parametrize(
+    ("name", "last"), [("wam", "q7"), pytest.param("ur5", "q6", marks=pytest.mark.long)]
+)
 def test_a_sign_that_does_not_move_the_tip_is_said_to_be_untold(
     data_dir: Path, name: str, last: str
 ) -> None:

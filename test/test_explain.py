@@ -67,12 +67,6 @@ def test_a_planted_compliance_is_named_with_its_value() -> None:
     assert one(found).where == (("joint 2",),)
 
 
-def test_the_place_follows_the_effect() -> None:
-    assert places(explained(session_of(DEMO, 2, JointGain(5, gain=0.04)), *KINDS)) == [
-        ("joint_gain", "joint 5")
-    ]
-
-
 def test_geometry_and_noise_alone_name_nothing() -> None:
     found = explained(session_of(DEMO, 3), *KINDS)
     assert found.found == found.doubtful == ()

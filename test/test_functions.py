@@ -124,14 +124,11 @@ def test_a_scale_of_the_camera_is_the_cameras_and_has_its_size() -> None:
     assert cause.terms[0].function == "1"  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize(("sway", "rows", "seed"), [(2e-3, ROWS, 3), (4e-3, 140, 5)])
-def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis(
-    sway: float, rows: int, seed: int
-) -> None:
-    cause = alone(SMALL, PumpShake(sway=sway, waves=6.0), rows=rows, seed=seed)
+def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis() -> None:
+    cause = alone(SMALL, PumpShake(sway=2e-3, waves=6.0))
     assert cause.inputs == ("pump_bar",)
     assert cause.where == ("base, move x", "what is measured, x")
-    assert cause.amounts[0].value == pytest.approx(sway, rel=0.05)
+    assert cause.amounts[0].value == pytest.approx(2e-3, rel=0.05)
     assert "something that depends on the recorded column" in cause.reading
 
 
@@ -188,6 +185,7 @@ def test_what_follows_the_warmth_is_no_drift() -> None:
     assert one(explained(SMALL, rows, (CameraDrift,))).inputs == ("warmth",)
 
 
+@pytest.mark.long
 def test_a_soft_base_and_a_soft_bearing_above_it_are_a_set() -> None:
     """They move the tip alike; the repair is another.  Functions do not hide the set."""
     rows = measured(DEMO, (loads.BaseCompliance(np.array([6e-3, 6e-3])),), ROWS, 3)

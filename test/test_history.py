@@ -17,8 +17,13 @@ from longarm_comp.core.arm.history import History, onward, play, recorded
 from longarm_comp.core.compensation.online import Readings, compensate_now
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
+from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import declared_model
@@ -262,13 +267,19 @@ def planted(arm: Arm, n: int, rng: np.random.Generator, told: bool) -> tuple[Ses
     return Session.record(q, seen, run_up=begun), tip
 
 
-@pytest.mark.parametrize("told", [pytest.param(False, marks=pytest.mark.long), True])
+RIVALS = (FrictionHysteresis, Backlash, ServoDroop, JointCompliance, JointGain, GearEccentricity)
+
+
+@pytest.mark.parametrize(
+    ("told", "kinds"), [pytest.param(False, None, marks=pytest.mark.long), (True, RIVALS)]
+)
 def test_memory_of_several_radii_is_found_named_and_predicts(
-    demo_arm_path: str, told: bool, rng: np.random.Generator
+    demo_arm_path: str, told: bool, kinds: tuple[type[Effect], ...] | None, rng: np.random.Generator
 ) -> None:
+    """Among what acts at one joint; in `make long` among all effects."""
     arm = Arm.load(demo_arm_path)
     session, _ = planted(arm, 220, rng, told)
-    found = diagnose(arm, session)
+    found = diagnose(arm, session, kinds=kinds)
     assert found.verdict == "named"
     assert [f.name for f in found.findings] == ["friction_hysteresis"]
     terms = [t for t in found.model.effects if isinstance(t, FrictionHysteresis)]

@@ -123,13 +123,16 @@ def test_of_a_burst_every_target_and_request_is_answered_once(
     stage.connected(targets)
     model, seed = declared_model(arm), joints_message(arm, arm.mid)
     asked = [pose(model.pose(arm.mid + 0.02 * math.sin(i))) for i in range(150)]
-    first = stage.call(client, Compensate.Request(target=asked[0], seed=seed))
-    assert first.success
+    first = Compensate.Request(target=asked[0], seed=seed)
+    stage.spin(lambda: stage.call(client, first).success and stories)
     futures = [client.call_async(Compensate.Request(target=t, seed=seed)) for t in asked]
-    stage.spin(lambda: all(f.done() for f in futures) and len(stories) == 151)
-    answers = [f.result().status for f in futures]
-    assert {Compensate.Response.SUCCESS, Compensate.Response.NOT_READY} == set(answers)
-    assert sorted(answers) == sorted(s.status for s in stories[1:])
+    stage.spin(lambda: all(f.done() for f in futures))
+    answers = {f.result().id: f.result().status for f in futures}
+    assert len(answers) == len(asked)
+    assert {Compensate.Response.SUCCESS, Compensate.Response.NOT_READY} == set(answers.values())
+    stage.spin(lambda: answers.keys() <= {s.id for s in stories})
+    burst = [(s.id, s.status) for s in stories if s.id in answers]
+    assert sorted(burst) == sorted(answers.items())
 
     joints = graph.JOINT_STATES.publisher(stage.node)
     stage.connected(joints)
@@ -177,8 +180,14 @@ def test_every_refusal_has_a_status_and_a_reason(
     reach = declared_model(arm).pose(arm.mid)
     status = Compensate.Response
 
+    answers: list[Compensate.Response] = []
+
+    def call(asked: Compensate.Request) -> Compensate.Response:
+        answers.append(stage.call(client, asked))
+        return answers[-1]
+
     def ask(matrix: np.ndarray, **more: object) -> Compensate.Response:
-        return stage.call(client, request(matrix, arm, execute=True, **more))
+        return call(request(matrix, arm, execute=True, **more))
 
     setter = stage.node.create_client(SetParameters, "kinematics/set_parameters")
     for value, fits in (("rubbish", False), ("deflection", True), ("both", True)):
@@ -210,24 +219,23 @@ def test_every_refusal_has_a_status_and_a_reason(
     stands(arm.mid, "100.0 s old", age_s=100.0)
     stands(arm.mid, "")
     stage.spin(lambda: trajectories)
-    stage.spin(lambda: stories[-1].executed.position)
-    del trajectories[:]
-    count = len(stories)
+    stage.spin(lambda: stories and stories[-1].executed.position)
+    del trajectories[:], answers[:]
     lost = reach.copy()
     lost[0, 3] = math.nan
     assert ask(lost).status == status.BAD_TARGET
     lost[0, 3] = math.inf
     assert ask(lost, position_only=True).status == status.BAD_TARGET
     stranger = Compensate.Request(target=pose(reach, "kitchen"), seed=joints_message(arm, arm.mid))
-    answer = stage.call(client, stranger)
+    answer = call(stranger)
     assert answer.status == status.BAD_FRAME
     assert "kitchen" in answer.message
     bent = request(reach, arm, execute=True)
     bent.target.pose.orientation.w += 0.1
-    assert stage.call(client, bent).status == status.BAD_TARGET
+    assert call(bent).status == status.BAD_TARGET
     foreign = request(reach, arm, execute=True)
     foreign.seed.name[0] = "elbow"
-    answer = stage.call(client, foreign)
+    answer = call(foreign)
     assert answer.status == status.BAD_TARGET
     assert "elbow" in answer.message
     answer = ask(declared_model(arm).pose(aside))
@@ -235,24 +243,27 @@ def test_every_refusal_has_a_status_and_a_reason(
     assert "keep_out lamp: the arm would enter it near" in answer.message
     wild = request(reach, arm)
     wild.seed.position[2] = 50.0
-    answer = stage.call(client, wild)
+    answer = call(wild)
     assert answer.status == status.BAD_TARGET
     assert "joint3: 50" in answer.message
     for age_s, words in ((100.0, "100.0 s old"), (-100.0, "in the future")):
         old = request(reach, arm, execute=True)
         then = stage.node.get_clock().now() - Duration(seconds=age_s)
         old.target.header.stamp = then.to_msg()
-        answer = stage.call(client, old)
+        answer = call(old)
         assert answer.status == status.STALE_TARGET
         assert words in answer.message
     far = reach.copy()
     far[0, 3] += 3.0
-    answer = stage.call(client, request(far, arm, execute=True, position_only=True))
+    answer = call(request(far, arm, execute=True, position_only=True))
     assert answer.status == status.UNREACHABLE
     assert not answer.command.position
     assert not trajectories
-    stage.spin(lambda: len(stories) == count + 10)
-    assert all(story.message and not story.executed.position for story in stories[count:])
+    refused = {answer.id for answer in answers}
+    stage.spin(lambda: refused <= {story.id for story in stories})
+    told = [story for story in stories if story.id in refused]
+    assert len(told) == len(answers) == 10
+    assert all(story.message and not story.executed.position for story in told)
 
     quiet = ask(reach)
     assert quiet.status == status.NO_PREDICTOR
@@ -277,7 +288,7 @@ def test_a_new_model_is_taken_up_without_a_restart(
 
     def taken_up() -> bool:
         stage.call(client, request(target, arm))
-        return bool(stories[-1].model_hash)
+        return bool(stories and stories[-1].model_hash)
 
     stage.spin(taken_up)
     after = stage.call(client, request(target, arm))

@@ -149,7 +149,7 @@ def test_the_learned_error_is_predicted_taken_off_and_replaced(
     save(second, path)
     stage.start("error_predictor", files)
     stage.spin(lambda: stage.call(compensate, request).status == Compensate.Response.SUCCESS)
-    stage.spin(lambda: stories[-1].predictor_hash)
+    stage.spin(lambda: stories and stories[-1].predictor_hash)
 
 
 def test_a_predictor_of_another_model_is_refused(

@@ -76,6 +76,7 @@ def test_an_effect_of_a_file_is_named_at_its_own_place(example: Path) -> None:
     assert "file custom_effect.py" in page
 
 
+@pytest.mark.long
 def test_without_it_the_structure_says_what_to_write(example: Path) -> None:
     arm = Arm.load(example / "arm.yaml")
     seen, test = (read_csv(example / f"{name}.csv", arm) for name in ("samples", "test"))

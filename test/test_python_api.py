@@ -174,21 +174,6 @@ def test_evaluate_is_the_command(work: Path, shell: Shell, arm: la.Arm) -> None:
         assert f"{told['rows'][1]['mean_mm']:.3f}" in repr(made)
 
 
-def test_diagnose_is_the_command(tmp_path: Path) -> None:
-    arm, samples, test = files_of_a_gain(tmp_path)
-    words = ("--test", test, "--no-network", "-o", tmp_path / "command")
-    assert Shell(tmp_path)("diagnose", arm, samples, *words) == 0
-    declared = la.Arm.load(arm)
-    rows, held_out = (la.read_session(file, declared) for file in (samples, test))
-    found = la.diagnose(declared, rows, test=held_out, network=False)
-    found.save(tmp_path / "python")
-    files = sorted(p.relative_to(tmp_path / "python") for p in (tmp_path / "python").rglob("*.*"))
-    assert {"model.yaml", "report.html", "report.json"} <= set(map(str, files))
-    for file in files:
-        mine, told = (tmp_path / by / file for by in ("python", "command"))
-        assert mine.read_bytes() == told.read_bytes(), file
-
-
 def test_compensate_is_the_command(work: Path, shell: Shell, arm: la.Arm, model: la.Model) -> None:
     """Poses and positions in one file, each where it stood."""
     inside = ARM.mid + np.array([[0.1, 0.1, 0, 0], [0, 0.2, 0.01, 0], [0.2, 0, 0, 0.1]])

@@ -22,9 +22,12 @@ from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.rest import RestWatch
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.encoder import Encoder
+from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.errors import InputError
@@ -46,6 +49,8 @@ from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.hidden import drives
 
 DROOP = drives.ServoDroop(at(3, 1.5e-3), at(3, 1e-3), 0.0)
+RIVALS = (ServoDroop, JointCompliance, Backlash, BearingTilt, GearEccentricity, JointGain)
+"""What may act at one joint."""
 
 
 def soft(*joints: int) -> drives.HiddenEffect:
@@ -216,7 +221,7 @@ def test_poses_to_measure_ask_for_nothing_that_readings_tell() -> None:
 )
 def test_a_reading_names_what_no_pose_can(hidden, name, places) -> None:
     """Droop and softness are one set without readings; play is not in the servo."""
-    found = diagnose(ARM, session(hidden)).findings
+    found = diagnose(ARM, session(hidden), kinds=RIVALS).findings
     assert [list(f.where) for f in found] == [places]
     if name is None:
         assert "servo_droop" not in found[0].names
@@ -236,7 +241,7 @@ def test_without_a_reading_droop_and_softness_stay_a_set() -> None:
 
 
 def test_both_at_one_joint_are_both_found() -> None:
-    found = diagnose(ARM, session((DROOP, soft(3)))).findings
+    found = diagnose(ARM, session((DROOP, soft(3))), kinds=RIVALS).findings
     assert {f.names for f in found} == {("servo_droop",), ("joint_compliance",)}
 
 

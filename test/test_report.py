@@ -36,16 +36,6 @@ def sections(verdict: str) -> list[str]:
     return [name for name in SECTIONS if name not in absent]
 
 
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Every verdict's report, written once."""
-    made = {}
-    for verdict in VERDICTS:
-        made[verdict] = tmp_path_factory.mktemp(verdict)
-        write_report(*sample(verdict), made[verdict])
-    return made
-
-
 # The record
 
 
@@ -75,9 +65,9 @@ def test_a_joint_is_said_by_the_number_that_a_mechanic_knows() -> None:
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_json_holds_what_was_handed_in(verdict: str, folders: dict[str, Path]) -> None:
+def test_json_holds_what_was_handed_in(verdict: str, reports: Path) -> None:
     report, _ = sample(verdict)
-    written = json.loads((folders[verdict] / "report.json").read_text("utf-8"))
+    written = json.loads((reports / verdict / "report.json").read_text("utf-8"))
     assert list(written) == list(report)
     assert_alike(written, report)
 
@@ -98,14 +88,14 @@ def assert_alike(written: Any, handed_in: Any) -> None:
 
 
 def test_same_diagnosis_gives_same_bytes_whatever_the_order_of_keys(
-    folders: dict[str, Path], tmp_path: Path
+    reports: Path, tmp_path: Path
 ) -> None:
     report, detail = sample("set")
     write_report(dict(reversed(report.items())), detail, tmp_path)
     files = sorted(p.relative_to(tmp_path) for p in tmp_path.rglob("*") if p.is_file())
     assert len(files) == 8
     for file in files:
-        assert (tmp_path / file).read_bytes() == (folders["set"] / file).read_bytes(), file
+        assert (tmp_path / file).read_bytes() == (reports / "set" / file).read_bytes(), file
 
 
 def test_plots_of_an_earlier_report_go(tmp_path: Path) -> None:
@@ -119,8 +109,8 @@ def test_plots_of_an_earlier_report_go(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_page_is_whole_and_accessible(verdict: str, folders: dict[str, Path]) -> None:
-    page = page_of(folders[verdict])
+def test_page_is_whole_and_accessible(verdict: str, reports: Path) -> None:
+    page = page_of(reports / verdict)
     assert not page.faults
     assert page.all("html")[0]["lang"] == "en"
     assert [s["id"] for s in page.all("section")] == sections(verdict)
@@ -138,8 +128,8 @@ def test_page_is_whole_and_accessible(verdict: str, folders: dict[str, Path]) ->
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_page_refers_to_nothing_outside(verdict: str, folders: dict[str, Path]) -> None:
-    page = page_of(folders[verdict])
+def test_page_refers_to_nothing_outside(verdict: str, reports: Path) -> None:
+    page = page_of(reports / verdict)
     for tag, attrs in page.elements:
         assert tag not in {"link", "iframe", "object", "embed"}
         for name in ("src", "href", "srcset", "data", "action"):
@@ -150,9 +140,9 @@ def test_page_refers_to_nothing_outside(verdict: str, folders: dict[str, Path]) 
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_verdict_and_tables_tell_the_record(verdict: str, folders: dict[str, Path]) -> None:
+def test_verdict_and_tables_tell_the_record(verdict: str, reports: Path) -> None:
     report, detail = sample(verdict)
-    page = page_of(folders[verdict])
+    page = page_of(reports / verdict)
     assert report["summary"] in page.words()
     assert f"Verdict: {verdict.replace('_', ' ').capitalize()}" in page.words()
     for finding in report["findings"]:
@@ -194,21 +184,21 @@ def test_noise_floor_is_that_of_gaussian_noise(rng: np.random.Generator) -> None
     assert list(floor.figures.values()) == pytest.approx(found, abs=4e-3)
 
 
-def test_unproven_gain_probabilities_and_doubts_are_said(folders: dict[str, Path]) -> None:
-    assert "the gain is not proven" in page_of(folders["unknown"]).words()
-    assert "the gain is not proven" not in page_of(folders["named"]).words()
-    table = page_of(folders["named"]).tables["parameters"]
+def test_unproven_gain_probabilities_and_doubts_are_said(reports: Path) -> None:
+    assert "the gain is not proven" in page_of(reports / "unknown").words()
+    assert "the gain is not proven" not in page_of(reports / "named").words()
+    table = page_of(reports / "named").tables["parameters"]
     assert table[-1] == [
         "backlash",
         "100.0 %",
         "backlash 100 %",
         "servo_droop could stand for its deadband",
     ]
-    assert "Structure is left" in page_of(folders["partly"]).words()
+    assert "Structure is left" in page_of(reports / "partly").words()
 
 
-def test_candidates_come_best_first_and_the_rest_is_folded(folders: dict[str, Path]) -> None:
-    page = page_of(folders["named"])
+def test_candidates_come_best_first_and_the_rest_is_folded(reports: Path) -> None:
+    page = page_of(reports / "named")
     lines = [line for line in page.tables["candidates"] if not is_head(line)]
     scores = [float(line[2].replace("−", "-")) for line in lines if line[2] != words.DASH]
     assert lines[0][:3] == ["backlash", "joint 2", "214.6"]
@@ -245,10 +235,10 @@ def test_every_text_is_escaped(tmp_path: Path) -> None:
     assert not list(tmp_path.parent.glob("*.svg"))
 
 
-def test_plots_beside_the_page_are_those_in_it(folders: dict[str, Path]) -> None:
-    page = page_of(folders["named"])
+def test_plots_beside_the_page_are_those_in_it(reports: Path) -> None:
+    page = page_of(reports / "named")
     inside = {base64.b64decode((i["src"] or "").split(",")[1]) for i in page.all("img")}
-    beside = {file.read_bytes() for file in (folders["named"] / "plots").iterdir()}
+    beside = {file.read_bytes() for file in (reports / "named" / "plots").iterdir()}
     assert inside == beside and len(inside) == 6
     for svg in inside:
         assert ElementTree.fromstring(svg).tag.endswith("svg")

@@ -19,9 +19,6 @@ import cv2
 import numpy as np
 import pytest
 from browser import browser
-from report_samples import VERDICTS
-
-from longarm_comp.report.write import write_report
 
 FLAGS = (
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
@@ -117,9 +114,8 @@ def visit(tmp_path: Path) -> Visit:
     return visited
 
 
-def page_text(verdict: str, folder: Path) -> str:
-    path = write_report(*VERDICTS[verdict](np.random.default_rng(5)), folder)
-    return path.read_text("utf-8")
+def page_text(folder: Path) -> str:
+    return (folder / "report.html").read_text("utf-8")
 
 
 def pixels_of(picture: str, rgb: tuple[int, int, int]) -> int:
@@ -133,8 +129,8 @@ def pixels_of(picture: str, rgb: tuple[int, int, int]) -> int:
 ORANGE, BLUE, GREY = (230, 159, 0), (0, 114, 178), (138, 138, 138)
 
 
-def test_full_page_shows_sorts_and_filters(visit: Visit, tmp_path: Path) -> None:
-    seen = visit(page_text("named", tmp_path / "report"))
+def test_full_page_shows_sorts_and_filters(visit: Visit, reports: Path) -> None:
+    seen = visit(page_text(reports / "named"))
     assert seen["faults"] == []
     assert all(load.startswith(("data:", "blob:")) for load in seen["loads"])
 
@@ -158,25 +154,25 @@ def test_full_page_shows_sorts_and_filters(visit: Visit, tmp_path: Path) -> None
     assert seen["printed"] == {"rows": 52, "open": True, "then": {"rows": 1, "open": False}}
 
 
-def test_narrow_page_does_not_run_over(visit: Visit, tmp_path: Path) -> None:
-    seen = visit(page_text("set", tmp_path / "report"), "--window-size=500,900")
+def test_narrow_page_does_not_run_over(visit: Visit, reports: Path) -> None:
+    seen = visit(page_text(reports / "set"), "--window-size=500,900")
     assert seen["faults"] == [] and seen["scene"] and seen["wide"] <= 0
 
 
-def test_page_without_data_is_quiet(visit: Visit, tmp_path: Path) -> None:
-    seen = visit(page_text("bad_data", tmp_path / "report"))
+def test_page_without_data_is_quiet(visit: Visit, reports: Path) -> None:
+    seen = visit(page_text(reports / "bad_data"))
     assert seen["faults"] == [] and seen["loads"] == []
     assert "812 m from the base" in seen["verdict"]["text"] and not seen["scene"]
 
 
-def test_without_webgl_the_still_figure_stays(visit: Visit, tmp_path: Path) -> None:
-    seen = visit(page_text("noise", tmp_path / "report"), "--disable-3d-apis")
+def test_without_webgl_the_still_figure_stays(visit: Visit, reports: Path) -> None:
+    seen = visit(page_text(reports / "noise"), "--disable-3d-apis")
     assert seen["faults"] == [] and not seen["scene"] and seen["still"]
 
 
-def test_a_planted_fault_is_found(visit: Visit, tmp_path: Path) -> None:
+def test_a_planted_fault_is_found(visit: Visit, reports: Path) -> None:
     """The recorder works, and the page's own policy stops what it would report."""
-    text = page_text("bad_data", tmp_path / "report")
+    text = page_text(reports / "bad_data")
     planted = (
         '<img alt="" src="http://127.0.0.1:9/planted.png"><script>undefinedName();</script></main>'
     )

@@ -48,7 +48,9 @@ def test_a_planted_arm_goes_through_the_whole_study(tmp_path: Path) -> None:
     assert found["diagnosed_mm"] < 1.5 * found["rigid_mm"]
 
 
-@pytest.mark.parametrize("name", RIGID_MM)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.long] * (n not in ("1", "3"))) for n in RIGID_MM]
+)
 def test_real_arms_are_calibrated_by_touch(name: str) -> None:
     arm = la.Arm.load(EXAMPLE / "arm.yaml")
     session = la.read_session(EXAMPLE / f"panda_{name}.csv", arm)

@@ -188,16 +188,10 @@ class TargetInlet:
         return answer
 
     def _publish_answer(self, request: Request) -> None:
+        """Count the answer, then publish it: who hears of it finds it counted."""
         answer = request.answer
         if answer is None:
             return
-        self._compensation.publish(
-            compensation_message(
-                answer, self._arm, self._base_frame,
-                executed=request.sent, accepted=request.accepted,
-            )
-        )  # fmt: skip
-        self._markers.on_answer(answer)
         if answer.status is Status.INTERNAL_ERROR:
             self._broken = answer.message
         elif answer.status.success:
@@ -205,6 +199,13 @@ class TargetInlet:
             self._node.health.mended()
         why = "" if answer.status is Status.SUCCESS else answer.message
         self._node.tally.count(answer.status.name, why)
+        self._compensation.publish(
+            compensation_message(
+                answer, self._arm, self._base_frame,
+                executed=request.sent, accepted=request.accepted,
+            )
+        )  # fmt: skip
+        self._markers.on_answer(answer)
 
     def halt(self) -> str:
         """Stop the arm smoothly: a trajectory without points. Its id."""
