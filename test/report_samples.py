@@ -11,11 +11,11 @@ import numpy as np
 from longarm_comp.report.detail import (
     Correlation,
     Detail,
-    Detectable,
     Input,
     Marked,
     SeenRows,
     SetSplit,
+    Table,
 )
 
 Diagnosis = tuple[dict[str, Any], Detail]
@@ -201,10 +201,14 @@ def base(rng: np.random.Generator) -> Diagnosis:
         held_out=rows,
         before="nominal",
         after="calibrated",
-        detectable=(
-            Detectable("backlash", "joint 2", "gap", 0.0004, "rad", 0.31),
-            Detectable("joint_compliance", "joint 2", "compliance", 2.1e-5, "rad/(N m)", 0.35),
-            Detectable("gear_eccentricity", "joint 6", "amplitude", None, "m", None),
+        detectable=Table(
+            "Smaller ones may exist.",
+            ("Effect", "Where", "Parameter", "Size", "Unit", "At the tip, mm RMS"),
+            (
+                ("backlash", "joint 2", "gap", 0.0004, "rad", 0.31),
+                ("joint_compliance", "joint 2", "compliance", 2.1e-5, "rad/(N m)", 0.35),
+                ("gear_eccentricity", "joint 6", "amplitude", None, "not excited", None),
+            ),
         ),
         provenance={"Session": "samples.csv", "numpy": "2.2.1"},
     )

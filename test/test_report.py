@@ -168,7 +168,7 @@ def test_verdict_and_tables_tell_the_record(verdict: str, folders: dict[str, Pat
     bodies = {
         "candidates": report["candidates"],
         "outliers": report["outliers"],
-        "detectable": detail.detectable,
+        "detectable": detail.detectable.rows if detail.detectable else (),
         "sets": [pose for split in detail.splits for pose in split.q],
     }
     for section, entries in bodies.items():

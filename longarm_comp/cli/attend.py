@@ -5,14 +5,14 @@ from __future__ import annotations
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, print_json
+from longarm_comp.cli.output import note, print_json, say
 from longarm_comp.cli.signals import on_graph
 
 
 @click.command()
 @options.namespace
 @options.as_json
-def status(namespace: str, as_json: bool) -> None:
+def status(namespace: str) -> None:
     """Print the state of the running arm: its driver, every problem with its cause, the next
     command.
 
@@ -24,22 +24,20 @@ def status(namespace: str, as_json: bool) -> None:
 
     with on_graph("status", namespace) as client:
         found = Attendant(client).standing()
-    if as_json:
-        print_json(found)
-        return
+    print_json(found)
     driver, reason, tip = (found[key] for key in ("driver", "why", "tip"))
     why = f": {reason}" if reason else ""
-    click.echo(f"The driver is {driver}{why}." if driver else f"{reason}.")
+    say(f"The driver is {driver}{why}." if driver else f"{reason}.")
     for trouble in found["troubles"]:
-        click.echo("{level}: {node}, {part}: {message}".format_map(trouble))
+        say("{level}: {node}, {part}: {message}".format_map(trouble))
     if not found["troubles"]:
-        click.echo(f"All is well: {', '.join(found['nodes'])}.")
+        say(f"All is well: {', '.join(found['nodes'])}.")
     if tip:
-        click.echo(f"{tip[0].upper()}{tip[1:]}.")
+        say(f"{tip[0].upper()}{tip[1:]}.")
     if found["learned"]:
-        click.echo(f"At work: {found['learned']}.")
+        say(f"At work: {found['learned']}.")
     if found["next"]:
-        click.echo(f"Next: {found['next']}")
+        say(f"Next: {found['next']}")
 
 
 def _asked_of_the_driver(name: str, what: str) -> click.Command:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_table
 
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm
+
 
 @click.command()
 @options.output(None, "Bag folder to record.", outputs.left_to_the_command)
-@click.option("--images", is_flag=True, help="Also record images and camera calibrations.")
+@options.flag("--images", "Also record images and camera calibrations.")
 @click.option("--duration", type=float, help="Stop after this time, s.")
-@click.option("--resume", is_flag=True, help="Add to an existing bag.")
+@options.flag("--resume", "Add to an existing bag.")
 @click.option("--segment", default=20.0, help="Length of a file, s.")
 @options.namespace
 @options.as_json
@@ -25,7 +29,6 @@ def record(
     resume: bool,
     segment: float,
     namespace: str,
-    as_json: bool,
 ) -> None:
     """Record an arm's topics as a rosbag2 (mcap), until Ctrl-C.
 
@@ -58,19 +61,14 @@ def record(
         note("recording; Ctrl-C ends it")
         counts = recorder.record(bag, topics, stop, namespace, segment, duration)
     seconds = time.monotonic() - begun
-    if as_json:
-        print_json({"bag": str(output), "seconds": seconds, "messages": counts})
-        return
+    print_json({"bag": output, "seconds": seconds, "messages": counts})
     note(f"{sum(counts.values())} messages in {seconds:.1f} s; bag in {output}")
 
 
-_bag = click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
-
-
 @click.command()
-@_bag
+@options.bag
 @options.as_json
-def info(bag: Path, as_json: bool) -> None:
+def info(bag: Path) -> None:
     """Topics, types and counts of a BAG folder (mcap or sqlite3).
 
     \b
@@ -80,9 +78,7 @@ def info(bag: Path, as_json: bool) -> None:
     from longarm_comp.sessions.bag import bag_info
 
     found = bag_info(bag)
-    if as_json:
-        print_json(found)
-        return
+    print_json(found)
     title = "{path}: {storage}, {duration_s:.1f} s, {messages} messages".format_map(found)
     rows = [(t["topic"], t["type"], t["count"], "yes" * t["read"]) for t in found["topics"]]
     print_table(title, ("topic", "type", "messages", "read for a session"), rows)
@@ -90,11 +86,11 @@ def info(bag: Path, as_json: bool) -> None:
 
 @click.command()
 @options.arm
-@_bag
+@options.bag
 @options.output("samples.csv", "Session to write.", outputs.session)
 @options.namespace_of(None, "Namespace of the arm, if the bag holds several.")
 @options.as_json
-def to_csv(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: bool) -> None:
+def to_csv(arm: Arm, bag: Path, output: Path, namespace: str | None) -> None:
     """Write what BAG recorded of ARM as a session in CSV.
 
     A row is a command and the mean of its settled sightings.
@@ -103,16 +99,11 @@ def to_csv(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: b
     Example:
       longarm bag to-csv arm.yaml session_bag -o samples.csv
     """
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.sessions.bag import read_bag
     from longarm_comp.sessions.csv import write_csv
 
-    session = read_bag(bag, Arm.load(arm), namespace)
+    session = read_bag(bag, arm, namespace)
     write_csv(session, output)
     seen = int(session.seen.sum())
-    if as_json:
-        print_json(
-            {"output": str(output), "rows": len(session), "seen": seen, "hash": session.hash}
-        )
-    else:
-        note(f"{len(session)} rows, {seen} with a marker, in {output}")
+    print_json({"output": output, "rows": len(session), "seen": seen, "hash": session.hash})
+    note(f"{len(session)} rows, {seen} with a marker, in {output}")

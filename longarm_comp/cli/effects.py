@@ -7,13 +7,13 @@ import math
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import print_json
+from longarm_comp.cli.output import print_json, say
 
 
 @click.command()
 @options.effects
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def command(as_json: bool) -> None:
+@options.as_json
+def command() -> None:
     """Print the library of effects: parameters, units, priors, bounds, needed inputs.
 
     \b
@@ -23,10 +23,8 @@ def command(as_json: bool) -> None:
       longarm effects --effects my_effects.py
     """
     rows = catalogue()
-    if as_json:
-        print_json(rows)
-        return
-    print(_markdown(rows))
+    print_json(rows)
+    say(_markdown(rows))
 
 
 def catalogue() -> list[dict[str, object]]:

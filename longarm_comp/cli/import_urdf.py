@@ -11,7 +11,7 @@ from longarm_comp.cli.output import note, note_link_places
 
 
 @click.command()
-@click.argument("urdf", type=click.Path(path_type=Path), metavar="URDF")
+@options.path_argument("urdf", "URDF")
 @click.option("--base", required=True, metavar="LINK", help="Fixed link.")
 @click.option("--tip", required=True, metavar="LINK", help="Link that is commanded and measured.")
 @options.output("arm.yaml", "Arm to write.", outputs.never)

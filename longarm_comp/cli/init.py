@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("out", type=click.Path(path_type=Path), metavar="DIR")
+@options.path_argument("out", "DIR")
 @options.path_option("--urdf", "From a URDF.")
 @click.option("--base", default="", metavar="LINK", help="URDF: fixed link; default: its root.")
 @click.option("--tip", default="", metavar="LINK", help="URDF: link that is commanded.")
-@click.option("--like", type=click.Choice(["demo"]), help="A copy of the demonstration's files.")
+@options.choice("--like", ["demo"], "A copy of the demonstration's files.")
 @options.path_option("--arm", "An existing arm.yaml; the other files are made for it.")
 @click.option("--name", default="", help="Name of the arm.")
 @click.option(
@@ -43,15 +43,13 @@ if TYPE_CHECKING:
 )
 @click.option("--home", multiple=True, metavar="JOINT=DEG", help="Middle of that range.")
 @click.option("--servos", default="sts3215", help="Model of the servos.")
-@click.option(
+@options.flag(
     "--hobby",
-    is_flag=True,
-    help="For a printed arm and two webcams: servo horns as joints, cameras near, marker on A4.",
+    "For a printed arm and two webcams: servo horns as joints, cameras near, marker on A4.",
 )
-@click.option(
+@options.flag(
     "--only-arm",
-    is_flag=True,
-    help="Write arm.yaml alone, with all limits of the URDF, for another controller and sensor.",
+    "Write arm.yaml alone, with all limits of the URDF, for another controller and sensor.",
 )
 @options.as_json
 def command(
@@ -70,7 +68,6 @@ def command(
     servos: str,
     hobby: bool,
     only_arm: bool,
-    as_json: bool,
 ) -> None:
     """Write a new folder DIR: arm.yaml, and servo, camera and marker files that fit it.
 
@@ -122,9 +119,7 @@ def command(
             source = _narrowed(data, where, range_deg, dict(map(_home, home)), seen=not only_arm)
         files = {ARM: source.text} if only_arm else files_of(source, servos, hobby)
     write_folder(out, files)
-    if as_json:
-        print_json({"folder": str(out), "files": list(files)})
-        return
+    print_json({"folder": out, "files": list(files)})
     note(f"{', '.join(files)} in {out}")
     if source is not None:
         note_link_places(source.arm)

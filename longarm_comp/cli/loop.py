@@ -10,11 +10,12 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.dialogue import agreed
-from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, progress
+from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, progress, say
 from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.client import Pace
     from longarm_comp.report.record import DiagnosisReport
 
@@ -24,19 +25,19 @@ SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_a
 @click.command()
 @options.arm
 @options.output(None, "Folder for sessions, diagnoses and the page.", outputs.left_to_the_command)
-@click.option("--yes", is_flag=True, help="Apply every diagnosis without asking.")
+@options.flag("--yes", "Apply every diagnosis without asking.")
 @click.option("--rounds", default=3, help="Rounds at most.")
 @click.option("--poses", default=180, help="Poses to measure in a round.")
 @click.option("--targets", default=40, help="Fresh targets to measure the gain.")
 @options.without("network", "Train no predictor.")
-@click.option("--resume", is_flag=True, help="Go on with an interrupted loop.")
+@options.flag("--resume", "Go on with an interrupted loop.")
 @options.pace
 @options.namespace
 @options.seed
 @options.effects
 @options.as_json
 def command(
-    arm: Path,
+    arm: Arm,
     output: Path,
     yes: bool,
     targets: int,
@@ -44,7 +45,6 @@ def command(
     pace: Callable[..., Pace],
     namespace: str,
     seed: int,
-    as_json: bool,
     **size: Any,
 ) -> None:
     """Calibrate and check ARM on its running graph, real or simulated, in one command.
@@ -64,14 +64,12 @@ def command(
       longarm up arm.yaml --sim --model work/model.yaml --predictor work/predictor.npz
       longarm loop arm.yaml -o loop_1
     """
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.data.plan import sobol
     from longarm_comp.core.model.declared_model import declared_model
     from longarm_comp.jobs.loop.run import Loop, write_loop
     from longarm_comp.jobs.loop.settings import LoopSettings
 
-    declared = Arm.load(arm)
-    paced = pace(declared_model(declared), sobol(declared, 16, seed).q)
+    paced = pace(declared_model(arm), sobol(arm, 16, seed).q)
     settings = LoopSettings(output, targets=targets, seed=seed, pace=paced, **size)
 
     def agree(report: DiagnosisReport) -> bool:
@@ -83,21 +81,19 @@ def command(
 
     with (
         kept_if_broken_off(kept),
-        on_graph("loop", namespace, declared) as client,
+        on_graph("loop", namespace, arm) as client,
         progress("loop") as show,
     ):
         result = Loop(client, settings, agree, resume=resume, say=show).run()
-    printed = write_loop(declared.name, settings, result)
-    if as_json:
-        print_json(printed)
-    else:
-        rows = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
-        print_rows(f"tip - target over {targets} targets, measured by the cameras", rows)
-        for r in printed["rounds"]:
-            for change in r["changes"]:
-                click.echo(f"round {r['number']}: {change['text']}")
-        click.echo(printed["summary"])
-        note(f"ended: {printed['ended']}")
-        note(f"page: {printed['files']['page']}; to take it back: {printed['undo']}")
+    printed = write_loop(arm.name, settings, result)
+    print_json(printed)
+    rows = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
+    print_rows(f"tip - target over {targets} targets, measured by the cameras", rows)
+    for r in printed["rounds"]:
+        for change in r["changes"]:
+            say(f"round {r['number']}: {change['text']}")
+    say(printed["summary"])
+    note(f"ended: {printed['ended']}")
+    note(f"page: {printed['files']['page']}; to take it back: {printed['undo']}")
     if not printed["helps"]:
         raise JobError(printed["summary"])

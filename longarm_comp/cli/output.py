@@ -1,4 +1,8 @@
-"""Output of commands: results on stdout (a table, or JSON), progress and notes on stderr."""
+"""Output of commands: results on stdout (tables, or JSON alone), progress and notes on stderr.
+
+With ``--json`` what prints for people is silent, without it what prints JSON is: a command prints
+both.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +23,15 @@ if TYPE_CHECKING:
 
 _QUIET_S = 10.0
 """A reader of lines wants to know that the job goes on, not each of its steps."""
+
+
+JSON = "longarm.json"
+"""Key of a click context: whether ``--json`` was given."""
+
+
+def _as_json() -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(JSON))
 
 
 def note(text: str) -> None:
@@ -53,14 +66,26 @@ def as_text(data: object) -> str:
 
 
 def print_json(data: object) -> None:
-    """Print results as JSON."""
-    click.echo(as_text(data))
+    """Print results as JSON, with ``--json``."""
+    if _as_json():
+        click.echo(as_text(data))
+
+
+def say(text: str) -> None:
+    """Print a line of the results, without ``--json``."""
+    if not _as_json():
+        click.echo(text)
 
 
 def print_table(
     title: str, header: Sequence[str], rows: Sequence[Sequence[object]], on_stderr: bool = False
 ) -> None:
-    """Print results as a table: text in the first column, numbers right-aligned."""
+    """Print results as a table: text in the first column, numbers right-aligned.
+
+    With ``--json`` nothing on stdout.
+    """
+    if _as_json() and not on_stderr:
+        return
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -76,7 +101,7 @@ def print_table(
 
 
 def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[Any, ...]]) -> None:
-    """Print parameters in the units that people read; nothing where there are none.
+    """Print parameters in the units that people read.
 
     Args:
         called: names of places.
@@ -90,17 +115,15 @@ def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[An
         span = "at its bound" if ci95 is None else " .. ".join(f"{times * v:.4g}" for v in ci95)
         place = called.get(where, where)
         cells.append((effect, place, name, f"{times * value:.4g}", span, shown))
+    header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
     if cells:
-        header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
         print_table(title, header, cells)
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     """Print rows with equal keys as a table; nothing where there are none."""
-    if not rows:
-        return
-    header = list(rows[0])
-    print_table(title, header, [[row[name] for name in header] for row in rows])
+    if rows:
+        print_table(title, list(rows[0]), [[row[name] for name in rows[0]] for row in rows])
 
 
 @contextmanager

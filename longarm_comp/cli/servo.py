@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from longarm_comp.cli import options
+from longarm_comp.cli.dialogue import Dialogue
 from longarm_comp.cli.output import note, print_json, print_table, progress
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
-    from longarm_comp.cli.dialogue import Dialogue
     from longarm_comp.devices.servo_bus import Scan
 
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     "--timeout", default=0.02, type=click.FloatRange(0.001, 1.0), help="Patience with one id, s."
 )
 @options.as_json
-def scan(port: str | None, as_json: bool, **line: Any) -> None:
+def scan(port: str | None, **line: Any) -> None:
     """List the servos on a bus: id, model, firmware, ids that two servos share.
 
     Asks every id alone. Without --protocol and --baud it tries the usual ones, one after the other,
@@ -36,13 +36,9 @@ def scan(port: str | None, as_json: bool, **line: Any) -> None:
       longarm servo scan --port /dev/ttyUSB0
       longarm servo scan --port /dev/ttyUSB0 --protocol feetech --baud 1000000 --ids 1-20 --json
     """
-    from longarm_comp.cli.dialogue import Dialogue
-
     found = scanned(asked_port(Dialogue("servo scan"), port, None), **line)
-    if as_json:
-        print_json(asdict(found))
-    else:
-        show(found)
+    print_json(asdict(found))
+    show(found)
     refuse_clashes(found)
 
 
@@ -121,8 +117,6 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
     Example:
       longarm servo set-id 3 --port /dev/ttyUSB0
     """
-    from longarm_comp.cli.dialogue import Dialogue
-    from longarm_comp.cli.output import note
     from longarm_comp.devices.servo_bus.scan import renumber
 
     found = scanned(asked_port(Dialogue("servo set-id"), port, None), **line)
@@ -140,8 +134,6 @@ def find_port() -> None:
     Example:
       longarm find-port
     """
-    from longarm_comp.cli.dialogue import Dialogue
-    from longarm_comp.core.errors import JobError
     from longarm_comp.devices.servo_bus import usable_ports
 
     there = dict(usable_ports())

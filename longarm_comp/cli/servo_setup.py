@@ -25,7 +25,7 @@ _SIGNS = {"+": 1, "-": -1}
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@options.folder
 @options.servo_line
 @click.option(
     "--pose", multiple=True, metavar="JOINT=VALUE", help="Held pose, deg or mm. Default: 0."
@@ -36,7 +36,7 @@ _SIGNS = {"+": 1, "-": -1}
     metavar="JOINT=+|-",
     help="+ if the ticks grow with the joint value, else -.",
 )
-@click.option("--yes", is_flag=True, help="Do not wait at each step: the arm is held or supported.")
+@options.flag("--yes", "Do not wait at each step: the arm is held or supported.")
 @options.as_json
 def command(
     folder: Path,
@@ -44,7 +44,6 @@ def command(
     pose: Sequence[str],
     direction: Sequence[str],
     yes: bool,
-    as_json: bool,
     **line: Any,
 ) -> None:
     """Find zeros and directions of DIR's servos, and write DIR/servo_driver.yaml.
@@ -70,7 +69,7 @@ def command(
     config, dialogue = ServoConfig.load(file), Dialogue(_COMMAND, yes)
     held, directions = _held(config, pose), _given(config, direction)
     with ended_by_signals():
-        _run(folder, config, dialogue, held, directions, port, line, as_json)
+        _run(folder, config, dialogue, held, directions, port, line)
 
 
 def _held(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
@@ -115,7 +114,6 @@ def _run(
     directions: Mapping[str, int],
     port: str | None,
     line: Mapping[str, Any],
-    as_json: bool,
 ) -> None:
     from longarm_comp.arm_folder.measured import note_measured
     from longarm_comp.arm_folder.servos import SERVOS, with_joints
@@ -161,17 +159,10 @@ def _run(
         }
         for name, joint in joints.items()
     }
-    if as_json:
-        print_json({"file": str(file), **line_found, "joints": facts})
-        return
+    print_json({"file": file, **line_found, "joints": facts})
+    signs = {number: sign for sign, number in _SIGNS.items()}
     rows = [
-        (
-            name,
-            j.servo_id,
-            "+" if j.direction > 0 else "-",
-            f"{j.zero_ticks:g}",
-            shown(j, reads[name]),
-        )
+        (name, j.servo_id, signs[j.direction], f"{j.zero_ticks:g}", shown(j, reads[name]))
         for name, j in joints.items()
     ]
     header = ("joint", "id", "direction", "zero_ticks", "now")

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows
+
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm
 
 
 @click.command()
@@ -21,7 +25,7 @@ from longarm_comp.cli.output import note, print_json, print_rows
 )
 @options.effects
 @options.as_json
-def command(arm: Path, model: Path, output: Path, group: str, marker: str, as_json: bool) -> None:
+def command(arm: Arm, model: Path, output: Path, group: str, marker: str) -> None:
     """Write the rigid part of MODEL as a URDF with calibrated joint origins.
 
     The link base_link is the frame of the measurements, the link tip is the tip. The origins
@@ -33,12 +37,10 @@ def command(arm: Path, model: Path, output: Path, group: str, marker: str, as_js
       longarm export-urdf arm.yaml --model model.yaml -o calibrated.urdf
     """
     from longarm_comp import urdf_export as made
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.files import write_text
     from longarm_comp.core.model.model_file import load_model
 
-    declared = Arm.load(arm)
-    known = load_model(model, declared)
+    known = load_model(model, arm)
     write_text(output, made.export_urdf(known, group, marker))
     left = sorted({e.name for e in known.effects if not e.geometry})
     rows = [
@@ -50,11 +52,8 @@ def command(arm: Path, model: Path, output: Path, group: str, marker: str, as_js
         }
         for z in made.zero_offsets(known)
     ]
-    if as_json:
-        print_json({"output": str(output), "zero_offsets": rows, "left_out": left})
-        return
-    if rows:
-        print_rows("Joint values at command zero (in the origins already)", rows)
+    print_json({"output": output, "zero_offsets": rows, "left_out": left})
+    print_rows("Joint values at command zero (in the origins already)", rows)
     if left:
         note(f"left out, because a URDF is rigid: {', '.join(left)}")
-    note(f"{declared.n} joints in {output}")
+    note(f"{arm.n} joints in {output}")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from plotly.offline import get_plotlyjs
-
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, verdict, words
 from longarm_comp.report.detail import Detail
@@ -47,10 +45,9 @@ def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) ->
         most=MOST,
         plots={name: data_uri(content) for name, content in plots.items()},
         still_times=exaggeration(rows, still_stages(detail)) if rows else 1.0,
-        scene=scene_json(rows, shown) if rows else None,
+        scene=scene_json(rows) if rows else None,
         style=beside("report.css"),
         script=beside("report.js"),
-        plotly=get_plotlyjs().replace("</script", "<\\/script") if rows else None,
     )
 
 

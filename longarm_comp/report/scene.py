@@ -1,13 +1,12 @@
-"""The interactive scene of the arm and its residual arrows, drawn by plotly."""
+"""The scene of the arm and its residual arrows: which rows, at what scale, and as data."""
 
 from __future__ import annotations
 
 import json
-from typing import Any
 
 import numpy as np
 
-from longarm_comp.report.detail import STAGES, SeenRows
+from longarm_comp.report.detail import SeenRows
 from longarm_comp.report.record import rounded
 from longarm_comp.report.style import LOOKS
 
@@ -18,7 +17,7 @@ _ROUND = np.array([1.0, 2.0, 5.0])
 
 def stages_of(rows: SeenRows) -> tuple[str, ...]:
     """The stages that these rows have, in order."""
-    return tuple(stage for stage in STAGES if stage in rows.errors_m)
+    return tuple(stage for stage in LOOKS if stage in rows.errors_m)
 
 
 def points_of(rows: SeenRows) -> np.ndarray:
@@ -46,72 +45,26 @@ def arrows(rows: SeenRows) -> np.ndarray:
     return np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))
 
 
-_ARM = "#8a8a8a"
+def scene_json(rows: SeenRows) -> str:
+    """What report.js draws and turns, as JSON that is safe to stand in a script element; m.
 
-
-def scene_json(rows: SeenRows, shown: str) -> str:
-    """A plotly figure as JSON, safe to stand in a script element; ``shown``: the stage seen first.
-
-    Every stage has its arrows at a scale of its own: `meta` of a trace says ``{"stage", "times"}``.
+    Every stage has its arrows at a scale of its own.
     """
-    traces = [_arm_line(line) for line in rows.arms_m]
-    for stage in stages_of(rows):
-        traces.append(_arrow_lines(rows, stage, stage == shown))
+    taken = arrows(rows)
+    stages = {
+        stage: {
+            "times": exaggeration(rows, (stage,)),
+            "color": LOOKS[stage].color,
+            "errors": rows.errors_m[stage][taken].tolist(),
+        }
+        for stage in stages_of(rows)
+    }
+    plain = {
+        "arms": [line.tolist() for line in rows.arms_m],
+        "rows": rows.index[taken].tolist(),
+        "tips": rows.measured_m[taken].tolist(),
+        "stages": stages,
+    }
     # To a hundredth of a millimetre, to keep the file small
-    plain = rounded({"data": traces, "layout": _layout()}, lambda v: round(v, 5))
-    return json.dumps(plain, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-
-
-def _arm_line(line: np.ndarray) -> dict[str, Any]:
-    return {
-        "type": "scatter3d",
-        **dict(zip("xyz", line.T.tolist(), strict=True)),
-        "mode": "lines+markers",
-        "line": {"color": _ARM, "width": 6},
-        "marker": {"color": _ARM, "size": 3},
-        "hoverinfo": "skip",
-        "showlegend": False,
-    }
-
-
-def _arrow_lines(rows: SeenRows, stage: str, visible: bool) -> dict[str, Any]:
-    """A line for each arrow, with a dot where it starts and a gap after it."""
-    times, taken = exaggeration(rows, (stage,)), arrows(rows)
-    tips, errors = rows.measured_m[taken], rows.errors_m[stage][taken]
-    ends = np.stack([tips, tips + times * errors], axis=1).tolist()
-    points = [point for start, stop in ends for point in (start, stop, [None] * 3)]
-    notes = [
-        f"row {k}: ({x:+.2f}, {y:+.2f}, {z:+.2f}) mm"
-        for k, (x, y, z) in zip(rows.index[taken], 1e3 * errors, strict=True)
-    ]
-    color = LOOKS[stage].color
-    return {
-        "type": "scatter3d",
-        **dict(zip("xyz", map(list, zip(*points, strict=True)), strict=True)),
-        "mode": "lines+markers",
-        "line": {"color": color, "width": 4},
-        "marker": {"color": color, "size": [4, 0, 0] * len(notes), "line": {"width": 0}},
-        "text": [entry for note in notes for entry in (note, note, "")],
-        "hoverinfo": "text",
-        "meta": {"stage": stage, "times": times},
-        "visible": visible,
-        "showlegend": False,
-    }
-
-
-def _layout() -> dict[str, Any]:
-    def axis(name: str) -> dict[str, Any]:
-        return {"title": {"text": f"{name}, m"}, "showspikes": False}
-
-    return {
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-        "paper_bgcolor": "white",
-        "scene": {
-            **{f"{name}axis": axis(name) for name in "xyz"},
-            "aspectmode": "data",
-            "camera": {
-                "eye": {"x": 1.25, "y": -1.7, "z": 0.8},
-                "center": {"x": 0, "y": 0, "z": -0.12},
-            },
-        },
-    }
+    short = rounded(plain, lambda v: round(v, 5))
+    return json.dumps(short, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

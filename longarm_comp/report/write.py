@@ -61,9 +61,10 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
             )
             figures["scene"] = plots.still_scene(rows, still_stages(detail))
             if {detail.before, detail.after} <= set(stages):
+                inputs = {entry.name: entry for entry in rows.inputs}
                 for name in detail.guilty:
                     figures[against(name)] = plots.against_input(
-                        rows, rows.input(name), detail.before, detail.after, sigma_mm
+                        rows, inputs[name], detail.before, detail.after, sigma_mm
                     )
         if detail.correlation is not None and detail.correlation.matrix.size:
             figures["correlation"] = plots.correlations(detail.correlation)

@@ -15,7 +15,7 @@ from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
-from longarm_comp.report.drawing import SPLITS
+from longarm_comp.report.detail import SPLITS
 from longarm_comp.sessions.poses import FILE, write_poses
 from longarm_comp.version import __version__
 from longarm_comp.workflows.inputs import file_hash
