@@ -6,7 +6,6 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,28 +41,6 @@ _NO_CAMERA = """What measures: tracker, total_station or touch; if absent, every
 measuring: tracker"""
 
 
-def _arm_text(data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], arm: Arm) -> str:
-    """The file; ``of_rows``: a comment beside a row of `joints`, by id."""
-    lines = _commented(head)
-    for key, value in data.items():
-        if value in ([], {}, None):
-            continue
-        lines += _commented(_COMMENTS.get(key, ""))
-        if isinstance(value, list) and value and isinstance(value[0], Mapping):
-            lines.append(f"{key}:")
-            for row in value:
-                beside = of_rows.get(row.get("id", 0), "") if key == "joints" else ""
-                lines.append(f"  - {one_line(dict(row))}" + (f"  # {beside}" if beside else ""))
-        else:
-            lines.append(f"{key}: {one_line(value)}")
-    row, role, size = (link_places(arm.joints) or [(1, "a", 0.4)])[0]
-    no_links = _NO_LINKS.format(row=row, role=role, length=abs(size))
-    for key, text in (("links", no_links), ("payload", _NO_PAYLOAD), ("camera", _NO_CAMERA)):
-        if not data.get(key):
-            lines += _commented(text)
-    return "\n".join(lines) + "\n"
-
-
 def _commented(text: str) -> list[str]:
     return [f"# {line}" for line in text.splitlines()]
 
@@ -82,38 +59,44 @@ _SIMULATED = (
 )
 
 
-@dataclass(frozen=True)
-class Source:
-    """What an arm's folder is made from."""
+def arm_file(
+    data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], *, seen: bool
+) -> tuple[str, Arm]:
+    """Text of an arm.yaml that holds `data`, and the arm.
 
-    text: str
-    arm: Arm
-
-    @classmethod
-    def of_data(
-        cls, data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], *, seen: bool
-    ) -> Source:
-        """From what arm.yaml shall hold; ``seen``: a camera is added."""
-        arm, whole = Arm.parse(dict(data), ARM), dict(data)
-        if seen:
-            stereo = head_for(arm)
-            whole["camera"] = {"position_m": list(stereo.position_m),
-                               "optical_axis": list(stereo.axis)}  # fmt: skip
-        return cls(_arm_text(whole, head, of_rows, arm), Arm.parse(whole, ARM))
-
-    @classmethod
-    def of_file(cls, path: Path) -> Source:
-        """An arm.yaml that is there already."""
-        arm = Arm.load(path)
-        return cls(path.read_text("utf-8"), arm)
+    Args:
+        head: comment on top; `of_rows`: a comment beside a row of `joints`, by id.
+        seen: a camera is added that sees the tip.
+    """
+    whole = dict(data)
+    if seen:
+        stereo = head_for(Arm.parse(whole, ARM))
+        whole["camera"] = {"position_m": list(stereo.position_m), "optical_axis": list(stereo.axis)}
+    arm, lines = Arm.parse(whole, ARM), _commented(head)
+    for key, value in whole.items():
+        if value in ([], {}, None):
+            continue
+        lines += _commented(_COMMENTS.get(key, ""))
+        if isinstance(value, list) and value and isinstance(value[0], Mapping):
+            lines.append(f"{key}:")
+            for row in value:
+                beside = of_rows.get(row.get("id", 0), "") if key == "joints" else ""
+                lines.append(f"  - {one_line(dict(row))}" + (f"  # {beside}" if beside else ""))
+        else:
+            lines.append(f"{key}: {one_line(value)}")
+    row, role, size = (link_places(arm.joints) or [(1, "a", 0.4)])[0]
+    no_links = _NO_LINKS.format(row=row, role=role, length=abs(size))
+    for key, text in (("links", no_links), ("payload", _NO_PAYLOAD), ("camera", _NO_CAMERA)):
+        if not whole.get(key):
+            lines += _commented(text)
+    return "\n".join(lines) + "\n", arm
 
 
 def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
     """Texts of the parameter files that fit an arm, by node."""
     head = head_for(arm)
     carried = arm.payload.mass_kg if arm.payload else 0.0
-    node = "servo_driver"
-    bus = ros_parameters(parse_yaml(own_text(node), node), node)["bus"]
+    bus = ros_parameters(parse_yaml(own_text(NODES[0]), NODES[0]), NODES[0])["bus"]
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
             "joints": servo_section(arm, servos, direct),
@@ -135,12 +118,6 @@ def demonstration() -> dict[str, str]:
     return {ARM: (folder("config") / "arm_demo.yaml").read_text("utf-8"), **files}
 
 
-def files_of(source: Source, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
-    """Texts of all files of an arm's folder by name; ``direct``: as in `servo_section`."""
-    made = parameter_files(source.arm, servos, direct)
-    return {ARM: source.text, **{f"{node}.yaml": text for node, text in made.items()}}
-
-
 def check_free(out: Path) -> None:
     """Raise InputError where a folder cannot be made because something is there."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -149,7 +126,6 @@ def check_free(out: Path) -> None:
 
 def write_folder(out: Path, files: Mapping[str, str]) -> None:
     """Write a new folder of files in one step."""
-    check_free(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))

@@ -6,7 +6,6 @@ import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import click
@@ -26,45 +25,26 @@ def agreed(question: str, yes: bool) -> bool:
         raise JobError("there was no answer yes: answer the question, or use --yes") from None
 
 
-@dataclass(frozen=True)
-class Dialogue:
-    """Questions of one command."""
+def ask(command: str, flag: str, text: str, allowed: str, **options: Any) -> Any:
+    """The answer to what a flag of a command says too; `options` are those of `click.prompt`.
 
-    command: str
-    yes: bool = False
-
-    def ask(self, flag: str, text: str, allowed: str, default: str | None = None) -> str:
-        """The answer to a question."""
-        return str(self._prompted(flag, allowed, text, default=default))
-
-    def choose(self, flag: str, text: str, choices: Sequence[str], default: str) -> str:
-        """One of several answers. Raises InputError as `ask`."""
-        kind = click.Choice(list(choices))
-        return str(self._prompted(flag, ", ".join(choices), text, default=default, type=kind))
-
-    def go_on(self, text: str) -> None:
-        """Wait until the user says that it may go on; click.Abort: the user says no."""
-        if self.yes:
-            return
-        answer = self._prompted("--yes", "--yes", f"{text} Go on?", default="y", type=bool)
-        if not answer:
-            raise click.Abort
-
-    def _prompted(self, flag: str, allowed: str, text: str, **options: Any) -> Any:
-        try:
-            return click.prompt(text, err=True, **options)
-        except click.Abort as abort:
-            click.echo(err=True)  # the cursor stands behind the question
-            if sys.stdin.isatty() or isinstance(abort.__context__, KeyboardInterrupt):
-                raise
-            raise InputError(
-                self.command, flag, "missing", f"{allowed}; or a terminal that can ask you"
-            ) from None
+    Raises:
+        InputError: there is no terminal, and the answer is missing; ``allowed``: what it may be.
+    """
+    try:
+        return click.prompt(text, err=True, **options)
+    except click.Abort as abort:
+        click.echo(err=True)  # the cursor stands behind the question
+        if sys.stdin.isatty() or isinstance(abort.__context__, KeyboardInterrupt):
+            raise
+        allowed = f"{allowed}; or a terminal that can ask you"
+        raise InputError(command, flag, "missing", allowed) from None
 
 
-def attended() -> bool:
-    """Whether somebody sits at a terminal."""
-    return sys.stdin.isatty()
+def go_on(command: str, yes: bool, text: str) -> None:
+    """Wait until the user says that it may go on; click.Abort: the user says no."""
+    if not yes and not ask(command, "--yes", f"{text} Go on?", "--yes", default="y", type=bool):
+        raise click.Abort
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.dialogue import Dialogue
+from longarm_comp.cli.dialogue import ask, go_on
 from longarm_comp.cli.output import note, print_json, print_table, progress
 from longarm_comp.core.errors import InputError, JobError
 
@@ -36,13 +36,13 @@ def scan(port: str | None, **line: Any) -> None:
       longarm servo scan --port /dev/ttyUSB0
       longarm servo scan --port /dev/ttyUSB0 --protocol feetech --baud 1000000 --ids 1-20 --json
     """
-    found = scanned(asked_port(Dialogue("servo scan"), port, None), **line)
+    found = scanned(asked_port("servo scan", port, None), **line)
     print_json(asdict(found))
     show(found)
     refuse_clashes(found)
 
 
-def asked_port(dialogue: Dialogue, port: str | None, known: str | None) -> str:
+def asked_port(command: str, port: str | None, known: str | None) -> str:
     """The port, asked where it is not given. ``known``: what the servo file has."""
     from longarm_comp.devices.servo_bus import usable_ports
 
@@ -52,7 +52,7 @@ def asked_port(dialogue: Dialogue, port: str | None, known: str | None) -> str:
     for device, description in found:
         note(f"{device}  {description}")
     default = found[0][0] if len(found) == 1 else known
-    return dialogue.ask("--port", "serial port", "a serial port", default)
+    return str(ask(command, "--port", "serial port", "a serial port", default=default))
 
 
 def scanned(
@@ -119,7 +119,7 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
     """
     from longarm_comp.devices.servo_bus.scan import renumber
 
-    found = scanned(asked_port(Dialogue("servo set-id"), port, None), **line)
+    found = scanned(asked_port("servo set-id", port, None), **line)
     old = renumber(found, servo_id)
     note(f"servo {old} is servo {servo_id} now: write it on the servo")
     note("next: connect the next servo alone; when all are done, longarm servo setup DIR")
@@ -144,11 +144,10 @@ def find_port() -> None:
         )
     for device, description in there.items():
         note(f"{device}  {description}")
-    dialogue = Dialogue("find-port")
-    dialogue.go_on("Unplug the bus's USB cable.")
+    go_on("find-port", False, "Unplug the bus's USB cable.")
     gone = sorted(set(there) - set(dict(usable_ports())))
     if len(gone) != 1:
         raise JobError("no port disappeared, or several did: unplug this cable alone", went=gone)
-    dialogue.go_on("Plug it in again.")
+    go_on("find-port", False, "Plug it in again.")
     note(f"next: longarm servo scan --port {gone[0]}")
     click.echo(gone[0])

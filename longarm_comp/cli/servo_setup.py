@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.dialogue import Dialogue, attended, by_name, ended_by_signals
+from longarm_comp.cli.dialogue import ask, by_name, ended_by_signals, go_on
 from longarm_comp.cli.output import note, print_json, print_table
 from longarm_comp.core.errors import InputError, JobError
 
@@ -38,6 +40,7 @@ _SIGNS = {"+": 1, "-": -1}
 )
 @options.flag("--yes", "Do not wait at each step: the arm is held or supported.")
 @options.as_json
+@ended_by_signals()
 def command(
     folder: Path,
     port: str | None,
@@ -60,16 +63,65 @@ def command(
       longarm servo setup my_arm --port /dev/ttyUSB0 --yes --pose joint2=30 \\
         --direction joint1=+ --direction joint2=-
     """
-    from longarm_comp.arm_folder.servos import SERVOS
+    from longarm_comp.arm_folder.measured import note_measured
+    from longarm_comp.arm_folder.servos import KEYS, SERVOS, with_joints
+    from longarm_comp.cli.servo import asked_port, refuse_clashes, scanned, show
+    from longarm_comp.core.files import write_text
+    from longarm_comp.devices.servo_bus import open_bus
     from longarm_comp.devices.servo_config import ServoConfig
+    from longarm_comp.devices.servo_setup import ServoSetup, shown, zero_from_pose
 
-    file = folder / SERVOS
+    file, wait = folder / SERVOS, partial(go_on, _COMMAND, yes)
     if not file.is_file():
         raise InputError(file, "servo file", "missing", "`longarm init` makes it")
-    config, dialogue = ServoConfig.load(file), Dialogue(_COMMAND, yes)
-    held, directions = _held(config, pose), _given(config, direction)
-    with ended_by_signals():
-        _run(folder, config, dialogue, held, directions, port, line)
+    config = ServoConfig.load(file)
+    held, directions, bus = _held(config, pose), _given(config, direction), config.bus
+    found = scanned(asked_port(_COMMAND, port, bus.port), **line)
+    show(found, on_stderr=True)
+    refuse_clashes(found)
+    blind = _on_the_bus(config, found)
+    wait("The torque goes off: hold or support the arm.")
+    servo_bus = open_bus(
+        found.protocol, found.port, found.baudrate,
+        {joint.servo_id: joint.servo for joint in blind.values()},
+        bus.reply_timeout_s, bus.retries,
+    )  # fmt: skip
+    with closing(servo_bus), ServoSetup(servo_bus, blind).safely() as setup:
+        said = ", ".join(f"{name} {shown(blind[name], v)}" for name, v in held.items())
+        wait(f"Put the arm into this pose and hold it still (another: --pose): {said}.")
+        rest = setup.rest()
+        unknown = [name for name in blind if name not in directions]
+        if unknown:
+            wait("The torque goes on; each joint makes a small move. Stand clear.")
+            setup.hold()
+            directions |= {name: _nudged(setup, name) for name in unknown}
+            wait("The torque goes off again: hold or support the arm.")
+    joints = {}
+    for name, joint in blind.items():
+        turned = joint.having(direction=directions[name])
+        joints[name] = turned.having(zero_ticks=zero_from_pose(turned, rest[name], held[name]))
+    line_found = {key: getattr(found, key) for key in ("protocol", "port", "baudrate")}
+    text = with_joints(file.read_text("utf-8"), line_found, joints, file)
+    wait(f"{file} will be written.")
+    write_text(file, text)
+    note_measured(folder, SERVOS, "servo setup", {"zero": "pose"})
+    written = ServoConfig.load(file)  # as the driver will read it
+    with closing(written.open_bus()) as bus_now:
+        states = bus_now.read(list(written.ids.values()))
+    reads = {n: j.to_si(states[j.servo_id].position_ticks) for n, j in written.joints.items()}
+    facts = {
+        name: {key: getattr(joint, key) for key in KEYS} | {"now": reads[name]}
+        for name, joint in joints.items()
+    }
+    print_json({"file": file, **line_found, "joints": facts})
+    signs = {number: sign for sign, number in _SIGNS.items()}
+    rows = [
+        (name, j.servo_id, signs[j.direction], f"{j.zero_ticks:g}", shown(j, reads[name]))
+        for name, j in joints.items()
+    ]
+    header = ("joint", "id", "direction", "zero_ticks", "now")
+    print_table(f"{file}, read back", header, rows)
+    note(f"next: longarm check {folder}")
 
 
 def _held(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
@@ -90,7 +142,7 @@ def _given(config: ServoConfig, direction: Sequence[str]) -> dict[str, int]:
         if text not in _SIGNS:
             raise InputError(_COMMAND, "--direction", text, "JOINT=+ or JOINT=-")
     blind = [name for name in config.joints if name not in given]
-    if blind and not attended():
+    if blind and not sys.stdin.isatty():
         allowed = f"+ or - of {', '.join(blind)}; or a terminal to ask on"
         raise InputError(_COMMAND, "--direction", "missing", allowed)
     return {name: _SIGNS[text] for name, text in given.items()}
@@ -104,70 +156,6 @@ def _number(text: str) -> float:
     if not abs(value) < 1e6:
         raise InputError(_COMMAND, "--pose", text, "JOINT=NUMBER, deg or mm")
     return value
-
-
-def _run(
-    folder: Path,
-    config: ServoConfig,
-    dialogue: Dialogue,
-    pose: Mapping[str, float],
-    directions: Mapping[str, int],
-    port: str | None,
-    line: Mapping[str, Any],
-) -> None:
-    from longarm_comp.arm_folder.measured import note_measured
-    from longarm_comp.arm_folder.servos import SERVOS, with_joints
-    from longarm_comp.cli.servo import asked_port, refuse_clashes, scanned, show
-    from longarm_comp.core.files import write_text
-    from longarm_comp.devices.servo_bus import open_bus
-    from longarm_comp.devices.servo_config import ServoConfig
-    from longarm_comp.devices.servo_setup import ServoSetup, shown, zero_from_pose
-
-    file, bus = folder / SERVOS, config.bus
-    found = scanned(asked_port(dialogue, port, bus.port), **line)
-    show(found, on_stderr=True)
-    refuse_clashes(found)
-    blind = _on_the_bus(config, found)
-    dialogue.go_on("The torque goes off: hold or support the arm.")
-    servo_bus = open_bus(
-        found.protocol, found.port, found.baudrate,
-        {joint.servo_id: joint.servo for joint in blind.values()},
-        bus.reply_timeout_s, bus.retries,
-    )  # fmt: skip
-    with closing(servo_bus), ServoSetup(servo_bus, blind).safely() as setup:
-        said = ", ".join(f"{name} {shown(blind[name], v)}" for name, v in pose.items())
-        dialogue.go_on(f"Put the arm into this pose and hold it still (another: --pose): {said}.")
-        rest = setup.rest()
-        directions = {**directions, **_nudged(setup, blind, directions, dialogue)}
-    joints = {}
-    for name, joint in blind.items():
-        turned = joint.having(direction=directions[name])
-        joints[name] = turned.having(zero_ticks=zero_from_pose(turned, rest[name], pose[name]))
-    line_found = {key: getattr(found, key) for key in ("protocol", "port", "baudrate")}
-    text = with_joints(file.read_text("utf-8"), line_found, joints, file)
-    dialogue.go_on(f"{file} will be written.")
-    write_text(file, text)
-    note_measured(folder, SERVOS, "servo setup", {"zero": "pose"})
-    written = ServoConfig.load(file)  # as the driver will read it
-    with closing(written.open_bus()) as bus_now:
-        states = bus_now.read(list(written.ids.values()))
-    reads = {n: j.to_si(states[j.servo_id].position_ticks) for n, j in written.joints.items()}
-    facts = {
-        name: {
-            **{k: getattr(joint, k) for k in ("servo_id", "model", "direction", "zero_ticks")},
-            "now": reads[name],
-        }
-        for name, joint in joints.items()
-    }
-    print_json({"file": file, **line_found, "joints": facts})
-    signs = {number: sign for sign, number in _SIGNS.items()}
-    rows = [
-        (name, j.servo_id, signs[j.direction], f"{j.zero_ticks:g}", shown(j, reads[name]))
-        for name, j in joints.items()
-    ]
-    header = ("joint", "id", "direction", "zero_ticks", "now")
-    print_table(f"{file}, read back", header, rows)
-    note(f"next: longarm check {folder}")
 
 
 def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
@@ -190,26 +178,14 @@ def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
     return joints
 
 
-def _nudged(
-    setup: ServoSetup,
-    joints: Mapping[str, JointConfig],
-    given: Mapping[str, int],
-    dialogue: Dialogue,
-) -> dict[str, int]:
-    """Directions that are not given: each joint is nudged, and the user says which way it went."""
-    blind = [name for name in joints if name not in given]
-    if not blind:
-        return {}
-    found: dict[str, int] = {}
-    dialogue.go_on("The torque goes on; each joint makes a small move. Stand clear.")
-    setup.hold()
+def _nudged(setup: ServoSetup, name: str) -> int:
+    """Direction of a joint: it is nudged, and the user says which way it went."""
     text = "which way did it go, by arm.yaml? (another joint moved: Ctrl-C, correct servo_id)"
-    while len(found) < len(blind):
-        name = blind[len(found)]
+    kind, said = click.Choice([*_SIGNS, "again"]), "again"
+    while said == "again":
         with setup.nudged(name) as grew:
-            choices = (*_SIGNS, "again")
-            said = dialogue.choose("--direction", f"{name}: {text}", choices, "again")
-        if said in _SIGNS:
-            found[name] = grew * _SIGNS[said]
-    dialogue.go_on("The torque goes off again: hold or support the arm.")
-    return found
+            allowed = ", ".join(kind.choices)
+            said = ask(
+                _COMMAND, "--direction", f"{name}: {text}", allowed, default="again", type=kind
+            )
+    return grew * _SIGNS[said]

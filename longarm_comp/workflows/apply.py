@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,17 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import AS_DECLARED, read_stored, restore, save_model, store
 from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.workflows.at_work import finish, put_to_work
-from longarm_comp.workflows.diagnosis_files import MODEL, MODEL_BEFORE, PREDICTOR, SESSION
-from longarm_comp.workflows.inputs import Note, Telling, admitted, file_hash, log_note
+from longarm_comp.workflows.inputs import (
+    MODEL,
+    MODEL_BEFORE,
+    PREDICTOR,
+    SESSION,
+    Note,
+    Telling,
+    admitted,
+    file_hash,
+    log_note,
+)
 from longarm_comp.workflows.train import TrainedPredictor, train
 
 Term = Effect | Bias
@@ -47,7 +57,6 @@ class _Change:
     tip_mm: float
 
     def __str__(self) -> str:
-        """In one line."""
         place = f" at {self.where}" if self.where else ""
         shown = [
             f"{name} {_number(before)} -> {_number(after)} {unit}".rstrip()
@@ -220,35 +229,30 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
     model without this change. One that does not move the tip is left out.
     """
     old, new = ({(t.name, t.place): t for t in model.terms} for model in (before, after))
-    seen = after.measured(q, context)
-    found = []
-    for group in _groups(old, new):
-        terms = {key: new[key] for key in new if key not in group}
-        terms |= {key: old[key] for key in group if key in old}
-        moved = after.with_terms(list(terms.values())).measured(q, context) - seen
-        first = new.get(group[0]) or old[group[0]]
-        single = len(group) == 1 and _name(first) == first.name
-        values: tuple[Value, ...] = ()
-        where, kind = "", "changed"
-        if single:
-            where, values = first.where, _values(old.get(group[0]), new.get(group[0]), after)
-            kind = "added" if group[0] not in old else "changed" if group[0] in new else "removed"
-        tip_mm = 1e3 * float(np.sqrt((moved**2).sum(axis=1).mean()))
-        found.append(_Change(_name(first), where, kind, values, tip_mm))
-    # A change that moves the tip by less than this is not reported
-    felt = (change for change in found if change.tip_mm >= 5e-4)
-    return sorted(felt, key=lambda change: -change.tip_mm)
-
-
-def _groups(old: dict[Key, Term], new: dict[Key, Term]) -> list[list[Key]]:
-    """Keys of the terms that differ; geometry and camera together, every effect by itself."""
-    together: dict[str, list[Key]] = {}
+    differing: dict[tuple[str, str], list[Key]] = {}
     for key in dict.fromkeys((*new, *old)):
         if old.get(key) != new.get(key):
             name = _name(new.get(key) or old[key])
-            whole = name in (GEOMETRY, CAMERA)
-            together.setdefault(name if whole else "/".join(key), []).append(key)
-    return list(together.values())
+            together = name in (GEOMETRY, CAMERA)
+            differing.setdefault((name, "") if together else key, []).append(key)
+    seen = after.measured(q, context)
+    found = []
+    for (name, _), keys in differing.items():
+        terms = {key: new[key] for key in new if key not in keys}
+        terms |= {key: old[key] for key in keys if key in old}
+        moved = after.with_terms(list(terms.values())).measured(q, context) - seen
+        tip_mm = 1e3 * float(np.sqrt((moved**2).sum(axis=1).mean()))
+        # A change that moves the tip by less than this is not reported
+        if tip_mm < 5e-4:
+            continue
+        was, now = old.get(keys[0]), new.get(keys[0])
+        change = _Change(name, "", "changed", (), tip_mm)
+        if name not in (GEOMETRY, CAMERA):
+            kind = "added" if was is None else "removed" if now is None else "changed"
+            term: Any = now or was
+            change = replace(change, where=term.where, kind=kind, values=_values(was, now, after))
+        found.append(change)
+    return sorted(found, key=lambda change: -change.tip_mm)
 
 
 def _name(term: Term) -> str:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.admission import FEW_POSES
+from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import atomic_path
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.calibrate import Errors
@@ -20,14 +25,22 @@ from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.findings import EffectFinding
 from longarm_comp.core.identify.uncertainty import uncertainty
 from longarm_comp.core.learn import ensemble as networks
+from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
 from longarm_comp.report.assemble import assemble, refused
+from longarm_comp.report.detail import SPLITS
 from longarm_comp.report.write import write_report
+from longarm_comp.sessions.poses import FILE, write_poses
+from longarm_comp.version import __version__
 from longarm_comp.workflows.calibrate import kind_from
-from longarm_comp.workflows.diagnosis_files import write_model, write_next, write_predictor
 from longarm_comp.workflows.error_table import ErrorTable
 from longarm_comp.workflows.inputs import (
+    MODEL,
+    MODEL_BEFORE,
+    PREDICTOR,
+    SESSION,
     FilePath,
     ModelLike,
     Note,
@@ -113,20 +126,85 @@ class DiagnosisResult:
     def save(self, folder: FilePath) -> Path:
         """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
         helped, and next_poses.csv where more poses would tell two effects apart.
+
+        `undo` restores the model before, if one was given. Files of an earlier diagnosis go.
         """
         target = Path(folder)
         write_report(*self._assembled, target)
-        write_model(
-            self.diagnosis, self.model, self.session_hash, self.model_before, target,
-            self.session_file,
-        )  # fmt: skip
-        write_predictor(self.predictor, self.session_hash, target)
-        write_next(self.diagnosis, target)
+        before, path = self.model_before, target / MODEL
+        stored = self._stored(target)
+        if before is not None and before.resolve() != path.resolve():
+            with atomic_path(path) as partial:
+                partial.write_bytes(before.read_bytes())
+        save_model(path, stored)
+        for name, write in ((PREDICTOR, self._write_predictor), (FILE, self._write_next)):
+            if not write(target / name):
+                (target / name).unlink(missing_ok=True)
         return target
 
     @cached_property
     def _assembled(self) -> tuple[dict[str, Any], Any]:
         return assemble(self.diagnosis, self.session_hash, self.facts)
+
+    def _stored(self, folder: Path) -> StoredModel:
+        """The resulting model in its stored form."""
+        found, model, at = self.diagnosis, self.model, self.session_file
+        before = None if self.model_before is None else read_stored(self.model_before)
+        intervals = {
+            (slot.term, slot.parameter.name): (found.intervals[k].low, found.intervals[k].high)
+            for k, slot in enumerate(model.slots)
+        }
+        added = {t.key for t in found.search.chosen}
+        known = () if before is None else (*before.geometry, *before.effects, *before.camera)
+        held = {(t.effect, t.where): t.origin for t in known}
+        new = f"{found.verdict}, session {self.session_hash[:16]}, seed {found.seed}"
+        origins = {
+            number: new if term.key in added else held.get(term.key, "")
+            for number, term in enumerate(model.terms)
+        }
+        provenance = {
+            "session_hash": self.session_hash,
+            "rows": len(found.train),
+            "verdict": found.verdict,
+            "seed": found.seed,
+            "longarm_comp": __version__,
+            MODEL_BEFORE: "" if self.model_before is None else file_hash(self.model_before),
+            SESSION: "" if at is None else os.path.relpath(at, folder),
+        }
+        return store(
+            model,
+            None,
+            version=1 if before is None else before.version + 1,
+            provenance=provenance,
+            origins=origins,
+            intervals=intervals,
+        )
+
+    def _write_predictor(self, path: Path) -> bool:
+        """Write the network if it helped, bound to the model that was written beside it."""
+        if self.predictor is None:
+            return False
+        origin = self.predictor.provenance
+        mark = {"model_hash": file_hash(path.with_name(MODEL)), "deflection": True}
+        settings = {**origin.settings, **mark}
+        bound = replace(origin, session_hash=self.session_hash, settings=settings)
+        predictor_file.save(replace(self.predictor, provenance=bound), path)
+        return True
+
+    def _write_next(self, path: Path) -> bool:
+        """Write the poses that separate effects, or settle a doubt, if there are any."""
+        splits = [s for s in self.diagnosis.split_by if s.log_bayes_factor >= SPLITS]
+        more = self.diagnosis.next_q
+        if not splits and not len(more):
+            return False
+        q = np.concatenate([*(s.q for s in splits), more])
+        sides = np.where(np.arange(len(more)) % 2, -1, 1)
+        side = np.concatenate([*(s.approach for s in splits), sides])
+        loads = [s.payload_kg for s in splits if s.payload_kg is not None]
+        if loads and len(more):
+            loads.append(np.full(len(more), float(np.median(np.concatenate(loads)))))
+        write_poses(Plan(q, side.astype(int), np.concatenate(loads) if loads else None), path)
+        return True
 
 
 def diagnose(

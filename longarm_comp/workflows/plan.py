@@ -21,6 +21,8 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.sessions.poses import read_next_poses
 from longarm_comp.workflows.inputs import (
+    MODEL,
+    SESSION,
     FilePath,
     ModelLike,
     Note,
@@ -123,8 +125,6 @@ def plan(
 
 def _of_diagnosis(report: FilePath) -> tuple[Path, Path | None]:
     """Its model, and the session that it was made of where that is still there."""
-    from longarm_comp.workflows.diagnosis_files import MODEL, SESSION  # draws pictures
-
     model = Path(report) / MODEL
     said = read_stored(model).provenance.get(SESSION)
     path = Path(report) / str(said)
