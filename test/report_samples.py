@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.report.detail import (
-    Correlation,
     Detail,
     Input,
     Marked,
@@ -274,8 +273,6 @@ def named(rng: np.random.Generator) -> Diagnosis:
         },
     }
     report["structure_left"] = report["structure_left"] | {"share_explained": 0.97}
-    geometry = tuple(f"dh_error joint {k} {p}" for k in range(1, 8) for p in ("a", "alpha", "d"))
-    matrix = np.tanh(rng.normal(0, 0.4, (2, len(geometry))))
     line = rows.arms_m[0]
     detail = Detail(
         title="samples.csv, arm of 7 joints",
@@ -284,8 +281,10 @@ def named(rng: np.random.Generator) -> Diagnosis:
         held_out=rows,
         marked=(Marked(line, {"joint 2": line[2]}),),
         guilty=("approach", "q2"),
-        correlation=Correlation(
-            ("backlash joint 2 gap", "backlash joint 2 threshold"), geometry, matrix
+        correlation=Table(
+            "Strongest correlations of every parameter",
+            ("Parameter", "Geometry (correlation)"),
+            (("backlash joint 2 gap", "dh_error joint 1 a (+0.41), dh_error joint 3 d (−0.22)"),),
         ),
         detectable=detail.detectable,
         provenance=detail.provenance,

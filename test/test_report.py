@@ -103,7 +103,7 @@ def test_same_diagnosis_gives_same_bytes_whatever_the_order_of_keys(
     report, detail = sample("set")
     write_report(dict(reversed(report.items())), detail, tmp_path)
     files = sorted(p.relative_to(tmp_path) for p in tmp_path.rglob("*") if p.is_file())
-    assert len(files) == 8
+    assert len(files) == 6
     for file in files:
         assert (tmp_path / file).read_bytes() == (folders["set"] / file).read_bytes(), file
 
@@ -249,7 +249,7 @@ def test_plots_beside_the_page_are_those_in_it(folders: dict[str, Path]) -> None
     page = page_of(folders["named"])
     inside = {base64.b64decode((i["src"] or "").split(",")[1]) for i in page.all("img")}
     beside = {file.read_bytes() for file in (folders["named"] / "plots").iterdir()}
-    assert inside == beside and len(inside) == 6
+    assert inside == beside and len(inside) == 4
     for svg in inside:
         assert ElementTree.fromstring(svg).tag.endswith("svg")
 

@@ -60,7 +60,6 @@ addEventListener("load", async () => {
     seen.verdict = { text: summary.innerText, top: box.top, tall: box.height };
     seen.wide = document.documentElement.scrollWidth - innerWidth;
     seen.scene = shows("plot");
-    seen.still = shows("still");
     if (byId("best")) {
       seen.sorted = { start: [rows("best").length, rows("rest").length] };
       document.querySelector("#best th[data-key=effect] button").click();
@@ -140,7 +139,7 @@ def test_full_page_shows_sorts_and_filters(visit: Visit, tmp_path: Path) -> None
     assert seen["verdict"]["tall"] > 10 and 0 < seen["verdict"]["top"] < 600
     assert seen["wide"] <= 0
 
-    assert seen["scene"] and not seen["still"]
+    assert seen["scene"]
     assert pixels_of(seen["before"], GREY) > 300
     assert pixels_of(seen["before"], ORANGE) > 300 and pixels_of(seen["before"], BLUE) < 20
     assert pixels_of(seen["after"], BLUE) > 300 and pixels_of(seen["after"], ORANGE) < 20
@@ -170,7 +169,7 @@ def test_page_without_data_is_quiet(visit: Visit, tmp_path: Path) -> None:
 
 def test_the_scene_needs_no_webgl(visit: Visit, tmp_path: Path) -> None:
     seen = visit(page_text("noise", tmp_path / "report"), "--disable-3d-apis")
-    assert seen["faults"] == [] and seen["scene"] and not seen["still"]
+    assert seen["faults"] == [] and seen["scene"]
 
 
 def test_a_planted_fault_is_found(visit: Visit, tmp_path: Path) -> None:

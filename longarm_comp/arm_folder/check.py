@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from longarm_comp.core.vibration.modes import modes
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.cameras import CameraPair
 
-Level = Literal["missing", "implausible", "unmeasured", "measured", "declared"]
 LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
 
 
@@ -40,7 +39,7 @@ class _FolderFinding:
     a command measured and nobody changed since; declared is what arm.yaml says, to compare.
     """
 
-    level: Level
+    level: str
     where: str
     text: str
 
@@ -50,11 +49,9 @@ class _FolderFinding:
         return self.level in ("missing", "implausible")
 
 
-missing = partial(_FolderFinding, "missing")
-implausible = partial(_FolderFinding, "implausible")
-unmeasured = partial(_FolderFinding, "unmeasured")
-measured = partial(_FolderFinding, "measured")
-declared = partial(_FolderFinding, "declared")
+missing, implausible, unmeasured, measured, declared = (
+    partial(_FolderFinding, level) for level in LEVELS
+)
 
 
 def recorded(folder: Path, file: str) -> bool:
@@ -103,24 +100,18 @@ def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
             text += _standing(fell[across], float(np.linalg.norm(fell)))
         yield declared(f"arm.yaml: links.{beam.name}", text)
     sag = 1e3 * float(np.linalg.norm(model.tip(at) - rigid.tip(at)))
-    joints = ", ".join(
-        f"{name} {_shown(arm, k, v)}"
-        for k, (name, v) in enumerate(zip(arm.joint_names, at, strict=True))
-    )
-    said = f"held out to {out.max():.2f} m ({joints}) the tip sags by {sag:.3g} mm. Measure it: "
-    yield declared(
-        "arm.yaml: links",
-        said + "twice or half of it means a wrong section, or width and height swapped",
-    )
+    joints = []
+    for name, row, value in zip(arm.joint_names, arm.commanded, at, strict=True):
+        turns = arm.joints[row - 1].type == "revolute"
+        joints.append(f"{name} {math.degrees(value) if turns else 1e3 * value:.0f} ")
+        joints[-1] += "deg" if turns else "mm"
+    said = f"held out to {out.max():.2f} m ({', '.join(joints)}) the tip sags by {sag:.3g} mm. "
+    said += "Measure it: twice or half of it means a wrong section, or width and height swapped"
+    yield declared("arm.yaml: links", said)
     hz, known = modes(model, at).hz, model.arm.damping
     if len(hz):
         more = f"damping {known:g}" if known else "how long: longarm modes, and `damping`"
         yield declared("arm.yaml: damping", f"there it rings at {hz[0]:.3g} Hz; {more}")
-
-
-def _shown(arm: Arm, k: int, value: float) -> str:
-    turns = arm.joints[arm.commanded[k] - 1].type == "revolute"
-    return f"{math.degrees(value):.0f} deg" if turns else f"{1e3 * value:.0f} mm"
 
 
 def _section(beam: Beam) -> str:
@@ -139,10 +130,9 @@ def _standing(fell: np.ndarray, gravity: float) -> str:
     if np.linalg.norm(fell) < 0.1 * (gravity or 1.0):
         return "; the beam is vertical here, so no side is up"
     lean = math.degrees(math.atan2(abs(fell[0]), abs(fell[1])))
-    upright = lean <= 45.0
-    lean = lean if upright else 90.0 - lean
-    side = "height_m" if upright else "width_m"
-    return f"; {side} is upright there, to {lean:.0f} deg"
+    if lean <= 45.0:
+        return f"; height_m is upright there, to {lean:.0f} deg"
+    return f"; width_m is upright there, to {90.0 - lean:.0f} deg"
 
 
 _REACH_M = (0.05, 20.0)

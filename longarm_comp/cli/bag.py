@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_table
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
 
 
 @click.command()
@@ -90,7 +86,7 @@ def info(bag: Path) -> None:
 @options.output("samples.csv", "Session to write.", outputs.session)
 @options.namespace_of(None, "Namespace of the arm, if the bag holds several.")
 @options.as_json
-def to_csv(arm: Arm, bag: Path, output: Path, namespace: str | None) -> None:
+def to_csv(arm: options.Arm, bag: Path, output: Path, namespace: str | None) -> None:
     """Write what BAG recorded of ARM as a session in CSV.
 
     A row is a command and the mean of its settled sightings.

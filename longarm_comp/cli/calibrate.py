@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_effects, print_json, print_rows, progress
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
 
 
 @click.command()
@@ -31,7 +28,9 @@ if TYPE_CHECKING:
 @options.seed
 @options.effects
 @options.as_json
-def command(arm: Arm, session: Path, output: Path, effects: tuple[str, ...], **how: Any) -> None:
+def command(
+    arm: options.Arm, session: Path, output: Path, effects: tuple[str, ...], **how: Any
+) -> None:
     """Fit geometry and declared effects of ARM to SESSION (CSV or bag).
 
     Models that know more and more are fitted without the held-out rows and compared at them. The

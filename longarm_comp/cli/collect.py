@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +14,6 @@ from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.jobs.client import Pace
     from longarm_comp.jobs.collect.preview import PlanCheck
     from longarm_comp.jobs.collect.progress import Progress
     from longarm_comp.jobs.collect.run import Collected
@@ -54,7 +52,7 @@ def command(
     sides: str,
     repeats: int,
     in_order: bool,
-    pace: Callable[..., Pace],
+    pace: options.Paced,
     namespace: str,
     seed: int,
     **how: Any,
@@ -108,7 +106,9 @@ def command(
         note(f"{len(done.blocked)} poses were not driven, because no way there is free: {why}")
 
 
-def _drive(arm: Arm, todo: Sequence[Visit], output: Path, namespace: str, **how: Any) -> Collected:
+def _drive(
+    arm: options.Arm, todo: Sequence[Visit], output: Path, namespace: str, **how: Any
+) -> Collected:
     """Collect; where it ends early, say what is kept and what to do next."""
     from longarm_comp.jobs.collect.run import collect
 

@@ -14,8 +14,6 @@ from longarm_comp.core.errors import InputError, JobError
 if TYPE_CHECKING:
     import numpy as np
 
-    from longarm_comp.core.arm.arm import Arm
-
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @options.arm
@@ -57,7 +55,7 @@ if TYPE_CHECKING:
 @options.effects
 @options.as_json
 def command(
-    arm: Arm,
+    arm: options.Arm,
     numbers: tuple[str, ...],
     targets: Path | None,
     path: Path | None,
@@ -142,7 +140,7 @@ def _number(text: str) -> float:
         raise InputError("compensate", "target", text, "numbers in m, or a known option") from None
 
 
-def _joints(text: str, arm: Arm) -> np.ndarray:
+def _joints(text: str, arm: options.Arm) -> np.ndarray:
     import numpy as np
 
     try:

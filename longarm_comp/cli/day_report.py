@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
 
 
 @click.command()
@@ -20,7 +16,7 @@ if TYPE_CHECKING:
 @options.output("day.html", "Page to write.", outputs.marked(b"<!doctype html>", b"A day of work"))
 @options.namespace_of(None, "Namespace of the arm, if the bag holds several.")
 @options.as_json
-def command(arm: Arm, bag: Path, output: Path, namespace: str | None) -> None:
+def command(arm: options.Arm, bag: Path, output: Path, namespace: str | None) -> None:
     """Make a page of a recorded day: errors by the hour, what was learned, what was refused.
 
     `longarm record` makes the bag while the arm works.

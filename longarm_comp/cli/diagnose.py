@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_effects, print_json, print_rows, progress, say
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
 
 
 @click.command()
@@ -25,7 +22,7 @@ if TYPE_CHECKING:
 @options.output("diagnosis", "Folder to write.", outputs.DIAGNOSIS, outputs.diagnosed)
 @options.effects
 @options.as_json
-def command(arm: Arm, session: Path, output: Path, **how: Any) -> None:
+def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
     """Find in SESSION (CSV or bag) the effects that ARM's model lacks, add them and prove them.
 
     Writes report.json, report.html, plots, and model.yaml with the effects found (longarm undo

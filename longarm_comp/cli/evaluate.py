@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_rows
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
 
 
 @click.command()
@@ -21,7 +17,7 @@ if TYPE_CHECKING:
 @options.predictor
 @options.effects
 @options.as_json
-def command(arm: Arm, test: Path, model: Path | None, predictor: Path | None) -> None:
+def command(arm: options.Arm, test: Path, model: Path | None, predictor: Path | None) -> None:
     """Errors of every stage on measured poses, as in the paper's Table I.
 
     The lines of the table are the rigid declared arm, the arm with its declared deflection, the

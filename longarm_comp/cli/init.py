@@ -81,7 +81,7 @@ def command(
         --joint 'alpha=90 limits=0..70 a=0 material=petg' --joint 'a=0.3 tube_a=30/26' \\
         --tip-at 0.2 0 0
     """
-    from longarm_comp.arm_folder.dh_table import arm_of, row_of
+    from longarm_comp.arm_folder.dh_table import arm_of
     from longarm_comp.arm_folder.make import (
         ARM,
         arm_file,
@@ -109,8 +109,7 @@ def command(
                 base, tip = chain_ends(urdf, base, tip)
                 data, where = import_urdf(urdf, base, tip), f"{urdf.name}, {base} to {tip}"
             else:
-                table = [row_of(row) for row in rows]
-                data, where = arm_of(name or out.name, table, tip_at, payload), "a DH table"
+                data, where = arm_of(name or out.name, rows, tip_at, payload), "a DH table"
             homes = dict(map(_home, home))
             if range_deg is None and hobby:
                 range_deg = in_sight(data, homes)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +14,6 @@ from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.jobs.client import Pace
     from longarm_comp.report.record import DiagnosisReport
 
 SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")
@@ -37,12 +34,12 @@ SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_a
 @options.effects
 @options.as_json
 def command(
-    arm: Arm,
+    arm: options.Arm,
     output: Path,
     yes: bool,
     targets: int,
     resume: bool,
-    pace: Callable[..., Pace],
+    pace: options.Paced,
     namespace: str,
     seed: int,
     **size: Any,

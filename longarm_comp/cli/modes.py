@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_rows
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
 
 
 @click.command()
@@ -33,7 +30,7 @@ if TYPE_CHECKING:
 @options.effects
 @options.as_json
 def command(
-    arm: Arm,
+    arm: options.Arm,
     at: Path | None,
     model: Path | None,
     move: float,

@@ -6,12 +6,18 @@ import functools
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from longarm_comp.cli.output import JSON
 from longarm_comp.cli.outputs import Kind, Output
+
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm as Arm
+    from longarm_comp.jobs.client import Pace
+
+    Paced = Callable[..., Pace]
 
 _Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 

@@ -16,7 +16,6 @@ from longarm_comp.cli.signals import handled, on_graph
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.touch import TouchLog
 
 _HELP = "Enter: record a touch; NAME: next point; plane NAME: next plane; undo; end"
@@ -50,7 +49,7 @@ _HELP = "Enter: record a touch; NAME: next point; plane NAME: next plane; undo; 
 @options.namespace
 @options.as_json
 def command(
-    arm: Arm,
+    arm: options.Arm,
     output: Path,
     name: str,
     distances: tuple[tuple[str, str, float], ...],

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, progress
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
 
 
 @click.command()
@@ -34,7 +31,7 @@ if TYPE_CHECKING:
 @options.seed
 @options.effects
 @options.as_json
-def command(arm: Arm, session: Path, output: Path, **how: Any) -> None:
+def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
     """Train SSA-BP on the residual that the physics of ARM leaves in SESSION (CSV or bag).
 
     A network that does not help at poses left out of its training is not written.

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
 
 
 @click.command()
@@ -25,7 +21,7 @@ if TYPE_CHECKING:
 )
 @options.effects
 @options.as_json
-def command(arm: Arm, model: Path, output: Path, group: str, marker: str) -> None:
+def command(arm: options.Arm, model: Path, output: Path, group: str, marker: str) -> None:
     """Write the rigid part of MODEL as a URDF with calibrated joint origins.
 
     The link base_link is the frame of the measurements, the link tip is the tip. The origins

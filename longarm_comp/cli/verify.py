@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -20,10 +18,6 @@ from longarm_comp.cli.output import (
 )
 from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import JobError
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.jobs.client import Pace
 
 _BROKEN_OFF = (
     "an interrupted verification keeps nothing; model and predictor are unchanged; "
@@ -51,13 +45,13 @@ _BROKEN_OFF = (
 @options.effects
 @options.as_json
 def command(
-    arm: Arm,
+    arm: options.Arm,
     targets: Path | None,
     count: int,
     model: Path | None,
     method: str | None,
     by: str,
-    pace: Callable[..., Pace],
+    pace: options.Paced,
     namespace: str,
     seed: int,
     output: Path | None,

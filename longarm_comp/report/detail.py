@@ -75,14 +75,6 @@ class SeenRows:
     arms_m: tuple[np.ndarray, ...] = ()
 
 
-class Correlation(NamedTuple):
-    """Posterior correlation (p, g) of the accepted parameters with geometry, both by label."""
-
-    parameters: tuple[str, ...]
-    geometry: tuple[str, ...]
-    matrix: np.ndarray
-
-
 class SetSplit(NamedTuple):
     """Effects that these data cannot distinguish, and poses (M, n) that would.
 
@@ -111,6 +103,7 @@ class Detail:
     Attributes:
         before, after: the stages that the verdict compares.
         guilty: inputs that the findings, or the structure left, depend on; the worst first.
+        correlation: of each accepted parameter, the geometry that it is most correlated with.
         detectable: the smallest size of each effect that these data would have shown, and its RMS
             at the tip (mm); None where no size would show, as the data do not excite it.
         encoders: reading - command of the joints over the fitted rows.
@@ -126,7 +119,7 @@ class Detail:
     before: str = "calibrated"
     after: str = "with_effects"
     guilty: tuple[str, ...] = ()
-    correlation: Correlation | None = None
+    correlation: Table | None = None
     detectable: Table | None = None
     splits: tuple[SetSplit, ...] = ()
     encoders: Table | None = None
@@ -221,20 +214,25 @@ def _size(diagnosis: Diagnosis, term: Term) -> float:
     return max((abs(getattr(term, p.name)) / p.prior for p in parameters if p.prior > 0), default=0)
 
 
-def _correlation(diagnosis: Diagnosis) -> Correlation | None:
+def _correlation(diagnosis: Diagnosis) -> Table | None:
+    """The five strongest of each parameter, by their posterior."""
     found = {t.key for f in diagnosis.findings for t in f.terms}
-    fit = diagnosis.fit
+    fit, called = diagnosis.fit, diagnosis.arm.called
     own = [k for k, s in enumerate(fit.slots) if s.owner.key in found]
-    rest = [k for k, s in enumerate(fit.slots) if s.owner.geometry]
-    if not own or not rest:
+    rest = np.array([k for k, s in enumerate(fit.slots) if s.owner.geometry], dtype=int)
+    if not own or not len(rest):
         return None
-    sd = fit.standard_errors
-    matrix = fit.covariance[np.ix_(own, rest)] / np.outer(sd[own], sd[rest])
-    called = diagnosis.arm.called
-    labels = [in_names(f"{s.owner.name} {s.owner.where} {s.parameter.name}", called)
-              for s in fit.slots]  # fmt: skip
-    parameters, geometry = (tuple(labels[k] for k in some) for some in (own, rest))
-    return Correlation(parameters, geometry, np.clip(matrix, -1.0, 1.0))
+    labels = [
+        in_names(f"{s.owner.name} {s.owner.where} {s.parameter.name}", called) for s in fit.slots
+    ]
+    rows = []
+    for k in own:
+        r = fit.covariance[k, rest] / (fit.standard_errors[k] * fit.standard_errors[rest])
+        first = np.argsort(-np.abs(r), kind="stable")[:5]
+        named = (f"{labels[rest[j]]} ({r[j]:+.2f})".replace("-", "−") for j in first)
+        rows.append((labels[k], ", ".join(named)))
+    caption = "Strongest correlations of every parameter"
+    return Table(caption, ("Parameter", "Geometry (correlation)"), tuple(rows))
 
 
 def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> Table:

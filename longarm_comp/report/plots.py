@@ -7,13 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from longarm_comp.report.detail import Correlation, Input, Marked, SeenRows
-from longarm_comp.report.scene import arrows, exaggeration, points_of
+from longarm_comp.report.detail import Input, Marked, SeenRows
 from longarm_comp.report.style import GRID, INK, LOOKS, VERMILLION
 
 _LEVELS = 8
 """An input with at most this many distinct values is drawn level by level."""
-_FAINT = 0.1
 
 
 def against_input(
@@ -73,60 +71,6 @@ def _medians(values: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndar
         groups = [group for group in bins if len(group)]
     centre = np.array([np.median(values[group]) for group in groups])
     return centre, np.array([np.median(error[group]) for group in groups])
-
-
-def still_scene(rows: SeenRows, stages: tuple[str, ...]) -> Figure:
-    """The residual arrows on the arm, one panel a stage, all with one exaggeration."""
-    drawn = Figure(figsize=(9, 4.6))
-    times, taken = exaggeration(rows, stages), arrows(rows)
-    points = points_of(rows)
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    half = max(float(np.ptp(points, axis=0).max()) / 2, 1e-3)
-    low, high = middle - half, middle + half
-    for k, stage in enumerate(stages):
-        panel = drawn.add_subplot(1, len(stages), k + 1, projection="3d")
-        for line in rows.arms_m:
-            panel.plot(*line.T, color="#8a8a8a", linewidth=2, solid_capstyle="round")
-        look = LOOKS[stage]
-        panel.quiver(
-            *rows.measured_m[taken].T, *(times * rows.errors_m[stage][taken]).T, color=look.color,
-            linewidth=0.9, arrow_length_ratio=0.25,
-        )  # fmt: skip
-        panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-        panel.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
-        panel.set_box_aspect((1, 1, 1))
-        panel.view_init(elev=22, azim=-60)
-        panel.set_title(f"{look.label}: arrows × {times:g}")
-    drawn.subplots_adjust(left=0.01, right=0.94, bottom=0.02, top=0.94, wspace=0.08)
-    return drawn
-
-
-def correlations(entry: Correlation) -> Figure:
-    """Accepted parameters against geometry as coloured cells; |r| of 0.3 and more is printed.
-
-    Geometry below `_FAINT` with every parameter is left out, the strongest never.
-    """
-    peak = np.abs(entry.matrix).max(axis=0)
-    kept = np.flatnonzero((peak >= _FAINT) | (peak == peak.max()))
-    matrix, geometry = entry.matrix[:, kept], [entry.geometry[k] for k in kept]
-    rows, columns = len(entry.parameters), len(geometry)
-    drawn = Figure(
-        figsize=(min(14, max(6, 2.6 + 0.34 * columns)), 1.7 + 0.34 * rows + 0.6),
-        layout="constrained",
-    )
-    axes = drawn.subplots()
-    axes.grid(False)
-    image = axes.imshow(matrix, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
-    axes.set_xticks(range(columns), geometry, rotation=60, ha="right", fontsize=7)
-    axes.set_yticks(range(rows), entry.parameters, fontsize=8)
-    for i, k in zip(*np.nonzero(np.abs(matrix) >= 0.3), strict=True):
-        strong = abs(matrix[i, k]) > 0.7
-        axes.text(
-            k, i, f"{matrix[i, k]:.1f}".replace("0.", "."), ha="center", va="center", fontsize=6.5,
-            color="white" if strong else INK,
-        )  # fmt: skip
-    drawn.colorbar(image, ax=axes, label="correlation", shrink=0.9, pad=0.01)
-    return drawn
 
 
 def place(found: Marked) -> Figure:

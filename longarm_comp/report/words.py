@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from longarm_comp.report.detail import Correlation
 from longarm_comp.report.record import DiagnosisReport, FindingParameter, ReportCandidate
 
 DASH = "–"
@@ -104,13 +103,3 @@ def best_first(report: DiagnosisReport) -> list[ReportCandidate]:
         return (float("inf") if score is None else -score, entry.effect, entry.where)
 
     return sorted(report.candidates, key=order)
-
-
-def strongest(entry: Correlation) -> list[tuple[str, str]]:
-    """Per parameter, the geometry that it is most correlated with, in words."""
-    lines = []
-    for name, row in zip(entry.parameters, entry.matrix, strict=True):
-        first = np.argsort(-np.abs(row), kind="stable")[:5]
-        named = (f"{entry.geometry[k]} ({row[k]:+.2f})".replace("-", "−") for k in first)
-        lines.append((name, ", ".join(named)))
-    return lines

@@ -34,24 +34,9 @@ from longarm_comp.report.detail import SPLITS
 from longarm_comp.report.write import write_report
 from longarm_comp.sessions.poses import FILE, write_poses
 from longarm_comp.version import __version__
+from longarm_comp.workflows import inputs
 from longarm_comp.workflows.calibrate import kind_from
 from longarm_comp.workflows.error_table import ErrorTable
-from longarm_comp.workflows.inputs import (
-    MODEL,
-    MODEL_BEFORE,
-    PREDICTOR,
-    SESSION,
-    FilePath,
-    ModelLike,
-    Note,
-    SessionLike,
-    Telling,
-    admitted,
-    file_hash,
-    log_note,
-    physics,
-    teller,
-)
 from longarm_comp.workflows.train import training_rows
 
 if TYPE_CHECKING:
@@ -123,7 +108,7 @@ class DiagnosisResult:
         """The contents of report.json."""
         return self._assembled[0]
 
-    def save(self, folder: FilePath) -> Path:
+    def save(self, folder: inputs.FilePath) -> Path:
         """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
         helped, and next_poses.csv where more poses would tell two effects apart.
 
@@ -131,13 +116,13 @@ class DiagnosisResult:
         """
         target = Path(folder)
         write_report(*self._assembled, target)
-        before, path = self.model_before, target / MODEL
+        before, path = self.model_before, target / inputs.MODEL
         stored = self._stored(target)
         if before is not None and before.resolve() != path.resolve():
             with atomic_path(path) as partial:
                 partial.write_bytes(before.read_bytes())
         save_model(path, stored)
-        for name, write in ((PREDICTOR, self._write_predictor), (FILE, self._write_next)):
+        for name, write in ((inputs.PREDICTOR, self._write_predictor), (FILE, self._write_next)):
             if not write(target / name):
                 (target / name).unlink(missing_ok=True)
         return target
@@ -149,7 +134,8 @@ class DiagnosisResult:
     def _stored(self, folder: Path) -> StoredModel:
         """The resulting model in its stored form."""
         found, model, at = self.diagnosis, self.model, self.session_file
-        before = None if self.model_before is None else read_stored(self.model_before)
+        origin = self.model_before
+        before = None if origin is None else read_stored(origin)
         intervals = {
             (slot.term, slot.parameter.name): (found.intervals[k].low, found.intervals[k].high)
             for k, slot in enumerate(model.slots)
@@ -168,8 +154,8 @@ class DiagnosisResult:
             "verdict": found.verdict,
             "seed": found.seed,
             "longarm_comp": __version__,
-            MODEL_BEFORE: "" if self.model_before is None else file_hash(self.model_before),
-            SESSION: "" if at is None else os.path.relpath(at, folder),
+            inputs.MODEL_BEFORE: "" if origin is None else inputs.file_hash(origin),
+            inputs.SESSION: "" if at is None else os.path.relpath(at, folder),
         }
         return store(
             model,
@@ -185,7 +171,7 @@ class DiagnosisResult:
         if self.predictor is None:
             return False
         origin = self.predictor.provenance
-        mark = {"model_hash": file_hash(path.with_name(MODEL)), "deflection": True}
+        mark = {"model_hash": inputs.file_hash(path.with_name(inputs.MODEL)), "deflection": True}
         settings = {**origin.settings, **mark}
         bound = replace(origin, session_hash=self.session_hash, settings=settings)
         predictor_file.save(replace(self.predictor, provenance=bound), path)
@@ -209,15 +195,15 @@ class DiagnosisResult:
 
 def diagnose(
     arm: Arm,
-    session: SessionLike,
+    session: inputs.SessionLike,
     *,
-    test: SessionLike | None = None,
-    model: ModelLike | None = None,
-    kind_of: Sequence[ModelLike] = (),
+    test: inputs.SessionLike | None = None,
+    model: inputs.ModelLike | None = None,
+    kind_of: Sequence[inputs.ModelLike] = (),
     network: bool = True,
     seed: int = 0,
-    note: Note = log_note,
-    progress: Telling = False,
+    note: inputs.Note = inputs.log_note,
+    progress: inputs.Telling = False,
 ) -> DiagnosisResult:
     """Find in a session the effects that a model lacks, add them, and prove them on held-out rows.
 
@@ -235,17 +221,17 @@ def diagnose(
         InputError: the data were refused, or a file cannot be used.
         JobError: a fit diverged.
     """
-    known = None if model is None else physics(arm, model)
-    whole = admitted(session, arm, known, FEW_POSES, note)
-    held_out = None if test is None else admitted(test, arm, known, 1, note)
+    known = None if model is None else inputs.physics(arm, model)
+    whole = inputs.admitted(session, arm, known, FEW_POSES, note)
+    held_out = None if test is None else inputs.admitted(test, arm, known, 1, note)
     for rows in (whole, held_out):
         if rows is not None and not rows.placed.any():
             allowed = "rows that say where the tip is (longarm calibrate takes orientations alone)"
             raise InputError(rows.source, "x, y, z", "blank in all rows", allowed)
     kind, origin_of_kind = kind_from(arm, kind_of) if kind_of else (None, "")
     found = core.diagnose(
-        arm, whole, test=held_out, model=known, kind=kind, seed=seed, progress=teller(progress),
-        train_network=_train(seed) if network else None,
+        arm, whole, test=held_out, model=known, kind=kind, seed=seed,
+        progress=inputs.teller(progress), train_network=_train(seed) if network else None,
     )  # fmt: skip
     facts = {"session": _path(session).name, "arm": arm.hash, "rows": str(len(whole))}
     if test is not None and held_out is not None:
@@ -253,7 +239,7 @@ def diagnose(
     facts |= {"kind of": origin_of_kind} if kind_of else {}
     before = None if model is None or isinstance(model, Model) else Path(model)
     if before is not None:
-        facts["model before"] = file_hash(before)
+        facts["model before"] = inputs.file_hash(before)
     kinds = {type(term) for term in found.model.terms}
     facts |= {f"effect {k.name}": origin(k) for k in kinds if origin(k)}
     recorded = _path(session) if _path(session).exists() else None
@@ -268,7 +254,7 @@ def diagnose_files(
     test: Path | None = None,
     model: Path | None = None,
     kind_of: Sequence[Path] = (),
-    progress: Telling = False,
+    progress: inputs.Telling = False,
     **how: Any,
 ) -> DiagnosisResult:
     """Diagnose files and write everything to a folder; arguments as in `diagnose`."""
@@ -276,16 +262,16 @@ def diagnose_files(
         if path is not None and not path.exists():
             raise InputError(path, "file", "missing", "a file or a bag that exists")
     if model is not None:
-        physics(arm, model)
+        inputs.physics(arm, model)
     try:
         found = diagnose(
             arm, session, test=test, model=model, kind_of=kind_of, progress=progress, **how
         )
     except InputError as error:
         seed = how.get("seed", 0)
-        write_report(*refused(error, seed, session.name, file_hash(session)), folder)
+        write_report(*refused(error, seed, session.name, inputs.file_hash(session)), folder)
         raise
-    teller(progress)("report")
+    inputs.teller(progress)("report")
     found.save(folder)
     return found
 
@@ -300,6 +286,6 @@ def _train(seed: int) -> core.Train:
     return train_on
 
 
-def _path(given: SessionLike) -> Path:
+def _path(given: inputs.SessionLike) -> Path:
     """Where a session came from; of one in memory, its name."""
     return Path(given.source if isinstance(given, Session) else given)

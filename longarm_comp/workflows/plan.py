@@ -20,17 +20,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.sessions.poses import read_next_poses
-from longarm_comp.workflows.inputs import (
-    MODEL,
-    SESSION,
-    FilePath,
-    ModelLike,
-    Note,
-    SessionLike,
-    admitted,
-    log_note,
-    physics,
-)
+from longarm_comp.workflows import inputs
 
 Kind = Literal["grid", "sobol", "i-optimal", "d-optimal"]
 _FILLING = {"grid": (grid, lambda arm: len(paper_grid(arm))), "sobol": (sobol, lambda arm: 2**20)}
@@ -46,15 +36,15 @@ def plan(
     *,
     kind: Kind = "sobol",
     seed: int = 0,
-    report: FilePath | None = None,
-    model: ModelLike | None = None,
-    measured: SessionLike | None = None,
+    report: inputs.FilePath | None = None,
+    model: inputs.ModelLike | None = None,
+    measured: inputs.SessionLike | None = None,
     measure: Measure = "position",
     noise: tuple[float, float] = NOISE,
     floor: float | None = None,
     seen: Callable[[np.ndarray], np.ndarray] | None = None,
     points: Mapping[str, Vec3] | None = None,
-    note: Note = log_note,
+    note: inputs.Note = inputs.log_note,
 ) -> Plan:
     """n poses at which to measure an arm, each with the sides of arrival.
 
@@ -94,8 +84,8 @@ def plan(
         if report is not None:
             model, session = _of_diagnosis(report)
             measured = measured or session
-        known = physics(arm, model)
-        rows = None if measured is None else admitted(measured, arm, known, note=note)
+        known = inputs.physics(arm, model)
+        rows = None if measured is None else inputs.admitted(measured, arm, known, note=note)
         pool = None
         if measure == "touch":
             pool = touch_pool(known, points or {}, max(POOL, 4 * n), np.random.default_rng(seed))
@@ -123,9 +113,9 @@ def plan(
     return filled(make, arm, n, seed, lambda poses: allowed(poses, where), most(arm))
 
 
-def _of_diagnosis(report: FilePath) -> tuple[Path, Path | None]:
+def _of_diagnosis(report: inputs.FilePath) -> tuple[Path, Path | None]:
     """Its model, and the session that it was made of where that is still there."""
-    model = Path(report) / MODEL
-    said = read_stored(model).provenance.get(SESSION)
+    model = Path(report) / inputs.MODEL
+    said = read_stored(model).provenance.get(inputs.SESSION)
     path = Path(report) / str(said)
     return model, path if said and path.exists() else None

@@ -65,7 +65,6 @@
       plot.title = far[near] < 8 ? `row ${rows[near]}: (${mm}) mm` : "";
     });
     byId("turning").addEventListener("change", draw);
-    document.documentElement.classList.add("alive");
     draw();
   }
 
