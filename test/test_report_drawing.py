@@ -18,7 +18,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import ring_of_moves
 from longarm_comp.report.detail import SeenRows, rings
-from longarm_comp.report.scene import MOST, arrows, exaggeration, scene_json
+from longarm_comp.report.plots import MOST, arrows, exaggeration, scene_json
 from longarm_comp.report.style import LOOKS
 from longarm_comp.report.write import write_report
 

@@ -87,10 +87,11 @@ def command(
         arm_file,
         check_free,
         demonstration,
+        in_sight,
+        narrowed,
         parameter_files,
         write_folder,
     )
-    from longarm_comp.arm_folder.working_range import in_sight, narrowed
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.devices.servo_bus import models
     from longarm_comp.sim.servo_emulator.wires import wires

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.dialogue import agreed
 from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, progress, say
-from longarm_comp.cli.signals import on_graph
+from longarm_comp.cli.signals import agreed, on_graph
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:

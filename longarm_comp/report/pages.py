@@ -12,7 +12,7 @@ import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
-from longarm_comp.report.at_the_tip import at_the_tip
+from longarm_comp.report.plots import at_the_tip
 from longarm_comp.report.style import BLUE, GREEN, ORANGE, VERMILLION, rc, svg
 
 if TYPE_CHECKING:

@@ -1,14 +1,17 @@
-"""The static figures of the page."""
+"""The figures: errors of models or runs, over inputs, on the arm; what the scene draws."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from longarm_comp.report.detail import Input, Marked, SeenRows
-from longarm_comp.report.style import GRID, INK, LOOKS, VERMILLION
+from longarm_comp.report.noise_floor import normal_length
+from longarm_comp.report.record import rounded
+from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, VERMILLION, Look
 
 _LEVELS = 8
 """An input with at most this many distinct values is drawn level by level."""
@@ -122,3 +125,117 @@ def _together(places: Mapping[str, np.ndarray], close: float) -> list[list[str]]
         else:
             group.append(where)
     return groups
+
+
+_MM = 1e3
+
+
+def at_the_tip(
+    errors: Mapping[str, np.ndarray],
+    looks: Sequence[Look] = tuple(LOOKS.values()),
+    *,
+    rows: str = "targets",
+    error: str = "tip − target",
+    sigma_mm: tuple[float, float, float] | None = None,
+) -> Figure:
+    """Share of rows below an error, and the error along each axis.
+
+    Errors are (N, 3) m by name of the run, without lost markers. ``rows``, ``error``: what they are
+    called; ``sigma_mm``: noise along each axis, drawn as a floor.
+    """
+    drawn = Figure(figsize=(9, 3.8))
+    left, right = drawn.subplots(1, 2, width_ratios=(1.15, 1))
+    width = 0.8 / max(1, len(errors))
+    for k, (name, held) in enumerate(errors.items()):
+        look = looks[k % len(looks)]
+        length = np.sort(np.linalg.norm(held, axis=1)) * _MM
+        share = (np.arange(len(length)) + 1) / max(1, len(length))
+        left.plot(
+            np.maximum(length, 1e-4), share, label=name, color=look.color,
+            linestyle=look.dash, marker=look.marker, markersize=5,
+            markevery=max(1, len(length) // 8),
+        )  # fmt: skip
+        at = np.arange(3) + (k - (len(errors) - 1) / 2) * width
+        boxes = right.boxplot(
+            list((held * _MM).T), positions=at, widths=width * 0.8, patch_artist=True,
+            whis=(2.5, 97.5), showfliers=False, medianprops={"color": INK, "linewidth": 1.5},
+        )  # fmt: skip
+        for box in boxes["boxes"]:
+            box.set(facecolor="white", edgecolor=look.color, hatch=look.hatch)
+    if sigma_mm is not None:
+        scale = float(np.sqrt(np.mean(np.square(sigma_mm))))
+        below = np.linspace(0.005, 0.995, 200)
+        left.plot(scale * normal_length(below), below, color=INK, linewidth=1, label=FLOOR)
+    left.set(
+        xscale="log", ylim=(0, 1.02), xlabel=f"|{error}|, mm (log scale)",
+        ylabel=f"share of {rows}", title=f"Share of {rows} below an error",
+    )  # fmt: skip
+    left.legend(fontsize=8, loc="best")
+    right.axhline(0, color=INK, linewidth=0.8)
+    right.set_xticks(range(3), ["x", "y", "z"])
+    right.set(
+        ylabel=f"{error}, mm", yscale="symlog", title="Per axis: quartiles and 95 % range\n(from "
+        "left to right in the order of the legend)",
+    )  # fmt: skip
+    drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.13, top=0.86, wspace=0.2)
+    return drawn
+
+
+MOST = 150
+"""Most arrows in one figure. Of more rows, this many are taken evenly along the session."""
+_ROUND = np.array([1.0, 2.0, 5.0])
+
+
+def stages_of(rows: SeenRows) -> tuple[str, ...]:
+    """The stages that these rows have, in order."""
+    return tuple(stage for stage in LOOKS if stage in rows.errors_m)
+
+
+def points_of(rows: SeenRows) -> np.ndarray:
+    """(P, 3) every measured tip and every point of the centre-lines, m."""
+    return np.concatenate([rows.measured_m, *rows.arms_m])
+
+
+def exaggeration(rows: SeenRows, stages: tuple[str, ...]) -> float:
+    """Factor on all arrows: the largest p95 of the stages becomes about 15 % of the scene.
+
+    It is 1, 2 or 5 times a power of ten.
+    """
+    lengths = [np.linalg.norm(rows.errors_m[stage], axis=1) for stage in stages]
+    long = max((float(np.percentile(length, 95)) for length in lengths if len(length)), default=0.0)
+    if long <= 0:
+        return 1.0
+    wanted = max(1.0, 0.15 * float(np.ptp(points_of(rows), axis=0).max()) / long)
+    decade = 10.0 ** np.floor(np.log10(wanted))
+    return float(decade * _ROUND[wanted / decade * (1 + 1e-9) >= _ROUND].max())
+
+
+def arrows(rows: SeenRows) -> np.ndarray:
+    """(M,) the rows that get an arrow, evenly along the session."""
+    n = len(rows.index)
+    return np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))
+
+
+def scene_json(rows: SeenRows) -> str:
+    """What report.js draws and turns, as JSON that is safe to stand in a script element; m.
+
+    Every stage has its arrows at a scale of its own.
+    """
+    taken = arrows(rows)
+    stages = {
+        stage: {
+            "times": exaggeration(rows, (stage,)),
+            "color": LOOKS[stage].color,
+            "errors": rows.errors_m[stage][taken].tolist(),
+        }
+        for stage in stages_of(rows)
+    }
+    plain = {
+        "arms": [line.tolist() for line in rows.arms_m],
+        "rows": rows.index[taken].tolist(),
+        "tips": rows.measured_m[taken].tolist(),
+        "stages": stages,
+    }
+    # To a hundredth of a millimetre, to keep the file small
+    short = rounded(plain, lambda v: round(v, 5))
+    return json.dumps(short, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

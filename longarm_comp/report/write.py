@@ -13,11 +13,10 @@ from matplotlib.figure import Figure
 from longarm_comp.core.files import atomic_path, write_text
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, plots, record, style, verdict, words
-from longarm_comp.report.at_the_tip import at_the_tip
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.pages import beside, data_uri, template
-from longarm_comp.report.scene import MOST, scene_json, stages_of
+from longarm_comp.report.plots import MOST, at_the_tip, scene_json, stages_of
 
 _FEW = 20
 """Number of candidates shown; the others are folded."""
