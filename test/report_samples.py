@@ -138,6 +138,7 @@ def candidates(accepted: Mapping[tuple[str, str], float]) -> list[dict[str, Any]
                         else "geometry takes up 99 % of it",
                     }
                 )
+    made.sort(key=lambda row: (-row["log_bayes_factor"], row["effect"], row["where"]))
     for effect, missing in (
         ("measured_tilt", "inclinometer"),
         ("creep", "time"),

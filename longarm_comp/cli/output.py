@@ -6,13 +6,11 @@ both.
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -62,7 +60,10 @@ def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
 
 def as_text(data: object) -> str:
     """Results as JSON text; NaN becomes null."""
-    return json.dumps(_plain(data), indent=2, allow_nan=False)
+    from pydantic_core import to_json
+
+    text = to_json(data, indent=2, inf_nan_mode="null", fallback=lambda array: array.tolist())
+    return text.decode()
 
 
 def print_json(data: object) -> None:
@@ -169,20 +170,3 @@ def _cell(value: object) -> str:
     if isinstance(value, (list, tuple)):
         return " .. ".join(_cell(part) for part in value)
     return "" if value is None else str(value)
-
-
-def _plain(data: Any) -> Any:
-    """The data converted to JSON's types."""
-    if isinstance(data, Mapping):
-        return {str(key): _plain(value) for key, value in data.items()}
-    if isinstance(data, np.ndarray):
-        return _plain(data.tolist())
-    if isinstance(data, (list, tuple)):
-        return [_plain(value) for value in data]
-    if isinstance(data, Path):
-        return str(data)
-    if isinstance(data, np.generic):
-        data = data.item()
-    if isinstance(data, float) and not math.isfinite(data):
-        return None
-    return data

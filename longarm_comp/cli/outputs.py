@@ -125,8 +125,7 @@ class Output(click.Option):
 def guarded(command: click.Command, name: str) -> click.Command:
     """The command, which keeps the rule before it does anything."""
     run = command.callback
-    if run is None:
-        return command  # a group: each of its commands keeps the rule
+    assert run is not None
     for option in command.params:
         if isinstance(option, click.Option) and option.default == "":
             option.show_default = False

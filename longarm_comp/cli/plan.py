@@ -61,7 +61,6 @@ def command(
     arm: Path,
     kind: str,
     count: int,
-    report: Path | None,
     measure: str,
     points: tuple[tuple[str, float, float, float], ...],
     noise_mm: float,
@@ -86,14 +85,8 @@ def command(
 
     declared = Arm.load(arm)
     form, output = options.form_of(like, output)
-    optimal = kind in ("i-optimal", "d-optimal")
-    if (kind == "next") != (report is not None) and not (optimal and report):
-        allowed = "a diagnosis folder with --kind next, i-optimal or d-optimal, only"
-        raise InputError("plan", "--report", report, allowed)
-    given |= {"report": report, "seen": _sees(arm) if seen else None}
-    if kind != "next":
-        given["kind"] = kind
-    if optimal:
+    given |= {"kind": kind, "seen": _sees(arm) if seen else None}
+    if kind in ("i-optimal", "d-optimal"):
         given |= {"measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
         given["points"] = {name: place for name, *place in points}
     poses = plan(declared, count, note=note, **given)

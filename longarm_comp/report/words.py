@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from longarm_comp.report.record import DiagnosisReport, FindingParameter, ReportCandidate
+from longarm_comp.report.record import DiagnosisReport, FindingParameter
 
 DASH = "–"
 _CERTAIN = 100
@@ -93,13 +93,3 @@ def plausible(parameter: FindingParameter) -> str:
     times = abs(parameter.value) / parameter.prior_scale
     verdict = "usual" if times <= 2 else "large" if times <= 4 else "implausible"
     return f"{verdict}: {times:.1f} × prior scale"
-
-
-def best_first(report: DiagnosisReport) -> list[ReportCandidate]:
-    """Every candidate, those without a score last."""
-
-    def order(entry: ReportCandidate) -> tuple[float, str, str]:
-        score = entry.log_bayes_factor
-        return (float("inf") if score is None else -score, entry.effect, entry.where)
-
-    return sorted(report.candidates, key=order)

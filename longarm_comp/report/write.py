@@ -77,7 +77,7 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
     """The page as text, joints by their names; ``plots``: SVG of the still figures by name."""
     report = report.for_people()
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
-    candidates = words.best_first(report)
+    candidates = report.candidates
     stages = stages_of(rows) if rows else ()
     shown = detail.before if detail.before in stages else next(iter(stages), "")
     return template("report.html.j2").render(

@@ -22,7 +22,7 @@ from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.sessions.poses import read_next_poses
 from longarm_comp.workflows import inputs
 
-Kind = Literal["grid", "sobol", "i-optimal", "d-optimal"]
+Kind = Literal["grid", "sobol", "next", "i-optimal", "d-optimal"]
 _FILLING = {"grid": (grid, lambda arm: len(paper_grid(arm))), "sobol": (sobol, lambda arm: 2**20)}
 """Makes a plan; says how many poses there are."""
 _OPTIMAL = ("i-optimal", "d-optimal")
@@ -34,7 +34,7 @@ def plan(
     arm: Arm,
     n: int,
     *,
-    kind: Kind = "sobol",
+    kind: Kind | None = None,
     seed: int = 0,
     report: inputs.FilePath | None = None,
     model: inputs.ModelLike | None = None,
@@ -50,10 +50,10 @@ def plan(
 
     Args:
         kind: ``sobol`` fills the joints' ranges evenly; ``grid`` draws from the paper's grid;
-            ``i-optimal`` leaves the least expected error of the tip, ``d-optimal`` the least
-            uncertainty of all parameters together (docs/collect.md).
-        report: folder of a diagnosis. Its requested poses are used, whatever the kind; for an
-            optimal kind its model and session are what is known.
+            ``next`` are the poses that the `report` asks for; ``i-optimal`` leaves the least
+            expected error of the tip, ``d-optimal`` the least uncertainty of all parameters
+            together (docs/collect.md). Default: ``next`` with a report, else ``sobol``.
+        report: folder of a diagnosis; for an optimal kind its model and session are what is known.
         model: calibrated model, or its file: the arm is assumed to have its effects and no others.
             Without one it may have every effect of the library.
         measured: rows that were measured so far, for an optimal kind.
@@ -75,6 +75,7 @@ def plan(
         JobError: the rows measured so far could not be fitted; too few poses are allowed.
     """
     within = arm if floor is None else above(arm, floor)
+    kind = kind or ("sobol" if report is None else "next")
 
     def allowed(poses: Plan, where: Model) -> np.ndarray:
         free = outside_boxes(where, poses)
@@ -101,6 +102,9 @@ def plan(
     if measured is not None or model is not None:
         raise InputError("plan", "kind", kind, f"{' or '.join(_OPTIMAL)}, with model or rows")
     where = declared_model(within)
+    if (kind == "next") != (report is not None):
+        allowed = "a diagnosis folder with --kind next, i-optimal or d-optimal, only"
+        raise InputError("plan", "--report", report, allowed)
     if report is not None:
         asked = read_next_poses(report, arm, n)
         free = np.flatnonzero(allowed(asked, where))
