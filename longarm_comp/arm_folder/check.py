@@ -54,14 +54,6 @@ missing, implausible, unmeasured, measured, declared = (
 )
 
 
-def recorded(folder: Path, file: str) -> bool:
-    """Whether a file was measured."""
-    try:
-        return file in read_measured(folder)
-    except InputError:
-        return False
-
-
 def of_record(folder: Path) -> Iterator[_FolderFinding]:
     """Findings on every measurement, and on cameras without a calibration."""
     try:
@@ -148,21 +140,22 @@ def check_folder(folder: Path) -> list[_FolderFinding]:
     if arm is None:
         return found
     found += _of_arm(arm)
+    record = list(of_record(folder))
+    known = {finding.where for finding in record if finding.level == "measured"}
     if any((folder / f"{node}.yaml").exists() for node in NODES):
-        found += _of_servos(folder, arm)
-        found += _of_cameras(folder, arm, look=not any(finding.blocks for finding in found))
+        found += _of_servos(folder, arm, known)
+        look = not any(finding.blocks for finding in found)
+        found += _of_cameras(folder, arm, known, look)
     else:
         said = "no servo and camera files: another program drives the arm (longarm init --arm)"
         found.append(unmeasured(ARM, said))
     if not any((folder / name).exists() for name in _SESSIONS):
         said = "no session yet: longarm up, plan and collect; or longarm import-data"
         found.append(unmeasured("samples.csv", said))
-    found += of_record(folder)
-    return sorted(found, key=lambda finding: LEVELS.index(finding.level))
+    return sorted(found + record, key=lambda finding: LEVELS.index(finding.level))
 
 
 def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[_FolderFinding]]:
-    """What a file holds, or why it does not."""
     if not path.is_file():
         how = "longarm init" if path.name == ARM else f"longarm init DIR --arm {ARM}"
         return None, [missing(path.name, f"no such file; {how} makes it")]
@@ -202,7 +195,7 @@ def _of_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield implausible(f"{ARM}: gravity_mps2", "no gravity")
 
 
-def _of_servos(folder: Path, arm: Arm) -> list[_FolderFinding]:
+def _of_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
     path = folder / "servo_driver.yaml"
     servos, found = _loaded(path, ServoConfig.load)
     if servos is None:
@@ -223,15 +216,15 @@ def _of_servos(folder: Path, arm: Arm) -> list[_FolderFinding]:
     except InputError as error:
         found.append(implausible(f"{ARM}: {error.field}", str(error.allowed)))
     zeros = [name for name, joint in servos.joints.items() if joint.zero_ticks == ZERO_TICKS]
-    if zeros and not recorded(folder, path.name):
+    if zeros and path.name not in known:
         said = f"{ZERO_TICKS:g} of {', '.join(zeros)}: read the encoders at joint value 0"
         said += " (longarm servo setup); check ids, gearing and directions too"
         found.append(unmeasured(f"{path.name}: zero_ticks", said))
     return found
 
 
-def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[_FolderFinding]:
-    """Findings on cameras and marker; ``look``: also what the cameras see."""
+def _of_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_FolderFinding]:
+    """``known``: files that were measured; ``look``: also say what the cameras see."""
     read, found = {}, []
     for node in NODES[1:]:
         given, faults = _loaded(folder / f"{node}.yaml", read_parameters)
@@ -249,7 +242,7 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[_FolderFinding]:
     if "stereo_bridge" not in read or any(finding.blocks for finding in found):
         return found
     bridge = read["stereo_bridge"]
-    placed = recorded(folder, "stereo_bridge.yaml")
+    placed = "stereo_bridge.yaml" in known
     found += _assumed(arm, bridge, placed)
     if not look or "simulated_arm" not in read:
         return found
@@ -274,7 +267,6 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[_FolderFinding]:
 
 
 def _mostly(why: list[str]) -> str:
-    """One of the most frequent kind, with its figures."""
     kinds = Counter(text.partition(":")[0] for text in why if text)
     most = kinds.most_common(1)[0][0]
     return next(text for text in why if text.startswith(most))
@@ -284,7 +276,7 @@ def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[_Folder
     """What stands as `longarm init` writes it; ``placed``: the head's place was measured."""
     from longarm_comp.arm_folder.head import head_for
 
-    file, made = "stereo_bridge.yaml", head_for(arm).bridge()
+    file, made = "stereo_bridge.yaml", head_for(arm)["stereo_bridge"]
     own = own_parameters("stereo_bridge")
     if not placed and bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):
         said = "the place of the left camera is assumed: measure it (longarm stereo hand-eye)"

@@ -124,7 +124,6 @@ class _Row(BaseModel):
 
 
 def _row_of(number: int, flag: str) -> _Row:
-    """A row, from ``key=value key=value``."""
     row = {}
     for word in flag.split():
         key, equals, value = word.partition("=")

@@ -74,8 +74,9 @@ def arm_file(
     """
     whole = dict(data)
     if seen:
-        stereo = head_for(Arm.parse(whole, ARM))
-        whole["camera"] = {"position_m": list(stereo.position_m), "optical_axis": list(stereo.axis)}
+        stereo = head_for(Arm.parse(whole, ARM))["simulated_arm"]
+        place, axis = stereo["camera.position"], stereo["camera.axis"]
+        whole["camera"] = {"position_m": place, "optical_axis": axis}
     arm, lines = Arm.parse(whole, ARM), _commented(head)
     for key, value in whole.items():
         if value in ([], {}, None):
@@ -98,17 +99,16 @@ def arm_file(
 
 def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
     """Texts of the parameter files that fit an arm, by node."""
-    head = head_for(arm)
-    carried = arm.payload.mass_kg if arm.payload else 0.0
     bus = ros_parameters(parse_yaml(own_text(NODES[0]), NODES[0]), NODES[0])["bus"]
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
             "joints": servo_section(arm, servos, direct),
             "bus": bus | {"protocol": models()[servos].protocol},
         },
-        "stereo_bridge": head.bridge(),
-        "simulated_arm": head.simulated()
-        | {"payload_kg": carried, "temperature_c": arm.reference_temperature_c},
+    } | head_for(arm)
+    values["simulated_arm"] |= {
+        "payload_kg": arm.payload.mass_kg if arm.payload else 0.0,
+        "temperature_c": arm.reference_temperature_c,
     }
     heads = dict(zip(NODES, (_SERVOS, _BRIDGE, _SIMULATED), strict=True))
     return {
@@ -185,6 +185,6 @@ def in_sight(data: Mapping[str, Any], home_deg: Mapping[str, float]) -> float:
     for range_deg in (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0):
         arm = Arm.parse(narrowed(data, range_deg, home_deg)[0], "arm.yaml")
         tip = declared_model(arm, deflection=False).tip(arm.mid)
-        if np.linalg.norm(tip - head_for(arm).position_m) <= 1.5 * reach(arm):
+        if np.linalg.norm(tip - head_for(arm)["stereo_bridge"]["hand_eye.xyz"]) <= 1.5 * reach(arm):
             break
     return range_deg

@@ -39,17 +39,14 @@ def apply(diagnosis: Path, namespace: str, **how: Any) -> None:
     from longarm_comp.jobs.apply import apply_on_graph
 
     began: list[str] = []
-
-    def kept() -> str:
-        said = "model and predictor in use fit each other; run the same command again to finish"
-        return said if began else ""
+    kept = "model and predictor in use fit each other; run the same command again to finish"
 
     def step(text: str, share: float) -> None:
         began.append(text)
         show(text, share)
 
     with (
-        kept_if_broken_off(kept),
+        kept_if_broken_off(lambda: kept if began else ""),
         on_graph("apply", namespace) as client,
         progress("apply") as show,
     ):

@@ -43,16 +43,12 @@ def record(
     from longarm_comp.sessions.bag_segments import SegmentedBag
 
     topics = (*recorder.SESSION_TOPICS, DIAGNOSTICS, *(recorder.IMAGE_TOPICS if images else ()))
-    begun = time.monotonic()
-
-    def kept() -> str:
-        there = (output / "metadata.yaml").is_file()
-        return f"{output} keeps what was recorded; --resume adds to it" if there else ""
-
+    begun, bagged = time.monotonic(), output / "metadata.yaml"
+    kept = f"{output} keeps what was recorded; --resume adds to it"
     with (
         stop_on_signals() as stop,
         SegmentedBag(output, resume=resume) as bag,
-        kept_if_broken_off(kept),
+        kept_if_broken_off(lambda: kept if bagged.is_file() else ""),
     ):
         note("recording; Ctrl-C ends it")
         counts = recorder.record(bag, topics, stop, namespace, segment, duration)

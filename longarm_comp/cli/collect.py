@@ -134,7 +134,6 @@ def _drive(
 
 
 def _show(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) -> None:
-    """What a plan would do, and whether `collect` would drive it."""
     from longarm_comp.jobs.collect.preview import blocked
 
     count = len(todo)

@@ -154,7 +154,6 @@ def _joints(text: str, arm: options.Arm) -> np.ndarray:
 
 
 def _row(line: dict[str, Any], n: int) -> dict[str, object]:
-    """What is printed of a line of commands.csv."""
     names = ("index", "status", "frame", *(["reason"] if line["reason"] else []))
     run_up = [line[f"run_up_q{j}"] for j in range(1, n + 1)]
     figures = ("sigma_mm", "expected_mm", "p90_mm", "passes")

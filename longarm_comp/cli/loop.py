@@ -72,11 +72,9 @@ def command(
         note(f"{report.verdict}: {report.summary}")
         return agreed("Apply this to the model in use?", yes)
 
-    def kept() -> str:
-        return f"{output} keeps what was done; continue with --resume" if output.is_dir() else ""
-
+    kept = f"{output} keeps what was done; continue with --resume"
     with (
-        kept_if_broken_off(kept),
+        kept_if_broken_off(lambda: kept if output.is_dir() else ""),
         on_graph("loop", namespace, arm) as client,
         progress("loop") as show,
     ):

@@ -152,7 +152,6 @@ def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
 
 
 def _now_and_then(label: str) -> Callable[..., None]:
-    """A note of what is done, at most one in `_QUIET_S`."""
     said = -math.inf
 
     def tell(text: str, share: float | None = None) -> None:

@@ -101,7 +101,6 @@ def command(
 
 
 def _sees(arm: Path) -> Callable[[np.ndarray], np.ndarray]:
-    """Which tip poses the cameras in an arm's folder see."""
     import numpy as np
 
     from longarm_comp.arm_folder.visible import view_beside

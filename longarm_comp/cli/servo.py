@@ -296,7 +296,6 @@ def _number(text: str) -> float:
 
 
 def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
-    """The joints with the models that their ids have on the bus."""
     on_bus = {servo.servo_id: servo for servo in found.servos}
     joints = {}
     for name, joint in config.joints.items():

@@ -133,7 +133,6 @@ def _asked(prompt: str, stop: Event) -> str:
 
 
 def _kept(touches: TouchLog, output: Path) -> None:
-    """Write the rows, and say how far the last one is from its point."""
     from longarm_comp.sessions.csv import write_csv
 
     if not touches.rows:

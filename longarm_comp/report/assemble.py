@@ -199,7 +199,6 @@ def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
 
 
 def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
-    """Figures of all stages, and what was gained, as seen and as commanded."""
     rows = {n: _error_row(n, e, diagnosis.commanded[n]) for n, e in diagnosis.rows.items()}
     floor = None
     if sigma is not None:

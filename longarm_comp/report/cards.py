@@ -155,7 +155,6 @@ def _places(where: list[str]) -> str:
 
 
 def _size(parameter: FindingParameter) -> tuple[str, ...]:
-    """Where, name, value and interval of a parameter in the unit that people read."""
     times, unit = for_people(parameter.unit)
     gap = "" if unit == "°" else " "
     shown = f"{number(times * parameter.value, 3)}{gap}{unit}"

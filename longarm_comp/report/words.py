@@ -51,7 +51,6 @@ def odds(log_bayes_factor: float) -> str:
 
 
 def _ten(power: int) -> str:
-    """A power of ten with its exponent raised."""
     return "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 

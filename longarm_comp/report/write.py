@@ -47,7 +47,6 @@ def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLi
 
 
 def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
-    """Name -> SVG of every still figure that this diagnosis has."""
     figures: dict[str, Figure] = {}
     rows = detail.held_out
     floor = floor_of(report)

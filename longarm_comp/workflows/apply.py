@@ -198,7 +198,6 @@ def _session(
     provenance: dict[str, str | int | float], diagnosis: Path, given: Path | None, before: Model,
     arm: Arm, note: inputs.Note,
 ) -> Session:  # fmt: skip
-    """The session that was diagnosed."""
     named = str(provenance.get(inputs.SESSION, ""))
     path = given or Path(os.path.normpath(diagnosis / named))
     if (given is None and not named) or not path.exists():

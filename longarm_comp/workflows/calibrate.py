@@ -303,7 +303,6 @@ def recorded(terms: tuple[Term, ...], session: Session, note: inputs.Note) -> tu
 def _named(
     given: str | Term | Sequence[Term], arm: Arm, session: Session, note: inputs.Note
 ) -> tuple[str, tuple[Term, ...]]:
-    """A rung of the ladder: its name and its terms."""
     if isinstance(given, str):
         return given, recorded(instances(given, arm), session, note)
     terms = (given,) if isinstance(given, Effect | Bias) else tuple(given)

@@ -132,7 +132,6 @@ class DiagnosisResult:
         return assemble(self.diagnosis, self.session_hash, self.facts)
 
     def _stored(self, folder: Path) -> StoredModel:
-        """The resulting model in its stored form."""
         found, model, at = self.diagnosis, self.model, self.session_file
         origin = self.model_before
         before = None if origin is None else read_stored(origin)

@@ -167,6 +167,5 @@ def file_hash(path: FilePath) -> str:
 
 
 def _digest(model: Model) -> str:
-    """SHA-256 of a model's terms and values."""
     bare = dataclasses.replace(model, uncertainty=None)
     return hashlib.sha256(store(bare).model_dump_json().encode()).hexdigest()
