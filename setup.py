@@ -27,7 +27,6 @@ RUNTIME = [
     "openpyxl>=3.1",
     "opencv-python-headless>=4.10",
     "pandas>=2.1",
-    "plotly>=5.20",
     "pydantic>=2.6",
     "pyserial>=3.5",
     "pyyaml>=6.0",

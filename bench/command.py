@@ -26,7 +26,7 @@ _SHOWN = ("name", "value", "unit", "peer", "peer_value", "ratio", "spread")
 )
 @click.option("--list", "listed", is_flag=True, help="Only list the benchmarks.")
 @options.as_json
-def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: bool) -> None:
+def command(names: tuple[str, ...], output: Path | None, listed: bool) -> None:
     """Measure the speed of this package and of other programs (peers) in one run.
 
     A ratio above 1 means that this package is faster than the peer. Without NAMES all benchmarks
@@ -44,7 +44,8 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
     chosen = catalogue.chosen(names)
     if listed:
         rows = [{"name": name, "kind": catalogue.KIND_OF[name]} for name in chosen]
-        print_json(rows) if as_json else print_rows("Benchmarks", rows)
+        print_json(rows)
+        print_rows("Benchmarks", rows)
         return
     if output is not None:
         _writable(output)
@@ -66,11 +67,9 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
         with atomic_path(output / "results.png") as partial:
             draw(results["results"], title, partial)
         note(f"results.json and results.png in {output}")
-    if as_json:
-        print_json(results)
-    else:
-        shown = [{key: row.get(key) for key in _SHOWN} for row in results["results"]]
-        print_rows(f"Benchmarks on {title}", shown)
+    print_json(results)
+    shown = [{key: row.get(key) for key in _SHOWN} for row in results["results"]]
+    print_rows(f"Benchmarks on {title}", shown)
 
 
 def _measured(name: str) -> dict[str, Any]:

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.report.detail import (
-    Correlation,
     Detail,
-    Detectable,
     Input,
     Marked,
     SeenRows,
     SetSplit,
+    Table,
 )
 
 Diagnosis = tuple[dict[str, Any], Detail]
@@ -139,6 +138,7 @@ def candidates(accepted: Mapping[tuple[str, str], float]) -> list[dict[str, Any]
                         else "geometry takes up 99 % of it",
                     }
                 )
+    made.sort(key=lambda row: (-row["log_bayes_factor"], row["effect"], row["where"]))
     for effect, missing in (
         ("measured_tilt", "inclinometer"),
         ("creep", "time"),
@@ -201,10 +201,14 @@ def base(rng: np.random.Generator) -> Diagnosis:
         held_out=rows,
         before="nominal",
         after="calibrated",
-        detectable=(
-            Detectable("backlash", "joint 2", "gap", 0.0004, "rad", 0.31),
-            Detectable("joint_compliance", "joint 2", "compliance", 2.1e-5, "rad/(N m)", 0.35),
-            Detectable("gear_eccentricity", "joint 6", "amplitude", None, "m", None),
+        detectable=Table(
+            "Smaller ones may exist.",
+            ("Effect", "Where", "Parameter", "Size", "Unit", "At the tip, mm RMS"),
+            (
+                ("backlash", "joint 2", "gap", 0.0004, "rad", 0.31),
+                ("joint_compliance", "joint 2", "compliance", 2.1e-5, "rad/(N m)", 0.35),
+                ("gear_eccentricity", "joint 6", "amplitude", None, "not excited", None),
+            ),
         ),
         provenance={"Session": "samples.csv", "numpy": "2.2.1"},
     )
@@ -270,8 +274,6 @@ def named(rng: np.random.Generator) -> Diagnosis:
         },
     }
     report["structure_left"] = report["structure_left"] | {"share_explained": 0.97}
-    geometry = tuple(f"dh_error joint {k} {p}" for k in range(1, 8) for p in ("a", "alpha", "d"))
-    matrix = np.tanh(rng.normal(0, 0.4, (2, len(geometry))))
     line = rows.arms_m[0]
     detail = Detail(
         title="samples.csv, arm of 7 joints",
@@ -280,8 +282,10 @@ def named(rng: np.random.Generator) -> Diagnosis:
         held_out=rows,
         marked=(Marked(line, {"joint 2": line[2]}),),
         guilty=("approach", "q2"),
-        correlation=Correlation(
-            ("backlash joint 2 gap", "backlash joint 2 threshold"), geometry, matrix
+        correlation=Table(
+            "Strongest correlations of every parameter",
+            ("Parameter", "Geometry (correlation)"),
+            (("backlash joint 2 gap", "dh_error joint 1 a (+0.41), dh_error joint 3 d (−0.22)"),),
         ),
         detectable=detail.detectable,
         provenance=detail.provenance,

@@ -92,7 +92,7 @@ class Versions:
         """With the session that was read and the network that was trained once."""
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("longarm_comp.workflows.apply.train", lambda *a, **k: self.trained)
-            patch.setattr("longarm_comp.workflows.apply.admitted", lambda *a, **k: self.session)
+            patch.setattr("longarm_comp.workflows.inputs.admitted", lambda *a, **k: self.session)
             apply(self.second, ARM, self.model, network=network)
 
     def check(self, network: bool) -> None:

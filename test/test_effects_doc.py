@@ -12,7 +12,9 @@ from longarm_comp.core.effects.catalogue import BUILT_IN
 
 def test_the_table_has_a_row_for_every_effect() -> None:
     printed = CliRunner().invoke(command).stdout.splitlines()
-    assert [line.split("`")[1] for line in printed[2:]] == list(BUILT_IN)
+    rows = [line.split("│") for line in printed if line.startswith("│")]
+    assert [row[1].strip() for row in rows] == list(BUILT_IN)
+    assert {len(row) for row in rows} == {6}
 
 
 def test_json_holds_every_parameter() -> None:

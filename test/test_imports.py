@@ -17,7 +17,7 @@ from longarm_comp.nodes.bringup import SIMULATED
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.share import folder
 
-HEAVY = ("sklearn", "matplotlib", "plotly", "cv2", "numba", "rclpy", "scipy", "rosbags")
+HEAVY = ("sklearn", "matplotlib", "cv2", "numba", "rclpy", "scipy", "rosbags")
 _TELL = f"""
 import json, sys
 print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))

@@ -200,11 +200,11 @@ def test_a_diagnosis_expects_what_the_kind_has(tmp_path: Path, models: dict[str,
 
 
 def test_the_command_diagnoses_by_kind(tmp_path: Path) -> None:
-    words = ["arm.yaml", "rows.csv", "-o", str(tmp_path / "out")]
+    files = (EXAMPLE / "arm.yaml", EXAMPLE / "panda_4.csv", "-o", tmp_path / "out")
+    words = [str(file) for file in files]
     done = CliRunner().invoke(diagnose, [*words, "further.yaml"])
     assert done.exit_code == 2
     assert "unexpected: further.yaml" in done.output
-    words[:2] = [str(EXAMPLE / "arm.yaml"), str(EXAMPLE / "panda_4.csv")]
     done = CliRunner().invoke(diagnose, [*words, "--kind-of", "a.yaml", "b.yaml", "c.yaml"])
     assert isinstance(done.exception, InputError)
     assert "a.yaml" in str(done.exception)

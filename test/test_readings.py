@@ -42,7 +42,7 @@ from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.assemble import assemble
 from longarm_comp.report.candidate_states import sizes
-from longarm_comp.report.drawing import detail
+from longarm_comp.report.detail import detail
 from longarm_comp.report.write import write_report
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
@@ -185,13 +185,13 @@ def test_a_report_says_what_the_encoders_say(tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text()
     assert "What the encoders say" in page
     lines = detail(drooping(), sizes(drooping()), {}).encoders
-    assert [line.joint for line in lines] == list(ARM.joint_names)
+    assert lines is not None and [line[0] for line in lines.rows] == list(ARM.joint_names)
     rows = drooping().fit.session.take(drooping().fit.weights > 0)
-    for k, line in enumerate(lines):
+    for k, (_, mean, _, _, left, noise, unit) in enumerate(lines.rows):
         off = 1e3 * (rows.readings[f"read_q{k + 1}"][:, 0] - rows.q[:, k])
-        assert (line.unit, line.mean) == ("mrad", pytest.approx(off.mean()))
-        assert line.left == pytest.approx(line.noise, rel=0.3)
-    assert max(lines, key=lambda line: line.rms).joint == ARM.joint_names[2]
+        assert (unit, mean) == ("mrad", pytest.approx(off.mean()))
+        assert left == pytest.approx(noise, rel=0.3)
+    assert max(lines.rows, key=lambda line: line[2])[0] == ARM.joint_names[2]
 
 
 def test_poses_to_measure_ask_for_nothing_that_readings_tell() -> None:

@@ -17,9 +17,9 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import ring_of_moves
-from longarm_comp.report.detail import SeenRows
-from longarm_comp.report.drawing import rings
-from longarm_comp.report.scene import MOST, arrows, exaggeration, scene_json
+from longarm_comp.report.detail import SeenRows, rings
+from longarm_comp.report.plots import MOST, arrows, exaggeration, scene_json
+from longarm_comp.report.style import LOOKS
 from longarm_comp.report.write import write_report
 
 # Arrows and scene
@@ -35,26 +35,24 @@ def test_few_arrows_of_many_rows(rng: np.random.Generator) -> None:
 def test_errors_of_zero_have_arrows_of_no_length() -> None:
     rows = SeenRows(np.arange(3), np.eye(3), {"nominal": np.zeros((3, 3))})
     assert exaggeration(rows, ("nominal",)) == 1.0
-    trace = json.loads(scene_json(rows, "nominal"))["data"][0]
-    assert trace["x"][:2] == [1.0, 1.0] and "NaN" not in json.dumps(trace)
+    stage = json.loads(scene_json(rows))["stages"]["nominal"]
+    assert stage["times"] == 1.0 and stage["errors"] == np.zeros((3, 3)).tolist()
 
 
-def test_scene_has_every_stage_at_its_own_scale_and_shows_one(rng: np.random.Generator) -> None:
+def test_scene_has_every_stage_at_its_own_scale(rng: np.random.Generator) -> None:
     rows = named(rng)[1].held_out
     assert rows is not None
-    traces = json.loads(scene_json(rows, "calibrated"))["data"]
-    arms = [trace for trace in traces if "meta" not in trace]
-    staged = [trace for trace in traces if "meta" in trace]
-    assert len(arms) == len(rows.arms_m)
-    assert [t["meta"]["stage"] for t in staged] == list(rows.errors_m)
-    assert [t["meta"]["stage"] for t in staged if t["visible"]] == ["calibrated"]
-    for trace in staged:
-        stage, times = trace["meta"]["stage"], trace["meta"]["times"]
-        assert times == exaggeration(rows, (stage,)) and float(f"{times:.0e}"[0]) in {1, 2, 5}
-        start, stop = (np.column_stack([trace[k][n::3] for k in "xyz"]) for n in (0, 1))
-        assert start.astype(float) == pytest.approx(rows.measured_m, abs=1e-5)
-        assert (stop - start).astype(float) == pytest.approx(times * rows.errors_m[stage], abs=2e-5)
-        assert set(trace["x"][2::3]) == {None}
+    scene = json.loads(scene_json(rows))
+    assert [np.array(arm) == pytest.approx(line, abs=1e-5) for arm, line in
+            zip(scene["arms"], rows.arms_m, strict=True)] == [True] * len(rows.arms_m)  # fmt: skip
+    assert scene["rows"] == rows.index.tolist()
+    assert np.array(scene["tips"]) == pytest.approx(rows.measured_m, abs=1e-5)
+    assert list(scene["stages"]) == list(rows.errors_m)
+    for name, stage in scene["stages"].items():
+        times = stage["times"]
+        assert times == exaggeration(rows, (name,)) and float(f"{times:.0e}"[0]) in {1, 2, 5}
+        assert np.array(stage["errors"]) == pytest.approx(rows.errors_m[name], abs=1e-5)
+        assert stage["color"] == LOOKS[name].color
 
 
 def test_the_page_says_how_the_arm_rings(
@@ -63,20 +61,20 @@ def test_the_page_says_how_the_arm_rings(
     arm = Arm.load(demo_arm_path).model_copy(update={"damping": 0.02})
     soft = declared_model(arm).plus(JointCompliance(joint=2, compliance=5e-3))
     told = rings(soft)
-    assert told is not None and (told.damping, told.declared) == (0.02, True)
+    assert told is not None and "0.02 (arm.yaml)" in told.caption
     ends = np.array([arm.lower, arm.mid, arm.upper])
     for q, line, (found, left) in zip(
-        ends, told.postures, ring_of_moves(soft, ends, told.move_s, 0.02), strict=True
+        ends, told.rows, ring_of_moves(soft, ends, 0.5, 0.02), strict=True
     ):
         assert line[1:] == (modes(declared_model(arm), q).hz[0], found.hz[0], left.settle_s())
-        assert line[2] < line[1]  # it is softer than declared
+        assert found.hz[0] < line[1]  # it is softer than declared
     assert rings(Model(arm)) is None
     record, page = named(rng)
     write_report(record, dataclasses.replace(page, rings=told), tmp_path)
     text = (tmp_path / "report.html").read_text()
     row = text[text.index(">middle<") :].partition("</tr>")[0]
     assert [float(x) for x in re.findall(r">([0-9.]+)</td>", row)] == pytest.approx(
-        told.postures[1][1:], rel=0.01
+        told.rows[1][1:], rel=0.01
     )
     assert "How the arm rings" in text and "0.02 (arm.yaml)" in text
     write_report(record, page, tmp_path / "rigid")

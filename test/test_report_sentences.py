@@ -26,9 +26,9 @@ from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import assemble, cards, record, verdict
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.page import page as rendered
 from longarm_comp.report.verdict import open_questions
 from longarm_comp.report.words import DASH
+from longarm_comp.report.write import page as rendered
 
 
 def test_the_real_one_has_findings_of_both_sides() -> None:

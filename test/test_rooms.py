@@ -23,7 +23,7 @@ ROS = (
     *("visualization_msgs", "nav_msgs", "action_msgs", "tf2_msgs", "control_msgs"),
 )
 
-IO = ("cv2", "serial", "click", "rich", "matplotlib", "plotly")
+IO = ("cv2", "serial", "click", "rich", "matplotlib")
 
 # Imports point only upward in this list; modules of the core that it does not name are checked
 # through whatever they import.

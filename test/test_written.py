@@ -26,7 +26,6 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import checked
 from longarm_comp.workflows.diagnose import DiagnosisResult
-from longarm_comp.workflows.diagnosis_files import write_model
 from studies.outside import PumpShake, RubberStop
 
 FAR = ARM.lower + 0.9 * (ARM.upper - ARM.lower)
@@ -145,7 +144,7 @@ def test_a_diagnosis_says_what_it_found_without_a_name(stopped: DiagnosisResult)
 
 
 def test_what_was_found_is_in_the_written_model(stopped: DiagnosisResult, tmp_path: Path) -> None:
-    write_model(stopped.diagnosis, stopped.model, "0" * 64, None, tmp_path, None)
+    stopped.save(tmp_path)
     back = load_model(tmp_path / "model.yaml", ARM)
     np.testing.assert_array_equal(back.tip(FAR), stopped.model.tip(FAR))
     (term,) = (e for e in back.effects if isinstance(e, Discovered))

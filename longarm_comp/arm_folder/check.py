@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from longarm_comp.core.vibration.modes import modes
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.cameras import CameraPair
 
-Level = Literal["missing", "implausible", "unmeasured", "measured", "declared"]
 LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
 
 
@@ -40,7 +39,7 @@ class _FolderFinding:
     a command measured and nobody changed since; declared is what arm.yaml says, to compare.
     """
 
-    level: Level
+    level: str
     where: str
     text: str
 
@@ -50,19 +49,9 @@ class _FolderFinding:
         return self.level in ("missing", "implausible")
 
 
-missing = partial(_FolderFinding, "missing")
-implausible = partial(_FolderFinding, "implausible")
-unmeasured = partial(_FolderFinding, "unmeasured")
-measured = partial(_FolderFinding, "measured")
-declared = partial(_FolderFinding, "declared")
-
-
-def recorded(folder: Path, file: str) -> bool:
-    """Whether a file was measured."""
-    try:
-        return file in read_measured(folder)
-    except InputError:
-        return False
+missing, implausible, unmeasured, measured, declared = (
+    partial(_FolderFinding, level) for level in LEVELS
+)
 
 
 def of_record(folder: Path) -> Iterator[_FolderFinding]:
@@ -103,24 +92,18 @@ def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
             text += _standing(fell[across], float(np.linalg.norm(fell)))
         yield declared(f"arm.yaml: links.{beam.name}", text)
     sag = 1e3 * float(np.linalg.norm(model.tip(at) - rigid.tip(at)))
-    joints = ", ".join(
-        f"{name} {_shown(arm, k, v)}"
-        for k, (name, v) in enumerate(zip(arm.joint_names, at, strict=True))
-    )
-    said = f"held out to {out.max():.2f} m ({joints}) the tip sags by {sag:.3g} mm. Measure it: "
-    yield declared(
-        "arm.yaml: links",
-        said + "twice or half of it means a wrong section, or width and height swapped",
-    )
+    joints = []
+    for name, row, value in zip(arm.joint_names, arm.commanded, at, strict=True):
+        turns = arm.joints[row - 1].type == "revolute"
+        joints.append(f"{name} {math.degrees(value) if turns else 1e3 * value:.0f} ")
+        joints[-1] += "deg" if turns else "mm"
+    said = f"held out to {out.max():.2f} m ({', '.join(joints)}) the tip sags by {sag:.3g} mm. "
+    said += "Measure it: twice or half of it means a wrong section, or width and height swapped"
+    yield declared("arm.yaml: links", said)
     hz, known = modes(model, at).hz, model.arm.damping
     if len(hz):
         more = f"damping {known:g}" if known else "how long: longarm modes, and `damping`"
         yield declared("arm.yaml: damping", f"there it rings at {hz[0]:.3g} Hz; {more}")
-
-
-def _shown(arm: Arm, k: int, value: float) -> str:
-    turns = arm.joints[arm.commanded[k] - 1].type == "revolute"
-    return f"{math.degrees(value):.0f} deg" if turns else f"{1e3 * value:.0f} mm"
 
 
 def _section(beam: Beam) -> str:
@@ -139,10 +122,9 @@ def _standing(fell: np.ndarray, gravity: float) -> str:
     if np.linalg.norm(fell) < 0.1 * (gravity or 1.0):
         return "; the beam is vertical here, so no side is up"
     lean = math.degrees(math.atan2(abs(fell[0]), abs(fell[1])))
-    upright = lean <= 45.0
-    lean = lean if upright else 90.0 - lean
-    side = "height_m" if upright else "width_m"
-    return f"; {side} is upright there, to {lean:.0f} deg"
+    if lean <= 45.0:
+        return f"; height_m is upright there, to {lean:.0f} deg"
+    return f"; width_m is upright there, to {90.0 - lean:.0f} deg"
 
 
 _REACH_M = (0.05, 20.0)
@@ -158,21 +140,22 @@ def check_folder(folder: Path) -> list[_FolderFinding]:
     if arm is None:
         return found
     found += _of_arm(arm)
+    record = list(of_record(folder))
+    known = {finding.where for finding in record if finding.level == "measured"}
     if any((folder / f"{node}.yaml").exists() for node in NODES):
-        found += _of_servos(folder, arm)
-        found += _of_cameras(folder, arm, look=not any(finding.blocks for finding in found))
+        found += _of_servos(folder, arm, known)
+        look = not any(finding.blocks for finding in found)
+        found += _of_cameras(folder, arm, known, look)
     else:
         said = "no servo and camera files: another program drives the arm (longarm init --arm)"
         found.append(unmeasured(ARM, said))
     if not any((folder / name).exists() for name in _SESSIONS):
         said = "no session yet: longarm up, plan and collect; or longarm import-data"
         found.append(unmeasured("samples.csv", said))
-    found += of_record(folder)
-    return sorted(found, key=lambda finding: LEVELS.index(finding.level))
+    return sorted(found + record, key=lambda finding: LEVELS.index(finding.level))
 
 
 def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[_FolderFinding]]:
-    """What a file holds, or why it does not."""
     if not path.is_file():
         how = "longarm init" if path.name == ARM else f"longarm init DIR --arm {ARM}"
         return None, [missing(path.name, f"no such file; {how} makes it")]
@@ -212,7 +195,7 @@ def _of_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield implausible(f"{ARM}: gravity_mps2", "no gravity")
 
 
-def _of_servos(folder: Path, arm: Arm) -> list[_FolderFinding]:
+def _of_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
     path = folder / "servo_driver.yaml"
     servos, found = _loaded(path, ServoConfig.load)
     if servos is None:
@@ -233,15 +216,15 @@ def _of_servos(folder: Path, arm: Arm) -> list[_FolderFinding]:
     except InputError as error:
         found.append(implausible(f"{ARM}: {error.field}", str(error.allowed)))
     zeros = [name for name, joint in servos.joints.items() if joint.zero_ticks == ZERO_TICKS]
-    if zeros and not recorded(folder, path.name):
+    if zeros and path.name not in known:
         said = f"{ZERO_TICKS:g} of {', '.join(zeros)}: read the encoders at joint value 0"
         said += " (longarm servo setup); check ids, gearing and directions too"
         found.append(unmeasured(f"{path.name}: zero_ticks", said))
     return found
 
 
-def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[_FolderFinding]:
-    """Findings on cameras and marker; ``look``: also what the cameras see."""
+def _of_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_FolderFinding]:
+    """``known``: files that were measured; ``look``: also say what the cameras see."""
     read, found = {}, []
     for node in NODES[1:]:
         given, faults = _loaded(folder / f"{node}.yaml", read_parameters)
@@ -259,7 +242,7 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[_FolderFinding]:
     if "stereo_bridge" not in read or any(finding.blocks for finding in found):
         return found
     bridge = read["stereo_bridge"]
-    placed = recorded(folder, "stereo_bridge.yaml")
+    placed = "stereo_bridge.yaml" in known
     found += _assumed(arm, bridge, placed)
     if not look or "simulated_arm" not in read:
         return found
@@ -284,7 +267,6 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[_FolderFinding]:
 
 
 def _mostly(why: list[str]) -> str:
-    """One of the most frequent kind, with its figures."""
     kinds = Counter(text.partition(":")[0] for text in why if text)
     most = kinds.most_common(1)[0][0]
     return next(text for text in why if text.startswith(most))
@@ -294,7 +276,7 @@ def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[_Folder
     """What stands as `longarm init` writes it; ``placed``: the head's place was measured."""
     from longarm_comp.arm_folder.head import head_for
 
-    file, made = "stereo_bridge.yaml", head_for(arm).bridge()
+    file, made = "stereo_bridge.yaml", head_for(arm)["stereo_bridge"]
     own = own_parameters("stereo_bridge")
     if not placed and bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):
         said = "the place of the left camera is assumed: measure it (longarm stereo hand-eye)"

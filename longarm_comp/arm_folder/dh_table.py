@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
@@ -25,12 +25,13 @@ MATERIALS = {
 """Young's modulus (Pa), Poisson's ratio and density (kg/m^3): usual values, not this arm's."""
 
 
+_NUMBER = r"(\d+\.?\d*|\.\d+)"
+
+
 def _limits(text: Any) -> tuple[float, float]:
-    found = re.fullmatch(r"(-?[\d.]+)\.\.(-?[\d.]+)", str(text))
-    try:
-        low, high = map(float, found.groups() if found else ())
-    except ValueError:
-        low, high = 1.0, 0.0
+    found = re.fullmatch(rf"(-?){_NUMBER}\.\.(-?){_NUMBER}", str(text))
+    signs = found.groups() if found else ("", "1", "", "0")
+    low, high = float("".join(signs[:2])), float("".join(signs[2:]))
     if not low < high:
         raise ValueError("LOWER..UPPER with LOWER below UPPER, for instance -30..30")
     return low, high
@@ -38,11 +39,8 @@ def _limits(text: Any) -> tuple[float, float]:
 
 def _tube(text: Any) -> tuple[float, float]:
     """Outer and inner diameter, m."""
-    found = re.fullmatch(r"([\d.]+)(?:/([\d.]+))?", str(text))
-    try:
-        outer, inner = (float(v or 0) for v in found.groups()) if found else (0.0, 1.0)
-    except ValueError:
-        outer, inner = 0.0, 1.0
+    found = re.fullmatch(rf"{_NUMBER}(?:/{_NUMBER})?", str(text))
+    outer, inner = (float(v or 0) for v in found.groups()) if found else (0.0, 1.0)
     if (outer and outer <= inner) or (not outer and inner):
         raise ValueError("OUTER/INNER or OUTER in mm, for instance 30/26; 0: rigid")
     return outer / 1e3, inner / 1e3
@@ -82,16 +80,6 @@ class _Row(BaseModel):
     servo_kg: float = 0.0
     name: str = ""
     mimic: Mimic = None
-
-    @classmethod
-    def of(cls, number: int, given: Mapping[str, str]) -> _Row:
-        """From texts by key. Raises InputError."""
-        try:
-            return cls.model_validate(given)
-        except ValidationError as error:
-            fault = error.errors(include_url=False)[0]
-            key, allowed = str(fault["loc"][0]), fault["msg"].removeprefix("Value error, ")
-            raise InputError("init", f"joint {number}, {key}", fault["input"], allowed) from error
 
     def joint(self, number: int) -> dict[str, Any]:
         """An entry of `joints`."""
@@ -135,8 +123,7 @@ class _Row(BaseModel):
         }]  # fmt: skip
 
 
-def row_of(flag: str) -> dict[str, str]:
-    """Texts of one row by key, from ``key=value key=value``."""
+def _row_of(number: int, flag: str) -> _Row:
     row = {}
     for word in flag.split():
         key, equals, value = word.partition("=")
@@ -144,16 +131,19 @@ def row_of(flag: str) -> dict[str, str]:
             keys = ", ".join(_Row.model_fields)
             raise InputError("init", "--joint", word, f"KEY=VALUE, keys {keys}")
         row[key] = value
-    return row
+    try:
+        return _Row.model_validate(row)
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        key, allowed = str(fault["loc"][0]), fault["msg"].removeprefix("Value error, ")
+        raise InputError("init", f"joint {number}, {key}", fault["input"], allowed) from error
 
 
 def arm_of(
-    name: str, given: Sequence[Mapping[str, str]], tip: Sequence[float], payload_kg: float
+    name: str, given: Sequence[str], tip: Sequence[float], payload_kg: float
 ) -> dict[str, Any]:
-    """What arm.yaml holds for rows; `tip` (3,) m in the last frame."""
-    if not given:
-        raise InputError("init", "--joint", "none", "at least one joint")
-    rows = [(number, _Row.of(number, answers)) for number, answers in enumerate(given, 1)]
+    """What arm.yaml holds for rows, at least one; `tip` (3,) m in the last frame."""
+    rows = [(number, _row_of(number, flag)) for number, flag in enumerate(given, 1)]
     data: dict[str, Any] = {
         "name": name,
         "convention": "mdh_craig",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -30,53 +29,13 @@ _BASELINE = 0.18
 """Distance of the two cameras as a share of their distance to the marker."""
 
 
-@dataclass(frozen=True, eq=False)
-class Head:
-    """Cameras and marker.
+def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
+    """Parameters of `stereo_bridge` and `simulated_arm` with the whole range of the tip in view.
 
-    Attributes:
-        position_m, axis: left camera (m) and where it looks, in the base frame; level.
-        tag_m: side of a tag; the marker has 2 x 2, a fifth of a tag apart.
-        mounting: rotation vector (3,) of the plate on the tip frame, rad; its centre is the tip.
-    """
-
-    position_m: tuple[float, float, float]
-    axis: tuple[float, float, float]
-    baseline_m: float
-    tag_m: float
-    mounting: tuple[float, float, float]
-
-    def simulated(self) -> dict[str, Any]:
-        """Parameters of `simulated_arm`."""
-        return {
-            "camera.position": list(self.position_m),
-            "camera.axis": list(self.axis),
-            "camera.baseline_m": self.baseline_m,
-            "camera.focal_px": FOCAL_PX,
-            "camera.width": SIZE[0],
-            "camera.height": SIZE[1],
-            "marker.tag_m": self.tag_m,
-            "marker.gap_m": round(self.tag_m / 5, 6),
-            "marker.mounting": list(self.mounting),
-        }
-
-    def bridge(self) -> dict[str, Any]:
-        """Parameters of `stereo_bridge`."""
-        pose = CameraPair(self.position_m, self.axis).left_in_base
-        turn = quaternion.from_rotation(pose[:3, :3])
-        return {
-            "hand_eye.xyz": list(self.position_m),
-            "hand_eye.quaternion": [round(float(v), 12) for v in turn],
-            "marker.tag_m": self.tag_m,
-            "marker.gap_m": round(self.tag_m / 5, 6),
-        }
-
-
-def head_for(arm: Arm) -> Head:
-    """The head that has the whole range of the tip in view, from the side where the marker shows.
-
-    Of 16 level directions it takes the one from which the marker, mounted for it, is turned away
-    the least over 256 poses. A camera that the arm declares stays where it is.
+    The head looks level, from the side where the marker shows: of 16 directions the one from which
+    the marker, mounted for it, is turned away the least over 256 poses. A camera that the arm
+    declares stays where it is. The marker has 2 x 2 tags, a fifth of a tag apart; its centre is the
+    tip.
     """
     model = declared_model(arm, deflection=False)
     tips = model.pose(sobol(arm, _POSES, 0).q)
@@ -106,7 +65,22 @@ def head_for(arm: Arm) -> Head:
     position = middle - distance * axis - 0.5 * baseline * x
     if given:
         position = np.array(given.position_m)
-    return Head(_three(position, 3), _three(axis, 9), baseline, tag, _three(mounting, 9))
+    at, along = _rounded(position, 3), _rounded(axis, 9)
+    turn = quaternion.from_rotation(CameraPair(tuple(at), tuple(along)).left_in_base[:3, :3])
+    marker = {"marker.tag_m": tag, "marker.gap_m": round(tag / 5, 6)}
+    return {
+        "stereo_bridge": {"hand_eye.xyz": at, "hand_eye.quaternion": _rounded(turn, 12), **marker},
+        "simulated_arm": {
+            "camera.position": at,
+            "camera.axis": along,
+            "camera.baseline_m": baseline,
+            "camera.focal_px": FOCAL_PX,
+            "camera.width": SIZE[0],
+            "camera.height": SIZE[1],
+            **marker,
+            "marker.mounting": _rounded(mounting, 9),
+        },
+    }
 
 
 def _facing(turns: np.ndarray, axes: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -135,6 +109,5 @@ def _facing(turns: np.ndarray, axes: Iterable[np.ndarray]) -> tuple[np.ndarray, 
     return axis, cv2.Rodrigues(plate)[0].ravel()
 
 
-def _three(values: np.ndarray, digits: int) -> tuple[float, float, float]:
-    x, y, z = (round(float(v), digits) + 0.0 for v in values)
-    return x, y, z
+def _rounded(values: np.ndarray, digits: int) -> list[float]:
+    return [round(float(v), digits) + 0.0 for v in values]

@@ -6,16 +6,19 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from longarm_comp.arm_folder.head import head_for
 from longarm_comp.arm_folder.parameter_file import one_line, own_text, ros_parameters, with_values
 from longarm_comp.arm_folder.servos import DEFAULT_MODEL, servo_section
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.places import link_places
+from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.strict_yaml import parse_yaml
 from longarm_comp.devices.servo_bus import models
 from longarm_comp.share import folder
@@ -42,28 +45,6 @@ _NO_CAMERA = """What measures: tracker, total_station or touch; if absent, every
 measuring: tracker"""
 
 
-def _arm_text(data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], arm: Arm) -> str:
-    """The file; ``of_rows``: a comment beside a row of `joints`, by id."""
-    lines = _commented(head)
-    for key, value in data.items():
-        if value in ([], {}, None):
-            continue
-        lines += _commented(_COMMENTS.get(key, ""))
-        if isinstance(value, list) and value and isinstance(value[0], Mapping):
-            lines.append(f"{key}:")
-            for row in value:
-                beside = of_rows.get(row.get("id", 0), "") if key == "joints" else ""
-                lines.append(f"  - {one_line(dict(row))}" + (f"  # {beside}" if beside else ""))
-        else:
-            lines.append(f"{key}: {one_line(value)}")
-    row, role, size = (link_places(arm.joints) or [(1, "a", 0.4)])[0]
-    no_links = _NO_LINKS.format(row=row, role=role, length=abs(size))
-    for key, text in (("links", no_links), ("payload", _NO_PAYLOAD), ("camera", _NO_CAMERA)):
-        if not data.get(key):
-            lines += _commented(text)
-    return "\n".join(lines) + "\n"
-
-
 def _commented(text: str) -> list[str]:
     return [f"# {line}" for line in text.splitlines()]
 
@@ -82,46 +63,52 @@ _SIMULATED = (
 )
 
 
-@dataclass(frozen=True)
-class Source:
-    """What an arm's folder is made from."""
+def arm_file(
+    data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], *, seen: bool
+) -> tuple[str, Arm]:
+    """Text of an arm.yaml that holds `data`, and the arm.
 
-    text: str
-    arm: Arm
-
-    @classmethod
-    def of_data(
-        cls, data: Mapping[str, Any], head: str, of_rows: Mapping[int, str], *, seen: bool
-    ) -> Source:
-        """From what arm.yaml shall hold; ``seen``: a camera is added."""
-        arm, whole = Arm.parse(dict(data), ARM), dict(data)
-        if seen:
-            stereo = head_for(arm)
-            whole["camera"] = {"position_m": list(stereo.position_m),
-                               "optical_axis": list(stereo.axis)}  # fmt: skip
-        return cls(_arm_text(whole, head, of_rows, arm), Arm.parse(whole, ARM))
-
-    @classmethod
-    def of_file(cls, path: Path) -> Source:
-        """An arm.yaml that is there already."""
-        arm = Arm.load(path)
-        return cls(path.read_text("utf-8"), arm)
+    Args:
+        head: comment on top; `of_rows`: a comment beside a row of `joints`, by id.
+        seen: a camera is added that sees the tip.
+    """
+    whole = dict(data)
+    if seen:
+        stereo = head_for(Arm.parse(whole, ARM))["simulated_arm"]
+        place, axis = stereo["camera.position"], stereo["camera.axis"]
+        whole["camera"] = {"position_m": place, "optical_axis": axis}
+    arm, lines = Arm.parse(whole, ARM), _commented(head)
+    for key, value in whole.items():
+        if value in ([], {}, None):
+            continue
+        lines += _commented(_COMMENTS.get(key, ""))
+        if isinstance(value, list) and value and isinstance(value[0], Mapping):
+            lines.append(f"{key}:")
+            for row in value:
+                beside = of_rows.get(row.get("id", 0), "") if key == "joints" else ""
+                lines.append(f"  - {one_line(dict(row))}" + (f"  # {beside}" if beside else ""))
+        else:
+            lines.append(f"{key}: {one_line(value)}")
+    row, role, size = (link_places(arm.joints) or [(1, "a", 0.4)])[0]
+    no_links = _NO_LINKS.format(row=row, role=role, length=abs(size))
+    for key, text in (("links", no_links), ("payload", _NO_PAYLOAD), ("camera", _NO_CAMERA)):
+        if not whole.get(key):
+            lines += _commented(text)
+    return "\n".join(lines) + "\n", arm
 
 
 def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
     """Texts of the parameter files that fit an arm, by node."""
-    head = head_for(arm)
-    carried = arm.payload.mass_kg if arm.payload else 0.0
-    node = "servo_driver"
-    bus = ros_parameters(parse_yaml(own_text(node), node), node)["bus"]
+    bus = ros_parameters(parse_yaml(own_text(NODES[0]), NODES[0]), NODES[0])["bus"]
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
             "joints": servo_section(arm, servos, direct),
             "bus": bus | {"protocol": models()[servos].protocol},
         },
-        "stereo_bridge": head.bridge(),
-        "simulated_arm": head.simulated()
-        | {"payload_kg": carried, "temperature_c": arm.reference_temperature_c},
+    } | head_for(arm)
+    values["simulated_arm"] |= {
+        "payload_kg": arm.payload.mass_kg if arm.payload else 0.0,
+        "temperature_c": arm.reference_temperature_c,
     }
     heads = dict(zip(NODES, (_SERVOS, _BRIDGE, _SIMULATED), strict=True))
     return {
@@ -135,12 +122,6 @@ def demonstration() -> dict[str, str]:
     return {ARM: (folder("config") / "arm_demo.yaml").read_text("utf-8"), **files}
 
 
-def files_of(source: Source, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
-    """Texts of all files of an arm's folder by name; ``direct``: as in `servo_section`."""
-    made = parameter_files(source.arm, servos, direct)
-    return {ARM: source.text, **{f"{node}.yaml": text for node, text in made.items()}}
-
-
 def check_free(out: Path) -> None:
     """Raise InputError where a folder cannot be made because something is there."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -149,7 +130,6 @@ def check_free(out: Path) -> None:
 
 def write_folder(out: Path, files: Mapping[str, str]) -> None:
     """Write a new folder of files in one step."""
-    check_free(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
@@ -162,3 +142,49 @@ def write_folder(out: Path, files: Mapping[str, str]) -> None:
             shutil.rmtree(made, ignore_errors=True)
     except OSError as error:
         raise InputError(out, "DIR", error.strerror or str(error), "a folder to write") from error
+
+
+def narrowed(
+    data: Mapping[str, Any], range_deg: float, home_deg: Mapping[str, float]
+) -> tuple[dict[str, Any], dict[int, str]]:
+    """What arm.yaml holds with narrower limits, and by row what they were.
+
+    Args:
+        range_deg: largest range of a turning joint; 0 leaves them as they are.
+        home_deg: middle of the new range by joint name; default: of the old range.
+    """
+    names = [str(row.get("name") or f"joint{row['id']}") for row in data["joints"]]
+    for name in home_deg:
+        if name not in names:
+            raise InputError("init", "--home", name, ", ".join(names))
+    rows, notes = [], {}
+    for name, row in zip(names, data["joints"], strict=True):
+        limits = row.get("limits_deg")
+        if limits is None:
+            rows.append(row)
+            continue
+        low, high = map(float, limits)
+        home = home_deg.get(name, (low + high) / 2)
+        if not low <= home <= high:
+            raise InputError("init", f"--home {name}", home, f"{low:g} to {high:g} deg")
+        if not range_deg or high - low <= range_deg:
+            rows.append(row)
+            continue
+        start = min(max(home - range_deg / 2, low), high - range_deg)
+        made = [round(start, 6) + 0.0, round(start + range_deg, 6) + 0.0]
+        rows.append({**row, "limits_deg": made})
+        notes[row["id"]] = f"whole range {low:g} to {high:g} deg"
+    return {**data, "joints": rows}, notes
+
+
+def in_sight(data: Mapping[str, Any], home_deg: Mapping[str, float]) -> float:
+    """Largest range of turning joints, deg, that two webcams see from the arm's own table.
+
+    They stand within one and a half times the arm's reach then, and the marker is small.
+    """
+    for range_deg in (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0):
+        arm = Arm.parse(narrowed(data, range_deg, home_deg)[0], "arm.yaml")
+        tip = declared_model(arm, deflection=False).tip(arm.mid)
+        if np.linalg.norm(tip - head_for(arm)["stereo_bridge"]["hand_eye.xyz"]) <= 1.5 * reach(arm):
+            break
+    return range_deg

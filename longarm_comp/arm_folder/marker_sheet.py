@@ -101,7 +101,6 @@ def _draw(axes: Axes, cells: np.ndarray, left: float, top: float, wide: float, h
 
 
 def _draw_ruler(axes: Axes, middle: float, y: float) -> None:
-    """100 mm with a mark every millimetre."""
     for k in range(101):
         length = 5.0 if k % 10 == 0 else 3.5 if k % 5 == 0 else 2.0
         x = middle - 50.0 + k

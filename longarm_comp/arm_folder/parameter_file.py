@@ -84,10 +84,6 @@ def with_values(node: str, values: Mapping[str, Any], head: str) -> str:
     text = own_text(node)
     first = next(line for line in text.splitlines() if not line.startswith("#"))
     own = text[text.index(first) :]
-    known = own_parameters(node)
-    lacking = [name for name in values if not any(f"{k}.".startswith(f"{name}.") for k in known)]
-    if lacking:
-        raise ValueError(f"{node}.yaml has no {', '.join(lacking)}")
     made = edited(own, {tuple(name.split(".")): v for name, v in values.items()}, node)
     return "".join(f"# {line}".rstrip() + "\n" for line in head.splitlines()) + made
 

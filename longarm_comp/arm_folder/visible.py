@@ -145,21 +145,17 @@ class View:
 
 def view_beside(arm: Path) -> View | None:
     """What the cameras see by the files beside an arm.yaml; None where there are none."""
-    nodes = ("stereo_bridge", "simulated_arm")
-    files = [arm.absolute().parent / f"{node}.yaml" for node in nodes]
-    if not all(file.is_file() for file in files):
-        return None
-    bridge, simulated = (parameters_of(node, file) for node, file in zip(nodes, files, strict=True))
-    view, lens = View.of(bridge, simulated), _lens_beside(arm)
-    return view if lens is None else replace(view, lens=lens)
-
-
-def _lens_beside(arm: Path) -> Lens | None:
-    """The cameras' lens by the calibration beside an arm.yaml; None where there is none."""
     from longarm_comp.arm_folder.camera_files import SIDES, camera_path
     from longarm_comp.devices.stereo.camera_file import read_camera
 
-    files = [camera_path(arm.absolute().parent, side) for side in SIDES]
+    folder = arm.absolute().parent
+    nodes = ("stereo_bridge", "simulated_arm")
+    files = [folder / f"{node}.yaml" for node in nodes]
     if not all(file.is_file() for file in files):
         return None
-    return Lens.of(*map(read_camera, files))
+    bridge, simulated = (parameters_of(node, file) for node, file in zip(nodes, files, strict=True))
+    view, calibrated = View.of(bridge, simulated), [camera_path(folder, side) for side in SIDES]
+    if not all(file.is_file() for file in calibrated):
+        return view
+    lens = Lens.of(*map(read_camera, calibrated))
+    return view if lens is None else replace(view, lens=lens)

@@ -8,19 +8,19 @@ from typing import Any
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import kept_if_broken_off, note, print_json, progress
+from longarm_comp.cli.output import kept_if_broken_off, note, print_json, progress, say
 from longarm_comp.cli.signals import on_graph
 
 
 @click.command()
-@click.argument("diagnosis", type=click.Path(path_type=Path), metavar="DIAGNOSIS")
+@options.path_argument("diagnosis", "DIAGNOSIS")
 @options.path_option("--session", "Session that was diagnosed; default: as DIAGNOSIS names it.")
 @options.without("network", "Train no predictor.")
 @options.namespace
 @options.seed
 @options.effects
 @options.as_json
-def apply(diagnosis: Path, namespace: str, as_json: bool, **how: Any) -> None:
+def apply(diagnosis: Path, namespace: str, **how: Any) -> None:
     """Use DIAGNOSIS, a folder that `longarm diagnose` wrote, on the running graph.
 
     Replaces the model file that kinematics was started with and trains the predictor again on
@@ -39,30 +39,24 @@ def apply(diagnosis: Path, namespace: str, as_json: bool, **how: Any) -> None:
     from longarm_comp.jobs.apply import apply_on_graph
 
     began: list[str] = []
+    kept = "model and predictor in use fit each other; run the same command again to finish"
 
-    def kept() -> str:
-        said = "model and predictor in use fit each other; run the same command again to finish"
-        return said if began else ""
+    def step(text: str, share: float) -> None:
+        began.append(text)
+        show(text, share)
 
     with (
-        kept_if_broken_off(kept),
+        kept_if_broken_off(lambda: kept if began else ""),
         on_graph("apply", namespace) as client,
         progress("apply") as show,
     ):
-
-        def step(text: str, share: float) -> None:
-            began.append(text)
-            show(text, share)
-
         done = apply_on_graph(client, diagnosis, note=note, progress=step, **how)
-    if as_json:
-        print_json({**asdict(done), "undo": done.undo})
-        return
+    print_json({**asdict(done), "undo": done.undo})
     for change in done.changes:
-        click.echo(str(change))
+        say(str(change))
     for name, pair in (("as commanded", done.commanded_mm), ("as seen", done.seen_mm)):
         if pair is not None:
-            click.echo(f"held-out mean error {name}: {pair[0]:.2f} -> {pair[1]:.2f} mm")
+            say(f"held-out mean error {name}: {pair[0]:.2f} -> {pair[1]:.2f} mm")
     note(f"{done.model} is version {done.version}; predictor: {done.predictor or 'none'}")
     if done.set_aside is not None:
         note(f"the predictor before is kept as {done.set_aside}")
@@ -70,7 +64,7 @@ def apply(diagnosis: Path, namespace: str, as_json: bool, **how: Any) -> None:
 
 
 @click.command()
-@click.argument("model", type=click.Path(path_type=Path), metavar="MODEL")
+@options.path_argument("model", "MODEL")
 def undo(model: Path) -> None:
     """Restore the version of MODEL before the last change, byte for byte.
 

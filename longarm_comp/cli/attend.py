@@ -1,18 +1,21 @@
-"""What a person asks of a running arm, and faults of a simulated one, to rehearse."""
+"""What a person sees and asks of a running arm, and faults of a simulated one, to rehearse."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, print_json
+from longarm_comp.cli.output import note, print_json, say
 from longarm_comp.cli.signals import on_graph
+from longarm_comp.core.errors import JobError
 
 
 @click.command()
 @options.namespace
 @options.as_json
-def status(namespace: str, as_json: bool) -> None:
+def status(namespace: str) -> None:
     """Print the state of the running arm: its driver, every problem with its cause, the next
     command.
 
@@ -24,22 +27,20 @@ def status(namespace: str, as_json: bool) -> None:
 
     with on_graph("status", namespace) as client:
         found = Attendant(client).standing()
-    if as_json:
-        print_json(found)
-        return
+    print_json(found)
     driver, reason, tip = (found[key] for key in ("driver", "why", "tip"))
     why = f": {reason}" if reason else ""
-    click.echo(f"The driver is {driver}{why}." if driver else f"{reason}.")
+    say(f"The driver is {driver}{why}." if driver else f"{reason}.")
     for trouble in found["troubles"]:
-        click.echo("{level}: {node}, {part}: {message}".format_map(trouble))
+        say("{level}: {node}, {part}: {message}".format_map(trouble))
     if not found["troubles"]:
-        click.echo(f"All is well: {', '.join(found['nodes'])}.")
+        say(f"All is well: {', '.join(found['nodes'])}.")
     if tip:
-        click.echo(f"{tip[0].upper()}{tip[1:]}.")
+        say(f"{tip[0].upper()}{tip[1:]}.")
     if found["learned"]:
-        click.echo(f"At work: {found['learned']}.")
+        say(f"At work: {found['learned']}.")
     if found["next"]:
-        click.echo(f"Next: {found['next']}")
+        say(f"Next: {found['next']}")
 
 
 def _asked_of_the_driver(name: str, what: str) -> click.Command:
@@ -113,3 +114,42 @@ def freeze(node: str, seconds: float, namespace: str) -> None:
             note(f"{node} (process {process}) stands still for {seconds:g} s")
             client.stop.wait(seconds)
         note(f"{node} goes on")
+
+
+@click.command()
+@options.namespace
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8080,
+    help="Port of the page; if it is taken, the next free port. 0: any free port.",
+)
+@click.option("--open/--no-open", "show", default=True, help="Open the page in the browser.")
+def view(namespace: str, port: int, show: bool) -> None:
+    """Show a running graph on a page in the browser of this machine, until Ctrl-C.
+
+    The page shows the arm as declared and as it hangs, target, tip and errors, the health
+    of the nodes and the progress of `collect`. It has buttons for hold, software stop and reset.
+    Only this machine can open the page, with the printed link, which works once and in one browser.
+
+    \b
+    Examples:
+      longarm view
+      longarm view --namespace left_arm --port 8081 --no-open
+    """
+    from longarm_comp.cli.signals import stop_on_signals
+
+    try:
+        import viser  # noqa: F401
+    except ModuleNotFoundError as error:
+        wanted = "pip install 'longarm_comp[view]'"
+        raise JobError(f"longarm view needs {error.name}: {wanted}") from error
+    from longarm_comp.view import run
+
+    def opened(link: Callable[[], str]) -> None:
+        click.echo(link())
+        if show:
+            click.launch(link())
+
+    with stop_on_signals() as stop:
+        run.view(namespace, port, stop, opened)

@@ -1,4 +1,4 @@
-"""``longarm record``, ``bag info`` and ``to-csv``."""
+"""``longarm record``, ``bag info``, ``bag to-csv`` and ``day-report``: recordings."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from pathlib import Path
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_table
+from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, print_table
 
 
 @click.command()
 @options.output(None, "Bag folder to record.", outputs.left_to_the_command)
-@click.option("--images", is_flag=True, help="Also record images and camera calibrations.")
+@options.flag("--images", "Also record images and camera calibrations.")
 @click.option("--duration", type=float, help="Stop after this time, s.")
-@click.option("--resume", is_flag=True, help="Add to an existing bag.")
+@options.flag("--resume", "Add to an existing bag.")
 @click.option("--segment", default=20.0, help="Length of a file, s.")
 @options.namespace
 @options.as_json
@@ -25,7 +25,6 @@ def record(
     resume: bool,
     segment: float,
     namespace: str,
-    as_json: bool,
 ) -> None:
     """Record an arm's topics as a rosbag2 (mcap), until Ctrl-C.
 
@@ -44,33 +43,24 @@ def record(
     from longarm_comp.sessions.bag_segments import SegmentedBag
 
     topics = (*recorder.SESSION_TOPICS, DIAGNOSTICS, *(recorder.IMAGE_TOPICS if images else ()))
-    begun = time.monotonic()
-
-    def kept() -> str:
-        there = (output / "metadata.yaml").is_file()
-        return f"{output} keeps what was recorded; --resume adds to it" if there else ""
-
+    begun, bagged = time.monotonic(), output / "metadata.yaml"
+    kept = f"{output} keeps what was recorded; --resume adds to it"
     with (
         stop_on_signals() as stop,
         SegmentedBag(output, resume=resume) as bag,
-        kept_if_broken_off(kept),
+        kept_if_broken_off(lambda: kept if bagged.is_file() else ""),
     ):
         note("recording; Ctrl-C ends it")
         counts = recorder.record(bag, topics, stop, namespace, segment, duration)
     seconds = time.monotonic() - begun
-    if as_json:
-        print_json({"bag": str(output), "seconds": seconds, "messages": counts})
-        return
+    print_json({"bag": output, "seconds": seconds, "messages": counts})
     note(f"{sum(counts.values())} messages in {seconds:.1f} s; bag in {output}")
 
 
-_bag = click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
-
-
 @click.command()
-@_bag
+@options.bag
 @options.as_json
-def info(bag: Path, as_json: bool) -> None:
+def info(bag: Path) -> None:
     """Topics, types and counts of a BAG folder (mcap or sqlite3).
 
     \b
@@ -80,9 +70,7 @@ def info(bag: Path, as_json: bool) -> None:
     from longarm_comp.sessions.bag import bag_info
 
     found = bag_info(bag)
-    if as_json:
-        print_json(found)
-        return
+    print_json(found)
     title = "{path}: {storage}, {duration_s:.1f} s, {messages} messages".format_map(found)
     rows = [(t["topic"], t["type"], t["count"], "yes" * t["read"]) for t in found["topics"]]
     print_table(title, ("topic", "type", "messages", "read for a session"), rows)
@@ -90,11 +78,11 @@ def info(bag: Path, as_json: bool) -> None:
 
 @click.command()
 @options.arm
-@_bag
+@options.bag
 @options.output("samples.csv", "Session to write.", outputs.session)
 @options.namespace_of(None, "Namespace of the arm, if the bag holds several.")
 @options.as_json
-def to_csv(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: bool) -> None:
+def to_csv(arm: options.Arm, bag: Path, output: Path, namespace: str | None) -> None:
     """Write what BAG recorded of ARM as a session in CSV.
 
     A row is a command and the mean of its settled sightings.
@@ -103,16 +91,39 @@ def to_csv(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: b
     Example:
       longarm bag to-csv arm.yaml session_bag -o samples.csv
     """
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.sessions.bag import read_bag
     from longarm_comp.sessions.csv import write_csv
 
-    session = read_bag(bag, Arm.load(arm), namespace)
+    session = read_bag(bag, arm, namespace)
     write_csv(session, output)
     seen = int(session.seen.sum())
-    if as_json:
-        print_json(
-            {"output": str(output), "rows": len(session), "seen": seen, "hash": session.hash}
-        )
-    else:
-        note(f"{len(session)} rows, {seen} with a marker, in {output}")
+    print_json({"output": output, "rows": len(session), "seen": seen, "hash": session.hash})
+    note(f"{len(session)} rows, {seen} with a marker, in {output}")
+
+
+@click.command()
+@options.arm
+@options.bag
+@options.output("day.html", "Page to write.", outputs.marked(b"<!doctype html>", b"A day of work"))
+@options.namespace_of(None, "Namespace of the arm, if the bag holds several.")
+@options.as_json
+def day_report(arm: options.Arm, bag: Path, output: Path, namespace: str | None) -> None:
+    """Make a page of a recorded day: errors by the hour, what was learned, what was refused.
+
+    `longarm record` makes the bag while the arm works.
+
+    \b
+    Example:
+      longarm day-report my_arm bag_today -o today.html
+    """
+    from longarm_comp.core.at_work import LEARNED_SAID
+    from longarm_comp.core.files import write_text
+    from longarm_comp.report.pages import day_page
+    from longarm_comp.sessions.day import read_day
+
+    day = read_day(bag, arm, namespace, (LEARNED_SAID,))
+    write_text(output, day_page(arm.name, bag.name, day))
+    rows, said = day.by_hour(), [vars(s) for s in day.said]
+    print_json({"page": output, "rows": rows, "refused": day.refused, "said": said})
+    print_rows(f"{arm.name}: {day.hours:.1f} h", rows)
+    note(f"page in {output}")

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_effects, print_json, print_rows, progress
-
-if TYPE_CHECKING:
-    from longarm_comp.workflows.calibrate import Calibration
 
 
 @click.command()
@@ -32,7 +29,7 @@ if TYPE_CHECKING:
 @options.effects
 @options.as_json
 def command(
-    arm: Path, session: Path, output: Path, effects: tuple[str, ...], as_json: bool, **how: Any
+    arm: options.Arm, session: Path, output: Path, effects: tuple[str, ...], **how: Any
 ) -> None:
     """Fit geometry and declared effects of ARM to SESSION (CSV or bag).
 
@@ -45,13 +42,11 @@ def command(
       longarm calibrate arm.yaml samples.csv --effect joint_compliance --effect bearing_tilt
       longarm calibrate arm.yaml samples.csv --kind-of others/*.yaml
     """
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.calibrate import calibrate, instances
 
-    declared = Arm.load(arm)
-    chosen = [instances(name, declared, "--effect") for name in effects]
+    chosen = [instances(name, arm, "--effect") for name in effects]
     with progress("calibrate") as show:
-        calibration = calibrate(declared, session, effects=chosen, note=note, progress=show, **how)
+        calibration = calibrate(arm, session, effects=chosen, note=note, progress=show, **how)
     calibration.save(output)
     if calibration.placed:
         note("the declared arm was first placed by the rows, because they see it at another place")
@@ -60,15 +55,25 @@ def command(
     for name in calibration.not_helping:
         note(f"{name} did not lower the held-out error: better leave it out")
     rows, final = calibration.held_out.rows, calibration.fit
-    if as_json:
-        print_json({"output": str(output), "held_out": rows, **_facts(calibration)})
-        return
+    print_json(
+        {
+            "output": str(output),
+            "held_out": rows,
+            "parameters": [vars(p) for p in calibration.parameters],
+            "sigma_mm": 1e3 * final.sigma,
+            "outliers": final.session.index[final.outliers],
+            "converged": final.converged,
+            "session_hash": calibration.session.hash,
+            "placed": calibration.placed,
+            "untold": calibration.untold,
+        }
+    )
     print_rows(
         f"Held-out errors ({calibration.held_out_rows} of {len(calibration.session)} rows)", rows
     )
     added = [p for p in calibration.parameters if not p.geometry]
     found = [(p.effect, p.where, p.name, p.value, p.ci95, p.unit) for p in added]
-    print_effects("Effects, fitted to all rows", declared.called, found)
+    print_effects("Effects, fitted to all rows", arm.called, found)
     # The user's own number of each row, else its index
     called_rows = final.session.labels.get("point", final.session.index)
     left = ", ".join(map(str, called_rows[final.outliers]))
@@ -79,16 +84,3 @@ def command(
             "the fit did not converge: its last step was above a hundredth of the errors after "
             f"{final.iterations}"
         )
-
-
-def _facts(calibration: Calibration) -> dict[str, Any]:
-    final = calibration.fit
-    return {
-        "parameters": [vars(p) for p in calibration.parameters],
-        "sigma_mm": 1e3 * final.sigma,
-        "outliers": final.session.index[final.outliers],
-        "converged": final.converged,
-        "session_hash": calibration.session.hash,
-        "placed": calibration.placed,
-        "untold": calibration.untold,
-    }

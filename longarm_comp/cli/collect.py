@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,30 +14,24 @@ from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.jobs.client import Pace
     from longarm_comp.jobs.collect.run import Collected, Progress
     from longarm_comp.jobs.collect.visits import PlanCheck, Visit
 
 
 @click.command()
-@options.arm
-@click.argument("poses", type=click.Path(path_type=Path), metavar="POSES")
+@options.arm_file
+@options.path_argument("poses", "POSES")
 @options.written("-o/--output", "Bag folder to record.", outputs.left_to_the_command)
-@click.option("--dry-run", is_flag=True, help="Move nothing; print what the plan would do.")
+@options.flag("--dry-run", "Move nothing; print what the plan would do.")
 @options.floor
-@click.option(
-    "--sides",
-    type=click.Choice(["plan", "random", "both"]),
-    default="plan",
-    help="Sides of arrival: of the plan, random, or both of the plan and opposite.",
-)
+@options.choice(
+    "--sides", ["plan", "random", "both"], default="plan",
+    what="Sides of arrival: of the plan, random, or both of the plan and opposite.",
+)  # fmt: skip
 @click.option("--repeats", default=0, help="Poses that are visited two more times.")
-@click.option(
-    "--in-order", is_flag=True, help="Drive in the order of the file instead of a random order."
-)
+@options.flag("--in-order", "Drive in the order of the file instead of a random order.")
 @options.pace
-@click.option("--resume", is_flag=True, help="Continue an interrupted recording.")
+@options.flag("--resume", "Continue an interrupted recording.")
 @click.option(
     "--give-up",
     type=click.IntRange(min=0),
@@ -56,10 +50,9 @@ def command(
     sides: str,
     repeats: int,
     in_order: bool,
-    pace: Callable[..., Pace],
+    pace: options.Paced,
     namespace: str,
     seed: int,
-    as_json: bool,
     **how: Any,
 ) -> None:
     """Drive ARM through the plan POSES over ROS and record a session bag.
@@ -94,15 +87,13 @@ def command(
     view = view_beside(arm)
     checks = plan_checks(bounded, todo, view=view, servos=servos_beside(arm, declared.joint_names))
     if dry_run:
-        _show(declared.name, todo, checks, as_json)
+        _show(declared.name, todo, checks)
         return
     refuse_blocked(checks, todo, poses)
     assert output is not None
     how |= {"pace": pace(declared_model(declared), plan.q), "view": view}
     done = _drive(bounded, todo, output, namespace, **how)
-    if as_json:
-        print_json({"bag": str(output), **vars(done)})
-        return
+    print_json({"bag": output, **vars(done)})
     before = f", {done.before} before" if done.before else ""
     note(f"{done.made} visits made{before}, of {done.planned}; bag in {output}")
     if done.unseen:
@@ -112,7 +103,9 @@ def command(
         note(f"{len(done.blocked)} poses were not driven, because no way there is free: {why}")
 
 
-def _drive(arm: Arm, todo: Sequence[Visit], output: Path, namespace: str, **how: Any) -> Collected:
+def _drive(
+    arm: options.Arm, todo: Sequence[Visit], output: Path, namespace: str, **how: Any
+) -> Collected:
     """Collect; where it ends early, say what is kept and what to do next."""
     from longarm_comp.jobs.collect.run import collect
 
@@ -125,33 +118,29 @@ def _drive(arm: Arm, todo: Sequence[Visit], output: Path, namespace: str, **how:
         told = f"driven in this run: {made} of {len(todo)} visits, marker seen at {seen}"
         return f"{told}; {output} keeps them, the same command with --resume adds the others"
 
+    def follow(now: Progress) -> None:
+        last[:] = [now]
+        show(str(now), now.share)
+
     with (
         kept_if_broken_off(kept),
         on_graph("collect", namespace, arm) as client,
         progress("collect", lines=True) as show,
     ):
-
-        def follow(now: Progress) -> None:
-            last[:] = [now]
-            show(str(now), now.share)
-
         return collect(client, todo, output, progress=follow, **how)
 
 
-def _show(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck], as_json: bool) -> None:
-    """What a plan would do, and whether `collect` would drive it."""
+def _show(name: str, todo: Sequence[Visit], checks: Sequence[PlanCheck]) -> None:
     from longarm_comp.jobs.collect.visits import blocked
 
     count = len(todo)
-    if as_json:
-        print_json({
-            "visits": count,
-            "checks": [{"question": c.question, "passed": c.passed, "blocks": c.blocks,
-                        "faults": {v.index: f for v, f in zip(todo, c.faults, strict=True) if f}}
-                       for c in checks],
-        })  # fmt: skip
-    else:
-        rows = [(c.question, f"{c.passed} of {count}", c.mostly) for c in checks]
-        print_table(f"{name}: {count} visits", ("visits", "yes", "where not"), rows)
+    print_json({
+        "visits": count,
+        "checks": [{"question": c.question, "passed": c.passed, "blocks": c.blocks,
+                    "faults": {v.index: f for v, f in zip(todo, c.faults, strict=True) if f}}
+                   for c in checks],
+    })  # fmt: skip
+    rows = [(c.question, f"{c.passed} of {count}", c.mostly) for c in checks]
+    print_table(f"{name}: {count} visits", ("visits", "yes", "where not"), rows)
     if stopped := blocked(checks, todo):
         raise JobError(f"{len(stopped)} of {count} visits cannot be driven")

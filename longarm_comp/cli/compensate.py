@@ -14,8 +14,6 @@ from longarm_comp.core.errors import InputError, JobError
 if TYPE_CHECKING:
     import numpy as np
 
-    from longarm_comp.core.arm.arm import Arm
-
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @options.arm
@@ -32,16 +30,11 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @options.model
 @options.predictor
-@click.option(
-    "--method",
-    type=click.Choice(["none", "deflection", "network", "both"]),
-    help="What to compensate; default: all that the given files allow.",
-)
-@click.option(
-    "--frame",
-    type=click.Choice(["base", "measured"]),
-    help="Frame of the targets: the arm's own base, or that of the measurements of MODEL.",
-)
+@options.choice("--method", ["none", "deflection", "network", "both"],
+                "What to compensate; default: all that the given files allow.")  # fmt: skip
+@options.choice("--frame", ["base", "measured"],
+                "Frame of the targets: the arm's own base, or that of the measurements of MODEL."
+                )  # fmt: skip
 @click.option("--seed-q", help="Joints to start from, q1,..,qn (rad, m); default mid-range.")
 @click.option(
     "--lock", "locked", multiple=True, metavar="ROW|NAME", help="Joint that stays at its seed."
@@ -51,8 +44,8 @@ if TYPE_CHECKING:
     "Session right before the targets: how the joints moved. The targets follow it in order.",
 )
 @options.without("run_up", "Joints move directly, from any side.")
-@click.option("--position-only", is_flag=True, help="Leave the orientation free.")
-@click.option("--single-pass", is_flag=True, help="Correct once, as the paper does.")
+@options.flag("--position-only", "Leave the orientation free.")
+@options.flag("--single-pass", "Correct once, as the paper does.")
 @click.option(
     "--realisable/--no-realisable", default=True,
     help="Choose joints together among the servo steps of ARM; off for paths.",
@@ -62,7 +55,7 @@ if TYPE_CHECKING:
 @options.effects
 @options.as_json
 def command(
-    arm: Path,
+    arm: options.Arm,
     numbers: tuple[str, ...],
     targets: Path | None,
     path: Path | None,
@@ -75,7 +68,6 @@ def command(
     realisable: bool,
     output: Path,
     like: Path | None,
-    as_json: bool,
     **alike: Any,
 ) -> None:
     """Joint commands of ARM that bring its real tip to targets (m).
@@ -94,13 +86,11 @@ def command(
       longarm compensate arm.yaml --targets targets.csv --model model.yaml --lock 7
       longarm compensate arm.yaml --path waypoints.csv --model model.yaml --max-velocity 0.4
     """
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.sessions.targets import Targets, read_targets
     from longarm_comp.workflows.compensate import Commands, compensate, method_of
     from longarm_comp.workflows.compensate_path import compensate_path
     from longarm_comp.workflows.inputs import load_predictor, physics
 
-    declared = Arm.load(arm)
     if (bool(numbers), targets is not None, path is not None).count(True) != 1:
         allowed = "one of X Y Z, --targets FILE, --path FILE"
         raise InputError("compensate", "target", list(numbers), allowed)
@@ -109,13 +99,13 @@ def command(
     for name in along if path is None else ():
         flag = "--" + name.replace("_", "-")
         raise InputError("compensate", flag, along[name], "with --path alone")
-    base = physics(declared, model)
+    base = physics(arm, model)
     form, output = options.form_of(like, output)
     given = (targets or path, *([form.read] if form else []))
     wanted = read_targets(*given) if targets or path else Targets.one([_number(v) for v in numbers])
-    learned = load_predictor(predictor, declared, model) if predictor else None
+    learned = load_predictor(predictor, arm, model) if predictor else None
     chosen = method_of(method, learned)
-    alike |= {"method": chosen, "seed": None if seed_q is None else _joints(seed_q, declared)}
+    alike |= {"method": chosen, "seed": None if seed_q is None else _joints(seed_q, arm)}
     # more digits are no row's, and no number that Python reads
     alike["locked"] = [int(v) if v.isdecimal() and len(v) <= 9 else v for v in locked]
     answers: Commands
@@ -127,11 +117,10 @@ def command(
             note(text)
     answers.save(output, *([form.write] if form else []))
     commands = answers.lines()
-    rows = [_row(c, declared.n) for c in commands]
-    if as_json:
-        placed = {"frames": answers.frames}
-        print_json({"output": str(output), "method": chosen.value, **placed, "commands": rows})
-    elif len(rows) == 1 and commands[0]["q1"] is not None:
+    rows = [_row(c, arm.n) for c in commands]
+    facts = {"output": output, "method": chosen.value, "frames": answers.frames}
+    print_json({**facts, "commands": rows})
+    if len(rows) == 1 and commands[0]["q1"] is not None:
         print_rows(f"Command (in {output})", rows)
     for text in answers.frames:
         note(text)
@@ -151,7 +140,7 @@ def _number(text: str) -> float:
         raise InputError("compensate", "target", text, "numbers in m, or a known option") from None
 
 
-def _joints(text: str, arm: Arm) -> np.ndarray:
+def _joints(text: str, arm: options.Arm) -> np.ndarray:
     import numpy as np
 
     try:
@@ -165,7 +154,6 @@ def _joints(text: str, arm: Arm) -> np.ndarray:
 
 
 def _row(line: dict[str, Any], n: int) -> dict[str, object]:
-    """What is printed of a line of commands.csv."""
     names = ("index", "status", "frame", *(["reason"] if line["reason"] else []))
     run_up = [line[f"run_up_q{j}"] for j in range(1, n + 1)]
     figures = ("sigma_mm", "expected_mm", "p90_mm", "passes")

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, print_json, print_rows, progress
+from longarm_comp.cli.output import as_text, note, print_json, print_rows, progress
 from longarm_comp.core.errors import JobError
 
 SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mean_mm",
@@ -16,12 +16,7 @@ SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mea
 
 
 @click.command()
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    required=True,
-    help="New folder for the session, the model, the predictor and the report.",
-)
+@options.path_option("--out", "New folder for session, model, predictor and report.", True)
 @options.path_option("--arm", "Another arm: arm.yaml or its folder; default: the demonstration's.")
 @click.option("--poses", type=int, default=120, help="Poses to learn from.")
 @click.option("--targets", type=int, default=40, help="New targets.")
@@ -29,7 +24,7 @@ SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mea
 @click.option("--speed", type=float, default=20.0, help="Speed-up of all motion.")
 @click.option("--seed", type=click.IntRange(min=0), default=1)
 @options.as_json
-def command(out: Path, arm: Path | None, targets: int, as_json: bool, **given: Any) -> None:
+def command(out: Path, arm: Path | None, targets: int, **given: Any) -> None:
     """Run the whole loop over the real ROS graph on a simulated arm.
 
     Five nodes start. The simulated arm has errors that nobody declared. It drives to fresh targets,
@@ -44,8 +39,6 @@ def command(out: Path, arm: Path | None, targets: int, as_json: bool, **given: A
       longarm demo --out build/demo
       longarm demo --out build/mine --arm my_arm
     """
-    import json
-
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.files import write_text
     from longarm_comp.jobs.demo import DemoSettings, demonstrate
@@ -56,26 +49,20 @@ def command(out: Path, arm: Path | None, targets: int, as_json: bool, **given: A
     settings = DemoSettings(out, targets=targets, **said)
     with stop_on_signals() as stop, progress("demo", lines=True) as show:
         printed = demonstrate(settings, stop, show)
-    write_text(out / "demo.json", json.dumps(printed, indent=2))
-    if as_json:
-        print_json(printed)
-    else:
-        columns = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
-        print_rows(f"{targets} fresh targets, 3-D errors; the paper's arm beside", columns)
-        seconds = printed["seconds"]["total"]
-        note(f"measured by the cameras; true_mean_mm is the simulation's own; {seconds:.0f} s")
-        note(f"hidden in the arm: {settings.hidden} (mm rms at the tip)")
-        note(f"diagnosis ({printed['verdict']}): {printed['diagnosis']}")
-        if printed["network_refused"]:
-            note(f"no network is used: {printed['network_refused']}")
-        if printed["network_inputs"]:
-            used = targets - printed["outside_training_data"]
-            note(
-                f"the network was used at {used} of {targets} targets; at the others physics alone"
-            )
-            note("is as good, or the targets are outside its training data")
-        note(
-            f"report in {printed['files']['report']}, the loop's page in {printed['files']['loop']}"
-        )
+    write_text(out / "demo.json", as_text(printed))
+    print_json(printed)
+    columns = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
+    print_rows(f"{targets} fresh targets, 3-D errors; the paper's arm beside", columns)
+    seconds = printed["seconds"]["total"]
+    note(f"measured by the cameras; true_mean_mm is the simulation's own; {seconds:.0f} s")
+    note(f"hidden in the arm: {settings.hidden} (mm rms at the tip)")
+    note(f"diagnosis ({printed['verdict']}): {printed['diagnosis']}")
+    if printed["network_refused"]:
+        note(f"no network is used: {printed['network_refused']}")
+    if printed["network_inputs"]:
+        used = targets - printed["outside_training_data"]
+        note(f"the network was used at {used} of {targets} targets; at the others physics alone")
+        note("is as good, or the targets are outside its training data")
+    note(f"report in {printed['files']['report']}, the loop's page in {printed['files']['loop']}")
     if not printed["improved"]:
         raise JobError("compensation did not bring the arm nearer to its targets")

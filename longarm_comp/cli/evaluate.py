@@ -17,9 +17,7 @@ from longarm_comp.cli.output import note, print_json, print_rows
 @options.predictor
 @options.effects
 @options.as_json
-def command(
-    arm: Path, test: Path, model: Path | None, predictor: Path | None, as_json: bool
-) -> None:
+def command(arm: options.Arm, test: Path, model: Path | None, predictor: Path | None) -> None:
     """Errors of every stage on measured poses, as in the paper's Table I.
 
     The lines of the table are the rigid declared arm, the arm with its declared deflection, the
@@ -32,27 +30,27 @@ def command(
     Example:
       longarm evaluate arm.yaml --test test.csv --model model.yaml --predictor predictor.npz
     """
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.evaluate import evaluate
 
-    evaluation = evaluate(Arm.load(arm), test, model=model, predictor=predictor, note=note)
+    evaluation = evaluate(arm, test, model=model, predictor=predictor, note=note)
     rows = evaluation.rows
     if evaluation.fitted:
         note(f"the {' and the '.join(evaluation.fitted)} came from this session: use other poses")
-    if as_json:
-        worst = {
-            name: [{"index": row, "error_mm": 1e3 * size} for row, size in errors.worst]
-            for name, errors in evaluation.items()
-        }
-        facts = {
+    worst = {
+        name: [{"index": row, "error_mm": 1e3 * size} for row, size in errors.worst]
+        for name, errors in evaluation.items()
+    }
+    print_json(
+        {
+            "test": str(test),
+            "rows": rows,
             "worst": worst,
             "outside_training_data": evaluation.outside,
             "no_gain_promised": evaluation.refused,
             "fitted_to_test": evaluation.fitted,
             "placed": evaluation.placed,
         }
-        print_json({"test": str(test), "rows": rows, **facts})
-    else:
-        print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)
+    )
+    print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)
     for text in evaluation.notes:
         note(text)

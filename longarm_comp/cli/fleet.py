@@ -16,22 +16,18 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@options.folder
 @options.output(
     "fleet",
     "Folder to write: one diagnosis for each arm, fleet.json, fleet.html.",
     outputs.folder("fleet.json", told_by="fleet.json", schema="longarm/fleet/1"),
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, help="Processes.")
-@click.option(
-    "--dask",
-    metavar="ADDRESS",
-    help="Address of a Dask scheduler whose workers see the same files.",
-)
+@click.option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers see the same files.")
 @options.without("network", "Train no network on the remaining error.")
 @options.seed
 @options.as_json
-def command(folder: Path, output: Path, as_json: bool, **how: Any) -> None:
+def command(folder: Path, output: Path, **how: Any) -> None:
     """Diagnose every arm in DIR and compare them: which arm drifts, which effects all arms have.
 
     DIR has one folder for each arm, with arm.yaml, sessions (the newest is used) and, if there is
@@ -52,9 +48,7 @@ def command(folder: Path, output: Path, as_json: bool, **how: Any) -> None:
     write_text(output / "fleet.html", fleet_page(folder.resolve().name, [a.row for a in arms]))
     if all(arm.verdict == "failed" for arm in arms):
         raise JobError(f"no arm of {folder} could be diagnosed: {arms[0].summary}")
-    if as_json:
-        print_json({"output": str(output), "arms": [arm.row for arm in arms]})
-        return
+    print_json({"output": output, "arms": [arm.row for arm in arms]})
     header = ("arm", "rows", "verdict", "in use, mm", "calibrated, mm", "diagnosed, mm", "found")
     print_table(f"{len(arms)} arms", header, [_cells(arm) for arm in arms])
     for arm in arms:

@@ -12,9 +12,7 @@ from longarm_comp.core.errors import InputError
 
 
 @click.command()
-@click.argument(
-    "files", type=click.Path(path_type=Path), metavar="FILE...", nargs=-1, required=True
-)
+@options.path_argument("files", "FILE...", nargs=-1, required=True)
 @options.output(
     "samples.csv",
     "Session to write; the mapping is written beside it.",
@@ -32,15 +30,9 @@ from longarm_comp.core.errors import InputError
 @options.path_option("--arm", "arm.yaml: names the joints and says which slide.")
 @options.path_option("--like", "Mapping of an earlier file of the same kind, instead of the above.")
 @click.option("--sheet", help="Sheet of a workbook that has several.")
-@click.option(
-    "--join",
-    metavar="COLUMN",
-    help="Column that shows which rows of several FILEs belong together.",
-)
-@click.option(
-    "--sort", metavar="COLUMN", help="Column that shows in which order the rows were measured."
-)
-@click.option("--decimal", type=click.Choice([".", ","]), help="Sign before decimals.")
+@click.option("--join", metavar="COLUMN", help="Column that shows which rows belong together.")
+@click.option("--sort", metavar="COLUMN", help="Column that shows the order of measurement.")
+@options.choice("--decimal", [".", ","], "Sign before decimals.")
 @options.as_json
 def command(
     files: tuple[Path, ...],
@@ -50,7 +42,6 @@ def command(
     arm: Path | None,
     like: Path | None,
     sort: str | None,
-    as_json: bool,
     **told: str | None,
 ) -> None:
     """Convert FILE (CSV, TXT or XLSX) of another program to a session.
@@ -81,13 +72,10 @@ def command(
     found = import_table(files, said if like is None else said.like(like))
     mapping = found.save(output)
     rows = found.preview()
-    if as_json:
-        made = {"output": str(output), "mapping": str(mapping), "rows": len(found.cells.rows)}
-        print_json({**made, "columns": rows, "left_out": found.left_out})
-        return
-    print_rows(
-        f"{', '.join(f.name for f in files)}: {len(found.cells.rows)} rows, as read (SI)", rows
-    )
+    count = len(found.cells.rows)
+    facts = {"output": output, "mapping": mapping, "rows": count, "columns": rows}
+    print_json({**facts, "left_out": found.left_out})
+    print_rows(f"{', '.join(f.name for f in files)}: {count} rows, as read (SI)", rows)
     if found.rotation is not None:
         note(f"orientation from {', '.join(found.rotation.columns)} as {found.rotation.convention}")
     for alone in found.lonely:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -12,16 +11,13 @@ from longarm_comp.cli import options
 from longarm_comp.cli.output import note, note_link_places, print_json
 from longarm_comp.core.errors import InputError
 
-if TYPE_CHECKING:
-    from longarm_comp.arm_folder.make import Source
-
 
 @click.command()
-@click.argument("out", type=click.Path(path_type=Path), metavar="DIR")
+@options.path_argument("out", "DIR")
 @options.path_option("--urdf", "From a URDF.")
 @click.option("--base", default="", metavar="LINK", help="URDF: fixed link; default: its root.")
 @click.option("--tip", default="", metavar="LINK", help="URDF: link that is commanded.")
-@click.option("--like", type=click.Choice(["demo"]), help="A copy of the demonstration's files.")
+@options.choice("--like", ["demo"], "A copy of the demonstration's files.")
 @options.path_option("--arm", "An existing arm.yaml; the other files are made for it.")
 @click.option("--name", default="", help="Name of the arm.")
 @click.option(
@@ -43,15 +39,13 @@ if TYPE_CHECKING:
 )
 @click.option("--home", multiple=True, metavar="JOINT=DEG", help="Middle of that range.")
 @click.option("--servos", default="sts3215", help="Model of the servos.")
-@click.option(
+@options.flag(
     "--hobby",
-    is_flag=True,
-    help="For a printed arm and two webcams: servo horns as joints, cameras near, marker on A4.",
+    "For a printed arm and two webcams: servo horns as joints, cameras near, marker on A4.",
 )
-@click.option(
+@options.flag(
     "--only-arm",
-    is_flag=True,
-    help="Write arm.yaml alone, with all limits of the URDF, for another controller and sensor.",
+    "Write arm.yaml alone, with all limits of the URDF, for another controller and sensor.",
 )
 @options.as_json
 def command(
@@ -70,7 +64,6 @@ def command(
     servos: str,
     hobby: bool,
     only_arm: bool,
-    as_json: bool,
 ) -> None:
     """Write a new folder DIR: arm.yaml, and servo, camera and marker files that fit it.
 
@@ -88,52 +81,66 @@ def command(
         --joint 'alpha=90 limits=0..70 a=0 material=petg' --joint 'a=0.3 tube_a=30/26' \\
         --tip-at 0.2 0 0
     """
-    from longarm_comp.arm_folder.dh_table import arm_of, row_of
+    from longarm_comp.arm_folder.dh_table import arm_of
     from longarm_comp.arm_folder.make import (
         ARM,
-        Source,
+        arm_file,
         check_free,
         demonstration,
-        files_of,
+        in_sight,
+        narrowed,
+        parameter_files,
         write_folder,
     )
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.devices.servo_bus import models
     from longarm_comp.sim.servo_emulator.wires import wires
     from longarm_comp.urdf import chain_ends, import_urdf
 
     check_free(out)
     _one_source(urdf, like, arm, rows)
-    source = None
+    made: Arm | None = None
     if like is not None:
         files = demonstration()
     else:
         if arm is not None:
-            source = Source.of_file(arm)
+            made, text = Arm.load(arm), arm.read_text("utf-8")
         else:
             if urdf is not None:
                 base, tip = chain_ends(urdf, base, tip)
                 data, where = import_urdf(urdf, base, tip), f"{urdf.name}, {base} to {tip}"
             else:
-                table = [row_of(row) for row in rows]
-                data, where = arm_of(name or out.name, table, tip_at, payload), "a DH table"
-            if range_deg is None and not hobby:
+                data, where = arm_of(name or out.name, rows, tip_at, payload), "a DH table"
+            homes = dict(map(_home, home))
+            if range_deg is None and hobby:
+                range_deg = in_sight(data, homes)
+            elif range_deg is None:
                 # Range of a turning joint that is driven through all of it in a first session
                 range_deg = 45.0 if urdf is not None and not only_arm else 0.0
-            source = _narrowed(data, where, range_deg, dict(map(_home, home)), seen=not only_arm)
-        files = {ARM: source.text} if only_arm else files_of(source, servos, hobby)
+            data, notes = narrowed(data, range_deg, homes)
+            head = f"The declared arm, from {where}. `longarm check` lists what is still assumed."
+            head += _RANGES.format(range_deg) if notes else ""
+            text, made = arm_file(data, head, notes, seen=not only_arm)
+        files = {ARM: text}
+        if not only_arm:
+            others = parameter_files(made, servos, hobby)
+            files |= {f"{node}.yaml": text for node, text in others.items()}
     write_folder(out, files)
-    if as_json:
-        print_json({"folder": str(out), "files": list(files)})
-        return
+    print_json({"folder": out, "files": list(files)})
     note(f"{', '.join(files)} in {out}")
-    if source is not None:
-        note_link_places(source.arm)
+    if made is not None:
+        note_link_places(made)
     then = f"longarm up {out}/arm.yaml --sim"
     if only_arm:
         then = f"longarm import-data FILE --arm {out}/arm.yaml -o {out}/samples.csv"
     elif like is None and models()[servos].protocol not in wires():
         then = f"longarm up {out}/arm.yaml"
     note(f"next: longarm check {out}; {then}")
+
+
+_RANGES = """
+Turning joints have {:g} deg at most: a first session drives through all
+of the limits. Widen them where nothing is in the way and the marker is seen."""
 
 
 def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Sequence[str]) -> None:
@@ -150,26 +157,3 @@ def _home(text: str) -> tuple[str, float]:
         return joint, float(degrees)
     except ValueError:
         raise InputError("init", "--home", text, "JOINT=DEG, for instance joint2=30") from None
-
-
-def _narrowed(
-    data: dict[str, object],
-    where: str,
-    range_deg: float | None,
-    homes: dict[str, float],
-    seen: bool,
-) -> Source:
-    """Without a range: what webcams see from the arm's own table."""
-    from longarm_comp.arm_folder.make import Source
-    from longarm_comp.arm_folder.working_range import in_sight, narrowed
-
-    if range_deg is None:
-        range_deg = in_sight(data, homes)
-    data, notes = narrowed(data, range_deg, homes)
-    head = f"The declared arm, from {where}. `longarm check` lists what is still assumed."
-    if notes:
-        head += (
-            f"\nTurning joints have {range_deg:g} deg at most: a first session drives through all"
-            "\nof the limits. Widen them where nothing is in the way and the marker is seen."
-        )
-    return Source.of_data(data, head, notes, seen=seen)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.dialogue import agreed
-from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, progress
-from longarm_comp.cli.signals import on_graph
+from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, progress, say
+from longarm_comp.cli.signals import agreed, on_graph
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
-    from longarm_comp.jobs.client import Pace
     from longarm_comp.report.record import DiagnosisReport
 
 SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")
@@ -24,27 +21,26 @@ SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_a
 @click.command()
 @options.arm
 @options.output(None, "Folder for sessions, diagnoses and the page.", outputs.left_to_the_command)
-@click.option("--yes", is_flag=True, help="Apply every diagnosis without asking.")
+@options.flag("--yes", "Apply every diagnosis without asking.")
 @click.option("--rounds", default=3, help="Rounds at most.")
 @click.option("--poses", default=180, help="Poses to measure in a round.")
 @click.option("--targets", default=40, help="Fresh targets to measure the gain.")
 @options.without("network", "Train no predictor.")
-@click.option("--resume", is_flag=True, help="Go on with an interrupted loop.")
+@options.flag("--resume", "Go on with an interrupted loop.")
 @options.pace
 @options.namespace
 @options.seed
 @options.effects
 @options.as_json
 def command(
-    arm: Path,
+    arm: options.Arm,
     output: Path,
     yes: bool,
     targets: int,
     resume: bool,
-    pace: Callable[..., Pace],
+    pace: options.Paced,
     namespace: str,
     seed: int,
-    as_json: bool,
     **size: Any,
 ) -> None:
     """Calibrate and check ARM on its running graph, real or simulated, in one command.
@@ -64,38 +60,32 @@ def command(
       longarm up arm.yaml --sim --model work/model.yaml --predictor work/predictor.npz
       longarm loop arm.yaml -o loop_1
     """
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.data.plan import sobol
     from longarm_comp.core.model.declared_model import declared_model
     from longarm_comp.jobs.loop import Loop, LoopSettings
 
-    declared = Arm.load(arm)
-    paced = pace(declared_model(declared), sobol(declared, 16, seed).q)
+    paced = pace(declared_model(arm), sobol(arm, 16, seed).q)
     settings = LoopSettings(output, targets=targets, seed=seed, pace=paced, **size)
 
     def agree(report: DiagnosisReport) -> bool:
         note(f"{report.verdict}: {report.summary}")
         return agreed("Apply this to the model in use?", yes)
 
-    def kept() -> str:
-        return f"{output} keeps what was done; continue with --resume" if output.is_dir() else ""
-
+    kept = f"{output} keeps what was done; continue with --resume"
     with (
-        kept_if_broken_off(kept),
-        on_graph("loop", namespace, declared) as client,
+        kept_if_broken_off(lambda: kept if output.is_dir() else ""),
+        on_graph("loop", namespace, arm) as client,
         progress("loop") as show,
     ):
         _, printed = Loop(client, settings, agree, resume=resume, say=show).run()
-    if as_json:
-        print_json(printed)
-    else:
-        rows = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
-        print_rows(f"tip - target over {targets} targets, measured by the cameras", rows)
-        for r in printed["rounds"]:
-            for change in r["changes"]:
-                click.echo(f"round {r['number']}: {change['text']}")
-        click.echo(printed["summary"])
-        note(f"ended: {printed['ended']}")
-        note(f"page: {printed['files']['page']}; to take it back: {printed['undo']}")
+    print_json(printed)
+    rows = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
+    print_rows(f"tip - target over {targets} targets, measured by the cameras", rows)
+    for r in printed["rounds"]:
+        for change in r["changes"]:
+            say(f"round {r['number']}: {change['text']}")
+    say(printed["summary"])
+    note(f"ended: {printed['ended']}")
+    note(f"page: {printed['files']['page']}; to take it back: {printed['undo']}")
     if not printed["helps"]:
         raise JobError(printed["summary"])

@@ -30,13 +30,12 @@ from longarm_comp.cli.output import note, print_json, print_rows
 @options.effects
 @options.as_json
 def command(
-    arm: Path,
+    arm: options.Arm,
     at: Path | None,
     model: Path | None,
     move: float,
     damping: float | None,
     ring: Path | None,
-    as_json: bool,
 ) -> None:
     """Predict how ARM rings: its slowest modes, and the time until the tip is still after a move.
 
@@ -52,7 +51,6 @@ def command(
     """
     import numpy as np
 
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.vibration.ring import ring_of_moves
     from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
     from longarm_comp.core.vibration.shaper import USUAL_DAMPING
@@ -60,12 +58,11 @@ def command(
     from longarm_comp.sessions.ring import read_ring
     from longarm_comp.workflows.inputs import physics
 
-    declared = Arm.load(arm)
-    known = physics(declared, model)
-    ends = np.stack([declared.lower, declared.mid, declared.upper])
-    joints = ends if at is None else read_poses(at, declared).q
-    chosen = damping if damping is not None else declared.damping or USUAL_DAMPING
-    heard = None if ring is None else read_ring(ring, declared)
+    known = physics(arm, model)
+    ends = np.stack([arm.lower, arm.mid, arm.upper])
+    joints = ends if at is None else read_poses(at, arm).q
+    chosen = damping if damping is not None else arm.damping or USUAL_DAMPING
+    heard = None if ring is None else read_ring(ring, arm)
     if heard is not None and heard.at is not None:
         joints = np.vstack([heard.at, joints])
     found = ring_of_moves(known, joints, move, chosen)
@@ -95,14 +92,11 @@ def command(
     scale = 1e3 if size == "size_mm" else 1.0
     told = [{"hz": w.hz, "hz_sd": w.hz_sd, "damping": w.damping, "damping_sd": w.damping_sd,
              size: (scale * w.size).tolist()} for w in seen]  # fmt: skip
-    if as_json:
-        print_json({"damping": chosen, "rows": rows, "seen": told})
-        return
+    print_json({"damping": chosen, "rows": rows, "seen": told})
     if not rows:
         note("nothing of this model bends under load: declare beams, or give --model")
         return
-    print_rows(f"Modes of {declared.name}, damping {chosen:g}", rows)
-    if told:
-        print_rows("Seen after a move", told)
-    if damping is None and declared.damping is None and not seen:
+    print_rows(f"Modes of {arm.name}, damping {chosen:g}", rows)
+    print_rows("Seen after a move", told)
+    if damping is None and arm.damping is None and not seen:
         note("the damping is assumed: measure it (--ring) and write `damping` into arm.yaml")

@@ -4,24 +4,75 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from longarm_comp.cli.output import JSON
 from longarm_comp.cli.outputs import Kind, Output
+
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm as Arm
+    from longarm_comp.jobs.client import Pace
+
+    Paced = Callable[..., Pace]
 
 _Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 _PATH = click.Path(path_type=Path)  # type: ignore[type-var]
 
-arm = click.argument("arm", type=_PATH, metavar="ARM")
-session = click.argument("session", type=_PATH, metavar="SESSION")
-model = click.option("--model", type=_PATH, help="Calibrated model.yaml.")
-predictor = click.option("--predictor", type=_PATH, help="Trained predictor file.")
+
+def path_argument(name: str, metavar: str, **more: Any) -> _Decorator:
+    """An argument that is a path."""
+    return click.argument(name, type=_PATH, metavar=metavar, **more)
+
+
+arm_file = path_argument("arm", "ARM")
+session = path_argument("session", "SESSION")
+folder = path_argument("folder", "DIR")
+bag = path_argument("bag", "BAG")
+
+
+def arm(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Argument ``ARM``; the command gets the declared arm that the file holds."""
+
+    @functools.wraps(function)
+    def command(arm: Path, **rest: Any) -> Any:
+        from longarm_comp.core.arm.arm import Arm
+
+        return function(arm=Arm.load(arm), **rest)
+
+    return arm_file(command)
+
+
+def flag(name: str, what: str) -> _Decorator:
+    """An option without a value."""
+    return click.option(*name.split(), is_flag=True, help=what)
+
+
+def choice(name: str, choices: Sequence[str], what: str, **more: Any) -> _Decorator:
+    """An option that takes one of several words."""
+    return click.option(*name.split(), type=click.Choice(choices), help=what, **more)
+
+
+def path_option(name: str, what: str, required: bool = False) -> _Decorator:
+    """An option that takes a path."""
+    return click.option(name, type=_PATH, required=required, help=what)
+
+
+def _print_as_json(context: click.Context, _: click.Parameter, given: bool) -> None:
+    context.meta[JSON] = given
+
+
+model = path_option("--model", "Calibrated model.yaml.")
+predictor = path_option("--predictor", "Trained predictor file.")
 seed = click.option("--seed", type=click.IntRange(min=0), default=0, help="Random seed.")
-as_json = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
+as_json = click.option(
+    "--json", is_flag=True, expose_value=False, callback=_print_as_json,
+    help="Print results as JSON.",
+)  # fmt: skip
 
 
 def several(*added: _Decorator) -> _Decorator:
@@ -151,11 +202,6 @@ def without(name: str, what: str) -> _Decorator:
 def written(name: str, what: str, kind: Kind) -> _Decorator:
     """An option that names a further file or folder to write."""
     return click.option(*name.split("/"), type=_PATH, help=what, cls=Output, kind=kind)
-
-
-def path_option(name: str, what: str, required: bool = False) -> _Decorator:
-    """An option that takes a path."""
-    return click.option(name, type=_PATH, required=required, help=what)
 
 
 like = path_option(

@@ -1,14 +1,16 @@
-"""Output of commands: results on stdout (a table, or JSON), progress and notes on stderr."""
+"""Output of commands: results on stdout (tables, or JSON alone), progress and notes on stderr.
+
+With ``--json`` what prints for people is silent, without it what prints JSON is: a command prints
+both.
+"""
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,6 +21,15 @@ if TYPE_CHECKING:
 
 _QUIET_S = 10.0
 """A reader of lines wants to know that the job goes on, not each of its steps."""
+
+
+JSON = "longarm.json"
+"""Key of a click context: whether ``--json`` was given."""
+
+
+def _as_json() -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(JSON))
 
 
 def note(text: str) -> None:
@@ -49,18 +60,33 @@ def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
 
 def as_text(data: object) -> str:
     """Results as JSON text; NaN becomes null."""
-    return json.dumps(_plain(data), indent=2, allow_nan=False)
+    from pydantic_core import to_json
+
+    text = to_json(data, indent=2, inf_nan_mode="null", fallback=lambda array: array.tolist())
+    return text.decode()
 
 
 def print_json(data: object) -> None:
-    """Print results as JSON."""
-    click.echo(as_text(data))
+    """Print results as JSON, with ``--json``."""
+    if _as_json():
+        click.echo(as_text(data))
+
+
+def say(text: str) -> None:
+    """Print a line of the results, without ``--json``."""
+    if not _as_json():
+        click.echo(text)
 
 
 def print_table(
     title: str, header: Sequence[str], rows: Sequence[Sequence[object]], on_stderr: bool = False
 ) -> None:
-    """Print results as a table: text in the first column, numbers right-aligned."""
+    """Print results as a table: text in the first column, numbers right-aligned.
+
+    With ``--json`` nothing on stdout.
+    """
+    if _as_json() and not on_stderr:
+        return
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -76,7 +102,7 @@ def print_table(
 
 
 def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[Any, ...]]) -> None:
-    """Print parameters in the units that people read; nothing where there are none.
+    """Print parameters in the units that people read.
 
     Args:
         called: names of places.
@@ -90,17 +116,15 @@ def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[An
         span = "at its bound" if ci95 is None else " .. ".join(f"{times * v:.4g}" for v in ci95)
         place = called.get(where, where)
         cells.append((effect, place, name, f"{times * value:.4g}", span, shown))
+    header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
     if cells:
-        header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
         print_table(title, header, cells)
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     """Print rows with equal keys as a table; nothing where there are none."""
-    if not rows:
-        return
-    header = list(rows[0])
-    print_table(title, header, [[row[name] for name in header] for row in rows])
+    if rows:
+        print_table(title, list(rows[0]), [[row[name] for name in rows[0]] for row in rows])
 
 
 @contextmanager
@@ -128,7 +152,6 @@ def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
 
 
 def _now_and_then(label: str) -> Callable[..., None]:
-    """A note of what is done, at most one in `_QUIET_S`."""
     said = -math.inf
 
     def tell(text: str, share: float | None = None) -> None:
@@ -146,20 +169,3 @@ def _cell(value: object) -> str:
     if isinstance(value, (list, tuple)):
         return " .. ".join(_cell(part) for part in value)
     return "" if value is None else str(value)
-
-
-def _plain(data: Any) -> Any:
-    """The data converted to JSON's types."""
-    if isinstance(data, Mapping):
-        return {str(key): _plain(value) for key, value in data.items()}
-    if isinstance(data, np.ndarray):
-        return _plain(data.tolist())
-    if isinstance(data, (list, tuple)):
-        return [_plain(value) for value in data]
-    if isinstance(data, Path):
-        return str(data)
-    if isinstance(data, np.generic):
-        data = data.item()
-    if isinstance(data, float) and not math.isfinite(data):
-        return None
-    return data

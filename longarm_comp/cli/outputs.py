@@ -125,8 +125,7 @@ class Output(click.Option):
 def guarded(command: click.Command, name: str) -> click.Command:
     """The command, which keeps the rule before it does anything."""
     run = command.callback
-    if run is None:
-        return command  # a group: each of its commands keeps the rule
+    assert run is not None
     for option in command.params:
         if isinstance(option, click.Option) and option.default == "":
             option.show_default = False
@@ -148,19 +147,17 @@ def guarded(command: click.Command, name: str) -> click.Command:
 def _check(name: str, params: list[click.Parameter], given: dict[str, Any], force: bool) -> None:
     from longarm_comp.core.files import check_regular
 
-    inputs = [p for p in params if not isinstance(p, Output)]
-    outputs = [p for p in params if isinstance(p, Output)]
-    read = [path for p in inputs for path in _parts(given.get(p.name or ""), Path)]
-    for path in read:
+    named = [(p, path) for p in params for path in _parts(given.get(p.name or ""), Path)]
+    for _, path in named:
         check_regular(path)
     for p in params:
         for value in _parts(given.get(p.name or ""), float):
             if not math.isfinite(value):
                 raise InputError(name, p.opts[0], value, "a finite number")
-    named = [(o, path) for o in outputs for path in _parts(given.get(o.name or ""), Path)]
-    for _, path in named:
-        check_regular(path)
+    read = [path for p, path in named if not isinstance(p, Output)]
     for option, path in () if force else named:
+        if not isinstance(option, Output):
+            continue
         word = option.opts[0]
         for made in (path, *option.beside(path)):
             for other in read:

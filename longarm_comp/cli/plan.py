@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@options.arm
-@click.option(
+@options.arm_file
+@options.choice(
     "--kind",
-    type=click.Choice(["grid", "sobol", "next", "i-optimal", "d-optimal"]),
+    ["grid", "sobol", "next", "i-optimal", "d-optimal"],
     required=True,
-    help="grid: as in the paper; sobol: fills the ranges evenly; next: as a diagnosis asks; "
+    what="grid: as in the paper; sobol: fills the ranges evenly; next: as a diagnosis asks; "
     "i-optimal: least expected error of the tip; d-optimal: all parameters known best.",
 )
 @click.option("-n", "count", type=int, required=True, help="How many poses.")
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     "--model", "Calibrated model; the arm is assumed to have its effects and no others."
 )
 @options.path_option("--measured", "Rows measured so far (CSV or bag).")
-@click.option(
+@options.choice(
     "--measure",
-    type=click.Choice(["position", "pose", "distance", "touch"]),
+    ["position", "pose", "distance", "touch"],
     default="position",
-    help="What is measured at each pose; distance: to every anchor in arm.yaml; touch: a --point.",
+    what="What is measured at each pose; distance: to every anchor in arm.yaml; touch: a --point.",
 )
 @click.option(
     "--point",
@@ -52,9 +52,7 @@ if TYPE_CHECKING:
     help="Noise of a measured length, if no rows are given.",
 )
 @options.floor
-@click.option(
-    "--seen", is_flag=True, help="Only poses at which the cameras of ARM's folder see the marker."
-)
+@options.flag("--seen", "Only poses at which the cameras of ARM's folder see the marker.")
 @options.output("poses.csv", "Plan to write.", outputs.POSES)
 @options.like
 @options.seed
@@ -63,14 +61,12 @@ def command(
     arm: Path,
     kind: str,
     count: int,
-    report: Path | None,
     measure: str,
     points: tuple[tuple[str, float, float, float], ...],
     noise_mm: float,
     seen: bool,
     output: Path,
     like: Path | None,
-    as_json: bool,
     **given: Any,
 ) -> None:
     """Write N poses at which to measure ARM, with the side from which every joint arrives.
@@ -89,36 +85,22 @@ def command(
 
     declared = Arm.load(arm)
     form, output = options.form_of(like, output)
-    optimal = kind in ("i-optimal", "d-optimal")
-    if (kind == "next") != (report is not None) and not (optimal and report):
-        allowed = "a diagnosis folder with --kind next, i-optimal or d-optimal, only"
-        raise InputError("plan", "--report", report, allowed)
-    given |= {"report": report, "seen": _sees(arm) if seen else None}
-    if kind != "next":
-        given["kind"] = kind
-    if optimal:
+    given |= {"kind": kind, "seen": _sees(arm) if seen else None}
+    if kind in ("i-optimal", "d-optimal"):
         given |= {"measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
         given["points"] = {name: place for name, *place in points}
     poses = plan(declared, count, note=note, **given)
     write_poses(poses, output, *([form.write] if form else []))
-    if as_json:
-        facts: dict[str, Any] = {
-            "output": str(output),
-            "poses": poses.q,
-            "approach": poses.approach,
-        }
-        if isinstance(poses, OptimalPlan):
-            facts["expected_mm"] = 1e3 * poses.expected_m
-            facts["expected_with_20_more_mm"] = 1e3 * poses.ahead_m
-        print_json(facts)
-        return
+    facts: dict[str, Any] = {"output": output, "poses": poses.q, "approach": poses.approach}
     note(f"{len(poses)} poses in {output}")
     if isinstance(poses, OptimalPlan):
+        facts["expected_mm"] = 1e3 * poses.expected_m
+        facts["expected_with_20_more_mm"] = 1e3 * poses.ahead_m
         note(poses.stop_rule)
+    print_json(facts)
 
 
 def _sees(arm: Path) -> Callable[[np.ndarray], np.ndarray]:
-    """Which tip poses the cameras in an arm's folder see."""
     import numpy as np
 
     from longarm_comp.arm_folder.visible import view_beside

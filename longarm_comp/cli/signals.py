@@ -1,12 +1,20 @@
-"""What a command on a running graph needs: a client, and signals that end its job."""
+"""What a command has to do with a person or a running arm: questions, signals, a client.
+
+Questions are also flags: what is not given is asked, where there is somebody to ask.
+"""
 
 from __future__ import annotations
 
 import signal
+import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
+
+import click
+
+from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
     from longarm_comp.core.arm.arm import Arm
@@ -46,3 +54,58 @@ def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> I
         ) as client,
     ):
         yield client
+
+
+def agreed(question: str, yes: bool) -> bool:
+    """Whether the user says yes; asked on the terminal unless it was said with ``--yes``."""
+    if yes:
+        return True
+    try:
+        with handled({signal.SIGINT: signal.default_int_handler}):
+            return click.confirm(question, err=True)
+    except click.Abort:
+        raise JobError("there was no answer yes: answer the question, or use --yes") from None
+
+
+def ask(command: str, flag: str, text: str, allowed: str, **options: Any) -> Any:
+    """The answer to what a flag of a command says too; `options` are those of `click.prompt`.
+
+    Raises:
+        InputError: there is no terminal, and the answer is missing; ``allowed``: what it may be.
+    """
+    try:
+        return click.prompt(text, err=True, **options)
+    except click.Abort as abort:
+        click.echo(err=True)  # the cursor stands behind the question
+        if sys.stdin.isatty() or isinstance(abort.__context__, KeyboardInterrupt):
+            raise
+        allowed = f"{allowed}; or a terminal that can ask you"
+        raise InputError(command, flag, "missing", allowed) from None
+
+
+def go_on(command: str, yes: bool, text: str) -> None:
+    """Wait until the user says that it may go on; click.Abort: the user says no."""
+    if not yes and not ask(command, "--yes", f"{text} Go on?", "--yes", default="y", type=bool):
+        raise click.Abort
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """SIGTERM and SIGINT raise KeyboardInterrupt, so that what must be put back is."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with handled(dict.fromkeys((signal.SIGINT, signal.SIGTERM), interrupt)):
+        yield
+
+
+def by_name(command: str, flag: str, given: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Values of a flag ``NAME=VALUE`` that may be repeated."""
+    values = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals or name not in names:
+            raise InputError(command, flag, text, f"NAME=VALUE, names {', '.join(names)}")
+        values[name] = value
+    return values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -17,11 +18,9 @@ from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
     from longarm_comp.devices.stereo import CharucoTarget, TagBoard, Target
-    from longarm_comp.devices.stereo.calibrate import BoardCalibration
     from longarm_comp.devices.stereo.views import BoardView
 
     Size = tuple[int, int]
-    from longarm_comp.jobs.camera_placement import HeadPlacement
 
 _SQUARE_MM, _TAG_SHARE = 25.0, 0.72
 """A 7x5 board of such squares fills A4; the white around a tag lets its edge be found."""
@@ -65,7 +64,7 @@ def _target(size: str, square_mm: float, tag_mm: float | None, dictionary: str) 
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="[DIR]", required=False)
+@options.path_argument("folder", "[DIR]", required=False)
 @_board(None)
 @options.output("marker.pdf", "Page to print.", outputs.PICTURE)
 def marker(folder: Path | None, board: CharucoTarget | None, output: Path) -> None:
@@ -126,11 +125,9 @@ def webcams(frames: Path | None) -> None:
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@options.folder
 @options.path_option("--images", "Folder of image pairs: left and right in their names.")
-@click.option(
-    "--live", is_flag=True, help="Take the views from left/ and right/image_raw, with guidance."
-)
+@options.flag("--live", "Take the views from left/ and right/image_raw, with guidance.")
 @_board("7x5")
 @options.path_option("--save", "Live: folder that the used images are written to.")
 @click.option("--within", type=float, default=600.0, help="Live: give up after this time, s.")
@@ -144,7 +141,6 @@ def calibrate(
     save: Path | None,
     within: float,
     namespace: str,
-    as_json: bool,
 ) -> None:
     """Calibrate the two cameras from views of a printed board; write DIR/cameras/left.yaml, right.
 
@@ -172,11 +168,22 @@ def calibrate(
         views, size = _from_topics(board, save, within, namespace)
     found = calibrated(board, views, size)
     files = write_cameras(folder, found)
-    if as_json:
-        print_json({"files": files, **_calibration_facts(found, size)})
-        return
-    rows = list(_calibration_facts(found, size).items())
-    print_table("Stereo head", ("", "value"), rows)
+    fit = found.fit
+    facts = {
+        "size_px": f"{size[0]}x{size[1]}",
+        "focal_left_px": float(fit.rig.left.k[0, 0]),
+        "focal_right_px": float(fit.rig.right.k[0, 0]),
+        "baseline_mm": 1e3 * fit.rig.baseline_m,
+        "views_used": len(fit.used),
+        "views_left_out": len(fit.rejected),
+        "reprojection_rms_px": fit.rms_px,
+        "held_out_views": found.held_out,
+        "held_out_rms_mm": found.held_out_mm,
+        "nearest_m": found.distances_m[0],
+        "farthest_m": found.distances_m[1],
+    }
+    print_json({"files": files, **facts})
+    print_table("Stereo head", ("", "value"), list(facts.items()))
     note(f"{files[0]} and {files[1]}: give them to the camera driver as camera_info_url")
 
 
@@ -222,29 +229,12 @@ def _from_topics(
         return capture(client, target, within, tell, save=save)
 
 
-def _calibration_facts(found: BoardCalibration, size: Size) -> dict[str, object]:
-    fit = found.fit
-    return {
-        "size_px": f"{size[0]}x{size[1]}",
-        "focal_left_px": float(fit.rig.left.k[0, 0]),
-        "focal_right_px": float(fit.rig.right.k[0, 0]),
-        "baseline_mm": 1e3 * fit.rig.baseline_m,
-        "views_used": len(fit.used),
-        "views_left_out": len(fit.rejected),
-        "reprojection_rms_px": fit.rms_px,
-        "held_out_views": found.held_out,
-        "held_out_rms_mm": found.held_out_mm,
-        "nearest_m": found.distances_m[0],
-        "farthest_m": found.distances_m[1],
-    }
-
-
 @click.command("hand-eye")
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@options.folder
 @options.session
 @options.model
 @options.as_json
-def hand_eye(folder: Path, session: Path, model: Path | None, as_json: bool) -> None:
+def hand_eye(folder: Path, session: Path, model: Path | None) -> None:
     """Find where the two cameras stand, and write it into DIR/stereo_bridge.yaml.
 
     SESSION (CSV or bag) must be measured with the hand_eye that is in the file now. You may give
@@ -275,32 +265,21 @@ def hand_eye(folder: Path, session: Path, model: Path | None, as_json: bool) -> 
         "held_out_mm": round(found.held_out_mm, 3),
     }
     written = write_head(folder, found.pose, assumed, rows.hash, quality)
-    if as_json:
-        print_json({"files": written, "xyz": found.pose[:3, 3], "quaternion": found.quaternion,
-                    **quality})  # fmt: skip
-    else:
-        _show_place(found)
-    note(f"{' and '.join(written)} written: a running graph reads them when it is started again")
-    if arm.camera is not None:
-        off = float(sum((a - b) ** 2 for a, b in zip(arm.camera.position_m, found.pose[:3, 3],
-                                                     strict=True)) ** 0.5)  # fmt: skip
-        if off > 0.01:
-            note(f"arm.yaml has its camera {1e3 * off:.0f} mm from there: put position_m and "
-                 "optical_axis right before the next calibration")  # fmt: skip
-
-
-def _show_place(found: HeadPlacement) -> None:
-    rows = [
-        (f"{axis}, m", f"{value:.4f}", f"{sd:.2f} mm")
-        for axis, value, sd in zip("xyz", found.pose[:3, 3], found.position_sd_mm, strict=True)
-    ]
-    rows += [
-        (f"q{axis}", f"{value:.5f}", f"{sd:.3f} deg" if sd is not None else "")
-        for axis, value, sd in zip(
-            "xyzw", found.quaternion, [*found.rotation_sd_deg, None], strict=True
-        )
-    ]
-    print_table("Left camera in the base frame", ("", "value", "1 sigma"), rows)
+    place, turn = found.pose[:3, 3], found.quaternion
+    print_json({"files": written, "xyz": place, "quaternion": turn, **quality})
+    by_axis = zip("xyz", place, found.position_sd_mm, turn[:3], found.rotation_sd_deg, strict=True)
+    lines, turns = [], []
+    for axis, value, sd, part, turn_sd in by_axis:
+        lines.append((f"{axis}, m", f"{value:.4f}", f"{sd:.2f} mm"))
+        turns.append((f"q{axis}", f"{part:.5f}", f"{turn_sd:.3f} deg"))
+    lines += [*turns, ("qw", f"{turn[3]:.5f}", "")]
+    print_table("Left camera in the base frame", ("", "value", "1 sigma"), lines)
     note(f"{found.rows} rows, {found.outliers} left out as outliers; residual "
          f"{found.residual_mm:.2f} mm, on rows held out {found.held_out_mm:.2f} mm")  # fmt: skip
     note(f"it was assumed {found.moved_mm:.1f} mm and {found.turned_deg:.2f} deg from there")
+    note(f"{' and '.join(written)} written: a running graph reads them when it is started again")
+    if arm.camera is not None:
+        off = math.dist(arm.camera.position_m, place)
+        if off > 0.01:
+            note(f"arm.yaml has its camera {1e3 * off:.0f} mm from there: put position_m and "
+                 "optical_axis right before the next calibration")  # fmt: skip

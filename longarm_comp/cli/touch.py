@@ -41,16 +41,15 @@ _HELP = "Enter: record a touch; NAME: next point; plane NAME: next plane; undo; 
     default=0.1,
     help="Standard deviation of these distances.",
 )
-@click.option(
+@options.flag(
     "--by-hand",
-    is_flag=True,
-    help="Switch the torque off meanwhile: hold the arm before you start, and at the end.",
+    "Switch the torque off meanwhile: hold the arm before you start, and at the end.",
 )
-@click.option("--resume", is_flag=True, help="Add to an existing session.")
+@options.flag("--resume", "Add to an existing session.")
 @options.namespace
 @options.as_json
 def command(
-    arm: Path,
+    arm: options.Arm,
     output: Path,
     name: str,
     distances: tuple[tuple[str, str, float], ...],
@@ -58,7 +57,6 @@ def command(
     by_hand: bool,
     resume: bool,
     namespace: str,
-    as_json: bool,
 ) -> None:
     """Record the joints of ARM's running graph while its tip touches points; one key a touch.
 
@@ -73,16 +71,14 @@ def command(
       longarm touch arm.yaml -o touches.csv --distance left_0 left_1 0.050 --name left_0
       longarm touch arm.yaml -o touches.csv --resume --by-hand
     """
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.touch import TouchLog, limp
     from longarm_comp.sessions.read import read_session
 
-    declared = Arm.load(arm)
-    touches = TouchLog(declared, tuple((*known, 1e-3 * tolerance_mm) for known in distances))
+    touches = TouchLog(arm, tuple((*known, 1e-3 * tolerance_mm) for known in distances))
     if output.exists() and not resume:
         raise InputError(str(output), "session", "exists", "a new file, or --resume")
     if output.exists():
-        touches.begin_with(read_session(output, declared))
+        touches.begin_with(read_session(output, arm))
 
     written = len(touches.rows)
 
@@ -91,7 +87,7 @@ def command(
 
     with (
         kept_if_broken_off(kept),
-        on_graph("touch", namespace, declared) as client,
+        on_graph("touch", namespace, arm) as client,
         limp(client) if by_hand else nullcontext(""),
     ):
         note(_HELP)
@@ -114,10 +110,9 @@ def command(
                 _kept(touches, output)
                 written = len(touches.rows)
             line = _asked(f"{column} {name}", client.stop)
-    if as_json:
-        print_json({"output": str(output), "rows": len(touches.rows)})
-        return
-    done = f"{written} touches in {output}; next: longarm calibrate {arm} {output}"
+    print_json({"output": output, "rows": written})
+    file = click.get_current_context().params["arm"]
+    done = f"{written} touches in {output}; next: longarm calibrate {file} {output}"
     note(done if written else "no touch was recorded, nothing is written")
 
 
@@ -138,7 +133,6 @@ def _asked(prompt: str, stop: Event) -> str:
 
 
 def _kept(touches: TouchLog, output: Path) -> None:
-    """Write the rows, and say how far the last one is from its point."""
     from longarm_comp.sessions.csv import write_csv
 
     if not touches.rows:

@@ -16,13 +16,11 @@ from longarm_comp.cli.output import note, print_json, progress
 @options.session
 @options.model
 @options.output("predictor.npz", "Predictor to write.", outputs.PREDICTOR)
-@click.option("--init", type=click.Choice(["ssa", "xavier"]), default="ssa")
-@click.option(
-    "--inputs",
-    type=click.Choice(["context", "joints"]),
-    default="context",
-    help="context: joints, approach, temperature, payload; joints: as in the paper.",
-)
+@options.choice("--init", ["ssa", "xavier"], "Initial weights.", default="ssa")
+@options.choice(
+    "--inputs", ["context", "joints"], default="context",
+    what="context: joints, approach, temperature, payload; joints: as in the paper.",
+)  # fmt: skip
 @click.option(
     "--ensemble", type=click.IntRange(min=1), default=5, help="Number of networks in the ensemble."
 )
@@ -33,7 +31,7 @@ from longarm_comp.cli.output import note, print_json, progress
 @options.seed
 @options.effects
 @options.as_json
-def command(arm: Path, session: Path, output: Path, as_json: bool, **how: Any) -> None:
+def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
     """Train SSA-BP on the residual that the physics of ARM leaves in SESSION (CSV or bag).
 
     A network that does not help at poses left out of its training is not written.
@@ -43,36 +41,26 @@ def command(arm: Path, session: Path, output: Path, as_json: bool, **how: Any) -
       longarm train arm.yaml samples.csv --model model.yaml -o predictor.npz
       longarm train arm.yaml samples.csv --no-deflection --inputs joints -o network_only.npz
     """
-    import numpy as np
-
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.train import train
 
     with progress("train") as show:
-        trained = train(Arm.load(arm), session, note=note, progress=show, **how)
-    if trained.gain.helps:
+        trained = train(arm, session, note=note, progress=show, **how)
+    gain, done = trained.gain, "not written: the physics alone is as good"
+    if gain.helps:
         trained.save(output)
-    facts = {
-        "output": str(output) if trained.gain.helps else None,
-        "samples": trained.samples,
-        "training_mean_mm": {
-            "before": 1e3 * trained.before.mean,
-            "after": 1e3 * trained.after.mean,
-        },
-        "left_out_mean_mm": {
-            "before": 1e3 * trained.gain.without,
-            "after": 1e3 * trained.gain.left,
-        },
-        "noise_mm": 1e3 * np.asarray(trained.noise),
-        "hidden": trained.hidden,
-        "inputs": list(trained.encoding.names),
+        done = f"predictor in {output}"
+    pairs = {
+        "training_mean_mm": (trained.before.mean, trained.after.mean),
+        "left_out_mean_mm": (gain.without, gain.left),
     }
-    if as_json:
-        print_json(facts)
-        return
-    done = (
-        f"predictor in {output}"
-        if trained.gain.helps
-        else "not written: the physics alone is as good"
+    print_json(
+        {
+            "output": output if gain.helps else None,
+            "samples": trained.samples,
+            **{key: {"before": 1e3 * a, "after": 1e3 * b} for key, (a, b) in pairs.items()},
+            "noise_mm": [1e3 * sigma for sigma in trained.noise],
+            "hidden": trained.hidden,
+            "inputs": trained.encoding.names,
+        }
     )
     note(f"{trained.summary}; {done}")

@@ -20,11 +20,11 @@ from longarm_comp.core.errors import JobError
 
 
 @click.command()
-@options.arm
+@options.arm_file
 @options.path_option("--model", "Calibrated model; default: the declared arm.")
 @options.path_option("--predictor", "Learned residual; default: physics only.")
 @options.effect_files
-@click.option("--sim", is_flag=True, help="Simulated servos and cameras instead of hardware.")
+@options.flag("--sim", "Simulated servos and cameras instead of hardware.")
 @click.option("--hidden", default="", help="Simulation: undeclared effects, 'backlash=2.0' (mm).")
 @click.option("--speed", default=1.0, help="Simulation: factor on all velocities.")
 @click.option("--seed", default=1, help="Simulation: seed of all random choices.")
@@ -35,10 +35,8 @@ from longarm_comp.core.errors import JobError
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Folder of parameter files NODE.yaml; default: ARM's folder, then the package's.",
 )
-@click.option("--paths", is_flag=True, help="trajectory_compensator too, for planned paths.")
-@click.option(
-    "--shaping", is_flag=True, help="Shape moves so that they leave little ring (docs/ringing.md)."
-)
+@options.flag("--paths", "trajectory_compensator too, for planned paths.")
+@options.flag("--shaping", "Shape moves so that they leave little ring (docs/ringing.md).")
 @click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")
 def command(
     arm: Path,

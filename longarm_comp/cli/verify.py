@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -17,12 +14,10 @@ from longarm_comp.cli.output import (
     print_json,
     print_rows,
     progress,
+    say,
 )
 from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import JobError
-
-if TYPE_CHECKING:
-    from longarm_comp.jobs.client import Pace
 
 _BROKEN_OFF = (
     "an interrupted verification keeps nothing; model and predictor are unchanged; "
@@ -36,10 +31,9 @@ _BROKEN_OFF = (
 @click.option("-n", "count", type=click.IntRange(min=2), default=40,
               help="Random targets.")  # fmt: skip
 @options.path_option("--model", "Model whose tip gives random targets; default: ARM.")
-@click.option("--method", type=click.Choice(["deflection", "network", "both"]),
-              help="Compensation to measure; default: that of the running node.")  # fmt: skip
-@click.option("--by", type=click.Choice(["cameras", "readings"]), default="cameras",
-              help="What measures the tip.")  # fmt: skip
+@options.choice("--method", ["deflection", "network", "both"],
+                "Compensation to measure; default: that of the running node.")  # fmt: skip
+@options.choice("--by", ["cameras", "readings"], "What measures the tip.", default="cameras")
 @options.pace
 @options.namespace
 @options.seed
@@ -51,17 +45,16 @@ _BROKEN_OFF = (
 @options.effects
 @options.as_json
 def command(
-    arm: Path,
+    arm: options.Arm,
     targets: Path | None,
     count: int,
     model: Path | None,
     method: str | None,
     by: str,
-    pace: Callable[..., Pace],
+    pace: options.Paced,
     namespace: str,
     seed: int,
     output: Path | None,
-    as_json: bool,
 ) -> None:
     """Drive fresh targets on ARM's running graph, without and with compensation.
 
@@ -80,7 +73,6 @@ def command(
 
     import numpy as np
 
-    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.compensation.compensate import Method
     from longarm_comp.core.data.plan import random_targets, sobol
     from longarm_comp.core.files import write_text
@@ -96,39 +88,31 @@ def command(
     from longarm_comp.sessions.targets import read_targets
     from longarm_comp.workflows.inputs import physics
 
-    declared = Arm.load(arm)
-    drawn_from, rng = physics(declared, model), np.random.default_rng(seed)
+    drawn_from, rng = physics(arm, model), np.random.default_rng(seed)
     draw: Draw = partial(random_targets, drawn_from, rng=rng)
     if targets is not None:
         given = read_targets(targets).xyz
         draw, count = one_by_one(given), len(given)
-    paced = pace(drawn_from, sobol(declared, 16, seed).q)
+    paced = pace(drawn_from, sobol(arm, 16, seed).q)
     tips = graph.TIP_BY_READINGS if by == "readings" else graph.TIP_MEASURED
-    with (
-        on_graph("verify", namespace, declared, tips=tips) as client,
-        progress("verify") as show,
-        ExitStack() as ending,
-    ):
+    with on_graph("verify", namespace, arm, tips=tips) as client, progress("verify") as show:
         client.ready()
-        ending.enter_context(kept_if_broken_off(lambda: _BROKEN_OFF))
-        runner = TargetRunner(client, paced)
-        runner.ready(drawn_from.tip(declared.mid), 30.0)
-        judged = Method(method) if method else method_at_work(client)
-        kept, refused = choose(runner, draw, count, (Method.NONE, judged))
-        result, report = verify(runner, kept, refused, judged, seed=seed, progress=show)
+        with kept_if_broken_off(lambda: _BROKEN_OFF):
+            runner = TargetRunner(client, paced)
+            runner.ready(drawn_from.tip(arm.mid), 30.0)
+            judged = Method(method) if method else method_at_work(client)
+            kept, refused = choose(runner, draw, count, (Method.NONE, judged))
+            result, report = verify(runner, kept, refused, judged, seed=seed, progress=show)
     if output is not None:
         write_text(output / "verify.json", as_text(report))
         result.picture(output / "verify.png")
-    if as_json:
-        print_json(report)
-    else:
-        print_rows(f"tip - target over {report['targets']} targets", result.rows)
-        for xyz, why in refused:
-            note(f"target {xyz.round(4).tolist()} was left out: {why}")
-        counts = ", ".join(f"{name} {n}" for name, n in report["status"].items())
-        note(f"{len(refused)} targets refused; with compensation: {counts}")
-        if output is not None:
-            note(f"picture in {output / 'verify.png'}")
-        click.echo(result.summary)
+        note(f"picture in {output / 'verify.png'}")
+    print_json(report)
+    print_rows(f"tip - target over {report['targets']} targets", result.rows)
+    for xyz, why in refused:
+        note(f"target {xyz.round(4).tolist()} was left out: {why}")
+    counts = ", ".join(f"{name} {n}" for name, n in report["status"].items())
+    note(f"{len(refused)} targets refused; with compensation: {counts}")
+    say(result.summary)
     if not result.helps:
         raise JobError(result.summary)

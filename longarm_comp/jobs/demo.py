@@ -26,8 +26,7 @@ from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.simulated_arm import sizes
 from longarm_comp.share import folder
 from longarm_comp.sim.plant import hidden_effects
-from longarm_comp.workflows.diagnosis_files import MODEL, PREDICTOR
-from longarm_comp.workflows.inputs import load_predictor
+from longarm_comp.workflows.inputs import MODEL, PREDICTOR, load_predictor
 from longarm_interfaces.srv import Compensate
 
 ORIGINAL, DECLARED, FOUND, LEARNED = (

@@ -17,12 +17,12 @@ from longarm_comp.core.identify.findings import EffectFinding, left_in_words
 from longarm_comp.core.identify.practical import Gain, Practical, practical
 from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.report.candidate_states import candidate_rows, sizes
-from longarm_comp.report.detail import Detail
-from longarm_comp.report.drawing import SPLITS, detail
+from longarm_comp.report.detail import SPLITS, Detail, detail
 from longarm_comp.report.noise_floor import FIGURES, excess, noise_floor
-from longarm_comp.report.record import SCHEMA
+from longarm_comp.report.record import SCHEMA, DiscoveredTerm
 from longarm_comp.version import __version__
 
+_TERM = tuple(DiscoveredTerm.model_fields)
 KEY = Discovered.name
 """Causes without a name are called the same in model.yaml and in report.json."""
 
@@ -43,16 +43,7 @@ def _cause(found: Cause, diagnosis: Diagnosis) -> dict[str, Any]:
         "action": found.terms[0].action,
         "doubts": list(diagnosis.doubts),
         "domain": list(found.domain),
-        "terms": [
-            {
-                "where": a.where,
-                "function": a.function,
-                "value": a.value,
-                "ci95": list(a.ci95),
-                "unit": a.unit,
-            }
-            for a in found.amounts
-        ],
+        "terms": [{key: getattr(a, key) for key in _TERM} for a in found.amounts],
         "ci95": [list(a.ci95) for a in found.amounts],
         "log_evidence": found.log_evidence,
         "tip_mm": {"rms": 1e3 * found.tip_m[0], "max": 1e3 * found.tip_m[1]},
@@ -208,7 +199,6 @@ def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
 
 
 def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
-    """Figures of all stages, and what was gained, as seen and as commanded."""
     rows = {n: _error_row(n, e, diagnosis.commanded[n]) for n, e in diagnosis.rows.items()}
     floor = None
     if sigma is not None:

@@ -96,11 +96,10 @@ def _first(finding: ReportFinding, report: DiagnosisReport) -> str:
 
 
 def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
-    word, others = _word(found.log_evidence), found.set[1:]
+    others = found.set[1:]
     said = f"Odds of {odds(found.log_evidence)} for it, counting all functions that were tried."
     if others:
         said += f" Places that explain it as well: {listed(others)}."
-    tip = f"{millimetres(found.tip_mm.rms)} at the tip, up to {millimetres(found.tip_mm.max)}"
     held = "Within the range of the data the new model.yaml compensates it."
     gain = found.held_out_rms_mm[0] - found.held_out_rms_mm[1]
     duty, why = _duty(gain, "you find something there that acts like this.", report)
@@ -108,8 +107,9 @@ def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
         where=found.frame,
         reading=f"{found.formula}. {found.reading[:1].upper()}{found.reading[1:]}.",
-        tip=tip,
-        sure=word + ("; the place is open" if others else _with_doubts(found.doubts)),
+        tip=_tip(found.tip_mm.rms, found.tip_mm.max),
+        sure=_word(found.log_evidence)
+        + ("; the place is open" if others else _with_doubts(found.doubts)),
         because=said,
         doubts=tuple(found.doubts),
         duty=duty,
@@ -122,7 +122,6 @@ def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
 
 
 def _card(finding: ReportFinding, report: DiagnosisReport) -> _Card:
-    sure, because = _sure(finding)
     title, where = finding.title or finding.effect.replace("_", " "), _places(finding.where)
     before, after = finding.seen_mm or (0.0, 0.0)
     duty, why = _duty(before - after, _first(finding, report), report)
@@ -130,12 +129,12 @@ def _card(finding: ReportFinding, report: DiagnosisReport) -> _Card:
         title=title.capitalize() + (f", {where}" if where not in title else ""),
         names=" or ".join(finding.set or [finding.effect]),
         where=where,
-        sizes=tuple(_size(p) for p in finding.parameters[:MOST_SIZES]),
+        sizes=tuple(map(_size, finding.parameters[:MOST_SIZES])),
         more=max(0, len(finding.parameters) - MOST_SIZES),
         reading=finding.reading,
-        tip=_tip(finding),
-        sure=sure,
-        because=because,
+        tip=_tip(finding.tip_mm.median, finding.tip_mm.max) if finding.tip_mm else "",
+        sure=_sure(finding),
+        because=_because(finding),
         doubts=tuple(finding.doubts),
         duty=duty,
         because_of=why,
@@ -156,7 +155,6 @@ def _places(where: list[str]) -> str:
 
 
 def _size(parameter: FindingParameter) -> tuple[str, ...]:
-    """Where, name, value and interval of a parameter in the unit that people read."""
     times, unit = for_people(parameter.unit)
     gap = "" if unit == "°" else " "
     shown = f"{number(times * parameter.value, 3)}{gap}{unit}"
@@ -165,33 +163,29 @@ def _size(parameter: FindingParameter) -> tuple[str, ...]:
     return parameter.where, parameter.name, shown, said
 
 
-def _tip(finding: ReportFinding) -> str:
-    if finding.tip_mm is None:
-        return ""
-    typical, most = millimetres(finding.tip_mm.median), millimetres(finding.tip_mm.max)
+def _tip(typical_mm: float, most_mm: float) -> str:
+    typical, most = millimetres(typical_mm), millimetres(most_mm)
     return f"{typical} at the tip" + (f", up to {most}" if most != typical else "")
 
 
-def _sure(finding: ReportFinding) -> tuple[str, str]:
-    there = finding.probability
+def _because(finding: ReportFinding) -> str:
     said = [f"Odds of {odds(finding.log_bayes_factor)} for it against leaving it out"]
-    others = finding.others
-    if others:
-        said.append(f"These data do not tell it from {listed(others)}")
+    if finding.others:
+        said.append(f"These data do not tell it from {listed(finding.others)}")
     elif finding.runner_up is not None:
         margin = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
         said.append(f"Next best: {finding.runner_up.effect}, odds of {odds(margin)} for the name")
     if finding.unnamed:
         said.append(f"It may be a cause without a name: {finding.unnamed}")
-    sure = _word(there)
-    named = _word(there * finding.set_probability.get(finding.effect, 1.0))
+    return ". ".join(said) + "."
+
+
+def _sure(finding: ReportFinding) -> str:
+    sure = _word(finding.probability)
+    named = _word(finding.probability * finding.set_probability.get(finding.effect, 1.0))
     if finding.open:
-        sure += "; the name is open"
-    elif named != sure:
-        sure += f"; the name is {named}"
-    else:
-        sure += _with_doubts(finding.doubts)
-    return sure, ". ".join(said) + "."
+        return f"{sure}; the name is open"
+    return sure + (_with_doubts(finding.doubts) if named == sure else f"; the name is {named}")
 
 
 def _with_doubts(doubts: list[str]) -> str:
@@ -221,9 +215,6 @@ def _improves(finding: ReportFinding) -> str:
     told = change(finding.commanded_mm)
     seen = change(finding.seen_mm)
     text = told if told == seen else f"{told} as commanded; {seen} as seen"
-    return text if _helps(finding.commanded_mm) else f"{text}: no gain for commands on these rows"
-
-
-def _helps(pair: tuple[float, float]) -> bool:
-    """Whether an error falls by a share worth a word."""
-    return pair[1] < 0.95 * pair[0]
+    # An error that falls by a smaller share is not worth a word
+    helps = finding.commanded_mm[1] < 0.95 * finding.commanded_mm[0]
+    return text if helps else f"{text}: no gain for commands on these rows"

@@ -1,24 +1,54 @@
-"""Data of the page beyond report.json, in m and rad; error = measured - predicted.
+"""What the page shows beyond report.json, in m and rad; error = measured - predicted.
 
 All parts are optional: a verdict of noise has no guilty input, one of bad_data no rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-STAGES = (
-    *("nominal", "frames_only", "calibrated"),
-    *("with_effects", "with_functions", "with_network"),
-)
-"""The models of the before/after table, in the order in which they are built."""
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.units import in_names
+from longarm_comp.core.identify.candidates import Term
+from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.next_poses import NextPoses
+from longarm_comp.core.identify.visible_size import Smallest
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.encoders import tell_apart
+from longarm_comp.core.model.link_frames import outline
+from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.model.tip_motion import stack
+from longarm_comp.core.vibration.modes import modes
+from longarm_comp.core.vibration.ring import ring_of_moves
+from longarm_comp.core.vibration.shaper import USUAL_DAMPING
+from longarm_comp.report.candidate_states import best_forms
+
+SPLITS = 3.0
+"""Smallest expected log odds for which poses are worth measuring."""
+_UNITS = {"temperature_c": "°C", "payload_kg": "kg", "t_s": "s"}
+_MOVE_S = 0.5
+"""Time of a move that the page's rings are said of, as in `longarm modes`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Input:
+Line = tuple[str | float | None, ...]
+
+
+class Table(NamedTuple):
+    """A table of the page: its cells are text, numbers, or None for a dash."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[Line, ...]
+
+
+class Input(NamedTuple):
     """One input of the rows, as report.json calls it (``q2``, ``approach``); `values` (N,)."""
 
     name: str
@@ -33,7 +63,7 @@ class SeenRows:
     Attributes:
         index: (N,) row numbers in the session.
         measured_m: (N, 3) tip.
-        errors_m: (N, 3) measured - predicted by stage (one of `STAGES`).
+        errors_m: (N, 3) measured - predicted by stage (`style.LOOKS`).
         inputs: joints first.
         arms_m: centre-lines (K, 3), base to tip, at a few of these rows.
     """
@@ -44,37 +74,8 @@ class SeenRows:
     inputs: tuple[Input, ...] = ()
     arms_m: tuple[np.ndarray, ...] = ()
 
-    def input(self, name: str) -> Input:
-        """The input of that name."""
-        return next(entry for entry in self.inputs if entry.name == name)
 
-
-@dataclass(frozen=True, eq=False)
-class Correlation:
-    """Posterior correlation (p, g) of the accepted parameters with geometry, both by label."""
-
-    parameters: tuple[str, ...]
-    geometry: tuple[str, ...]
-    matrix: np.ndarray
-
-
-@dataclass(frozen=True)
-class Detectable:
-    """The smallest size of an effect that these data would have shown, and its RMS at the tip.
-
-    None where no size would show: the data do not excite it.
-    """
-
-    effect: str
-    where: str
-    parameter: str
-    size: float | None
-    unit: str
-    size_mm: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class SetSplit:
+class SetSplit(NamedTuple):
     """Effects that these data cannot distinguish, and poses (M, n) that would.
 
     `sides`: (M,) from below (+1), above (-1) or anywhere (0). `expected_log_bayes_factor`: between
@@ -83,46 +84,12 @@ class SetSplit:
 
     members: tuple[str, ...]
     reason: str = ""
-    q: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    q: np.ndarray = np.empty((0, 0))
     sides: tuple[int, ...] = ()
     expected_log_bayes_factor: float | None = None
 
 
-@dataclass(frozen=True)
-class EncoderError:
-    """Reading - command of a joint over the fitted rows, in `unit` (mrad or mm).
-
-    `rms` is the spread about the mean, `left` the RMS that the model leaves.
-    """
-
-    joint: str
-    unit: str
-    mean: float
-    rms: float
-    most: float
-    left: float
-    noise: float
-
-
-@dataclass(frozen=True)
-class Rings:
-    """How the arm rings, its drives held.
-
-    Attributes:
-        damping: share of critical damping; `declared`: arm.yaml says it.
-        move_s: time of a straight move there from the posture before.
-        postures: of each in words, Hz of the slowest mode of the arm as declared (None: nothing
-            bends) and of the model that was written, and s until the tip stays within 0.1 mm.
-    """
-
-    damping: float
-    declared: bool
-    move_s: float
-    postures: tuple[tuple[str, float | None, float, float], ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Marked:
+class Marked(NamedTuple):
     """The centre-line (K, 3) of the arm in one posture, and the points (3,) of a finding."""
 
     arm_m: np.ndarray
@@ -136,7 +103,11 @@ class Detail:
     Attributes:
         before, after: the stages that the verdict compares.
         guilty: inputs that the findings, or the structure left, depend on; the worst first.
-        rings: None where nothing of the model bends.
+        correlation: of each accepted parameter, the geometry that it is most correlated with.
+        detectable: the smallest size of each effect that these data would have shown, and its RMS
+            at the tip (mm); None where no size would show, as the data do not excite it.
+        encoders: reading - command of the joints over the fitted rows.
+        rings: how the arm rings, its drives held; None where nothing of the model bends.
         marked: where each finding is on the arm, in the order of the cards.
         provenance: further facts, shown after those of report.json.
     """
@@ -148,10 +119,215 @@ class Detail:
     before: str = "calibrated"
     after: str = "with_effects"
     guilty: tuple[str, ...] = ()
-    correlation: Correlation | None = None
-    detectable: tuple[Detectable, ...] = ()
+    correlation: Table | None = None
+    detectable: Table | None = None
     splits: tuple[SetSplit, ...] = ()
-    encoders: tuple[EncoderError, ...] = ()
-    rings: Rings | None = None
+    encoders: Table | None = None
+    rings: Table | None = None
     marked: tuple[Marked, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
+
+
+def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, str]) -> Detail:
+    """Everything that report.html shows beyond report.json."""
+    arm = diagnosis.arm
+    units = tuple("m" if arm.joints[r - 1].type == "prismatic" else "rad" for r in arm.commanded)
+    rows = _rows(diagnosis, units)
+    return Detail(
+        title=f"{diagnosis.arm.name}: {facts.get('session', 'session')}",
+        joints=tuple(arm.joint_names),
+        joint_units=units,
+        held_out=rows,
+        before=diagnosis.compared[0],
+        after=diagnosis.compared[1],
+        guilty=_guilty(diagnosis, rows),
+        correlation=_correlation(diagnosis),
+        detectable=_detectable(diagnosis, tried),
+        splits=tuple(_split(diagnosis, s) for s in diagnosis.split_by),
+        encoders=_encoders(diagnosis, units),
+        rings=rings(diagnosis.model),
+        marked=_marked(diagnosis),
+        provenance=facts,
+    )
+
+
+def rings(model: Model) -> Table | None:
+    """How a model rings at both ends of its joints and in their middle, in that order."""
+    arm, damping = model.arm, model.arm.damping or USUAL_DAMPING
+    at = {"lower ends": arm.lower, "middle": arm.mid, "upper ends": arm.upper}
+    found = ring_of_moves(model, np.array(list(at.values())), _MOVE_S, damping)
+    if not all(len(each.omega) for each, _ in found):
+        return None
+    bare = [modes(declared_model(arm), q).hz for q in at.values()]
+    rows = tuple(
+        (name, float(hz[0]) if len(hz) else None, float(each.hz[0]), left.settle_s())
+        for name, hz, (each, left) in zip(at, bare, found, strict=True)
+    )
+    caption = (
+        f"Slowest mode, drives held, and the time after a move of {_MOVE_S:g} s from the posture "
+        "above until the tip stays within 0.1 mm, at a damping of "
+        f"{damping:.3g} ({'assumed' if arm.damping is None else 'arm.yaml'})"
+    )
+    head = ("Joints at their", "as declared, Hz", "this model, Hz", "still after, s")
+    return Table(caption, head, rows)
+
+
+def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
+    held = diagnosis.held_out.take(diagnosis.held_out.placed)
+    predicted = diagnosis.model.measured(held.q, held.context())
+    near = predicted + diagnosis.errors[diagnosis.written]
+    seen = np.where(held.located[:, None], held.xyz, near)
+    # So many arms are drawn in the scene
+    shown = np.unique(np.linspace(0, len(held) - 1, min(6, len(held))).astype(int))
+    context, model = held.context(), diagnosis.model
+    arms = tuple(outline(model, held.q[k], context.take(int(k))) for k in shown)
+    return SeenRows(held.index, seen, diagnosis.errors, _inputs(held, units), arms)
+
+
+def _inputs(session: Session, units: Sequence[str]) -> tuple[Input, ...]:
+    """Joints, mean approach side and way, and every recorded column that varies."""
+    axes = [Input(f"q{j + 1}", unit, session.q[:, j]) for j, unit in enumerate(units)]
+    if session.approach.any():
+        axes.append(Input("approach", "", session.approach.mean(axis=1)))
+    axes += [Input(k, _UNITS.get(k, ""), v) for k, v in session.columns.items() if np.ptp(v) > 0]
+    return tuple(axes)
+
+
+def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
+    """Inputs that the findings explain, then those that the structure left depends on."""
+    commanded = list(diagnosis.arm.commanded)
+    names: list[str] = []
+    for found in diagnosis.findings:
+        largest = sorted(found.terms, key=lambda t: -_size(diagnosis, t))
+        for term in largest[:2]:
+            names += [f"q{commanded.index(j) + 1}" for j in term.joints if j in commanded]
+        names += found.terms[0].inputs
+    names += diagnosis.structure.inputs
+    known = {entry.name for entry in rows.inputs}
+    # Most inputs that the residual is plotted against
+    return tuple(name for name in dict.fromkeys(names) if name in known)[:4]
+
+
+def _size(diagnosis: Diagnosis, term: Term) -> float:
+    """Largest parameter in its prior standard deviations."""
+    parameters = term.parameters(diagnosis.arm)
+    return max((abs(getattr(term, p.name)) / p.prior for p in parameters if p.prior > 0), default=0)
+
+
+def _correlation(diagnosis: Diagnosis) -> Table | None:
+    """The five strongest of each parameter, by their posterior."""
+    found = {t.key for f in diagnosis.findings for t in f.terms}
+    fit, called = diagnosis.fit, diagnosis.arm.called
+    own = [k for k, s in enumerate(fit.slots) if s.owner.key in found]
+    rest = np.array([k for k, s in enumerate(fit.slots) if s.owner.geometry], dtype=int)
+    if not own or not len(rest):
+        return None
+    labels = [
+        in_names(f"{s.owner.name} {s.owner.where} {s.parameter.name}", called) for s in fit.slots
+    ]
+    rows = []
+    for k in own:
+        r = fit.covariance[k, rest] / (fit.standard_errors[k] * fit.standard_errors[rest])
+        first = np.argsort(-np.abs(r), kind="stable")[:5]
+        named = (f"{labels[rest[j]]} ({r[j]:+.2f})".replace("-", "−") for j in first)
+        rows.append((labels[k], ", ".join(named)))
+    caption = "Strongest correlations of every parameter"
+    return Table(caption, ("Parameter", "Geometry (correlation)"), tuple(rows))
+
+
+def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> Table:
+    """One line per effect and place, without families."""
+    rows: list[Line] = []
+    for (name, place), one in sorted(best_forms(tried).items()):
+        slots = one.candidate.slots(diagnosis.arm)
+        if len(one.candidate.terms) > 1 or not slots:
+            continue
+        p, where = slots[0].parameter, in_names(place, diagnosis.arm.called)
+        size = (one.size * p.prior, p.unit, 1e3 * one.shift_m)
+        unseen = (None, "not excited by these data", None)
+        rows.append((name, where, p.name, *(size if np.isfinite(one.size) else unseen)))
+    caption = "A smaller effect may exist; these data cannot show it."
+    head = ("Effect", "Where", "Parameter", "Size", "Unit", "At the tip, mm RMS")
+    return Table(caption, head, tuple(rows))
+
+
+def _split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
+    """A set with the poses that split it; no poses if none would."""
+    found = next(f for f in diagnosis.findings if f.name == by.between[0])
+    pair = f"{by.between[0]} and {by.between[1]}"
+    if by.log_bayes_factor < SPLITS:
+        reason = f"No pose tells {pair} apart: expected log odds {by.log_bayes_factor:.1f}."
+        others = [a.candidate.terms[0] for a in found.alternatives[:1]]
+        first, read = found.terms[0], diagnosis.fit.session.read_joints
+        deciding = [
+            f"read_q{k + 1}"
+            for k, row in enumerate(diagnosis.arm.commanded)
+            if k not in read and any(tell_apart(diagnosis.arm, [row], first, o) for o in others)
+        ]
+        if deciding:
+            reason += f" What the encoders say does ({', '.join(deciding)})."
+        if any({"temperature_c", "t_s"} & set(t.needs) for t in (*found.terms, *others)):
+            reason += " Measure again after a pause, at another temperature."
+        return SetSplit(found.names, reason, expected_log_bayes_factor=by.log_bayes_factor)
+    reason, sides = f"These poses do not tell {pair} apart.", tuple(map(int, by.approach))
+    return SetSplit(found.names, reason, by.q, sides, by.log_bayes_factor)
+
+
+def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> Table | None:
+    """None where no joint is read."""
+    fit = diagnosis.fit
+    rows, names = fit.session, diagnosis.arm.joint_names
+    lines: list[Line] = []
+    for k in rows.read_joints:
+        name = f"read_q{k + 1}"
+        channel = rows.channels.index(name)
+        held = rows.measured[:, channel] & (fit.weights > 0)
+        off = 1e3 * (rows.readings[name][held, 0] - rows.q[held, k])
+        about = off - off.mean()
+        left = 1e3 * np.sqrt(np.mean(fit.residual[held, channel] ** 2))
+        noise = 1e3 * fit.sigma[channel]
+        figures = (off.mean(), about.std(), np.abs(about).max(), left, noise)
+        lines.append((names[k], *map(float, figures), f"m{units[k]}"))
+    if not lines:
+        return None
+    caption = (
+        "Reading − command, over the fitted rows. Effects before an encoder show here; effects"
+    )
+    head = ("Joint", "mean", "spread, RMS", "largest from mean", "left by the model, RMS", "noise")
+    return Table(caption, (*head, "Unit"), tuple(lines))
+
+
+def _marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
+    """The arm at the held-out row that stretches it most, with the places of all that was found."""
+    found = [f.terms for f in diagnosis.findings] + [c.terms for c in diagnosis.causes]
+    if not found:
+        return ()
+    rows, model = diagnosis.held_out, diagnosis.model
+    tips = model.tip(rows.q, rows.context())
+    row = int(np.linalg.norm(tips - tips.mean(axis=0), axis=1).argmax())
+    context, q = rows.context().take(row), rows.q[row]
+    line, posture = outline(model, q, context), model.posture(unstack(q), context)
+    return tuple(Marked(line, _places(terms, model, posture, context)) for terms in found)
+
+
+def _places(
+    terms: tuple[Effect | Bias, ...], model: Model, posture: Posture, context: Context
+) -> dict[str, np.ndarray]:
+    points: dict[str, list[np.ndarray]] = {}
+    for term in terms:
+        points.setdefault(term.where, []).extend(_points(term, model, posture, context))
+    called = model.arm.called
+    return {called.get(at, at): np.mean(held, axis=0) for at, held in points.items()}
+
+
+def _points(
+    term: Effect | Bias, model: Model, posture: Posture, context: Context
+) -> list[np.ndarray]:
+    """The stations that it turns or moves; of a camera, the camera; else the tip."""
+    camera = model.arm.camera
+    if isinstance(term, Bias):
+        known = None if camera is None else [np.array(camera.position_m, dtype=float)]
+        return known or [stack(model.tip_frame(posture).p)]
+    stations = [posture.bearing(joint) for joint in term.joints]
+    stations = stations or [k for k in term.twists(posture) if k >= 0]
+    return [stack(posture.frames[k].p) for k in stations] or [stack(model.tip_frame(posture).p)]

@@ -12,7 +12,7 @@ import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
-from longarm_comp.report.at_the_tip import at_the_tip
+from longarm_comp.report.plots import at_the_tip
 from longarm_comp.report.style import BLUE, GREEN, ORANGE, VERMILLION, rc, svg
 
 if TYPE_CHECKING:
@@ -43,7 +43,6 @@ def data_uri(svg: bytes) -> str:
 
 
 def _rendered(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
-    """A page with one picture."""
     with rc():
         picture = data_uri(svg(draw()))
     return template(f"{page}.html.j2").render(picture=picture, style=beside("report.css"), **told)
@@ -92,7 +91,6 @@ def _kinds(arms: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _errors_of_arms(arms: Sequence[Mapping[str, Any]]) -> Figure:
-    """A line an arm, a mark a model that is known of any."""
     figure = Figure(figsize=(7.6, 1.2 + _ROW_IN * len(arms)), layout="constrained")
     axes = figure.subplots()
     place = np.arange(len(arms))

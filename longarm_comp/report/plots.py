@@ -1,19 +1,20 @@
-"""The static figures of the page."""
+"""The figures: errors of models or runs, over inputs, on the arm; what the scene draws."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from longarm_comp.report.detail import Correlation, Input, Marked, SeenRows
-from longarm_comp.report.scene import arrows, exaggeration, points_of
-from longarm_comp.report.style import GRID, INK, LOOKS, VERMILLION
+from longarm_comp.report.detail import Input, Marked, SeenRows
+from longarm_comp.report.noise_floor import normal_length
+from longarm_comp.report.record import rounded
+from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, VERMILLION, Look
 
 _LEVELS = 8
 """An input with at most this many distinct values is drawn level by level."""
-_FAINT = 0.1
 
 
 def against_input(
@@ -75,60 +76,6 @@ def _medians(values: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndar
     return centre, np.array([np.median(error[group]) for group in groups])
 
 
-def still_scene(rows: SeenRows, stages: tuple[str, ...]) -> Figure:
-    """The residual arrows on the arm, one panel a stage, all with one exaggeration."""
-    drawn = Figure(figsize=(9, 4.6))
-    times, taken = exaggeration(rows, stages), arrows(rows)
-    points = points_of(rows)
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    half = max(float(np.ptp(points, axis=0).max()) / 2, 1e-3)
-    low, high = middle - half, middle + half
-    for k, stage in enumerate(stages):
-        panel = drawn.add_subplot(1, len(stages), k + 1, projection="3d")
-        for line in rows.arms_m:
-            panel.plot(*line.T, color="#8a8a8a", linewidth=2, solid_capstyle="round")
-        look = LOOKS[stage]
-        panel.quiver(
-            *rows.measured_m[taken].T, *(times * rows.errors_m[stage][taken]).T, color=look.color,
-            linewidth=0.9, arrow_length_ratio=0.25,
-        )  # fmt: skip
-        panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-        panel.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
-        panel.set_box_aspect((1, 1, 1))
-        panel.view_init(elev=22, azim=-60)
-        panel.set_title(f"{look.label}: arrows × {times:g}")
-    drawn.subplots_adjust(left=0.01, right=0.94, bottom=0.02, top=0.94, wspace=0.08)
-    return drawn
-
-
-def correlations(entry: Correlation) -> Figure:
-    """Accepted parameters against geometry as coloured cells; |r| of 0.3 and more is printed.
-
-    Geometry below `_FAINT` with every parameter is left out, the strongest never.
-    """
-    peak = np.abs(entry.matrix).max(axis=0)
-    kept = np.flatnonzero((peak >= _FAINT) | (peak == peak.max()))
-    matrix, geometry = entry.matrix[:, kept], [entry.geometry[k] for k in kept]
-    rows, columns = len(entry.parameters), len(geometry)
-    drawn = Figure(
-        figsize=(min(14, max(6, 2.6 + 0.34 * columns)), 1.7 + 0.34 * rows + 0.6),
-        layout="constrained",
-    )
-    axes = drawn.subplots()
-    axes.grid(False)
-    image = axes.imshow(matrix, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
-    axes.set_xticks(range(columns), geometry, rotation=60, ha="right", fontsize=7)
-    axes.set_yticks(range(rows), entry.parameters, fontsize=8)
-    for i, k in zip(*np.nonzero(np.abs(matrix) >= 0.3), strict=True):
-        strong = abs(matrix[i, k]) > 0.7
-        axes.text(
-            k, i, f"{matrix[i, k]:.1f}".replace("0.", "."), ha="center", va="center", fontsize=6.5,
-            color="white" if strong else INK,
-        )  # fmt: skip
-    drawn.colorbar(image, ax=axes, label="correlation", shrink=0.9, pad=0.01)
-    return drawn
-
-
 def place(found: Marked) -> Figure:
     """The arm from the side in which it is longest, with the places of a finding."""
     drawn = Figure(figsize=(3.2, 2.6))
@@ -178,3 +125,117 @@ def _together(places: Mapping[str, np.ndarray], close: float) -> list[list[str]]
         else:
             group.append(where)
     return groups
+
+
+_MM = 1e3
+
+
+def at_the_tip(
+    errors: Mapping[str, np.ndarray],
+    looks: Sequence[Look] = tuple(LOOKS.values()),
+    *,
+    rows: str = "targets",
+    error: str = "tip − target",
+    sigma_mm: tuple[float, float, float] | None = None,
+) -> Figure:
+    """Share of rows below an error, and the error along each axis.
+
+    Errors are (N, 3) m by name of the run, without lost markers. ``rows``, ``error``: what they are
+    called; ``sigma_mm``: noise along each axis, drawn as a floor.
+    """
+    drawn = Figure(figsize=(9, 3.8))
+    left, right = drawn.subplots(1, 2, width_ratios=(1.15, 1))
+    width = 0.8 / max(1, len(errors))
+    for k, (name, held) in enumerate(errors.items()):
+        look = looks[k % len(looks)]
+        length = np.sort(np.linalg.norm(held, axis=1)) * _MM
+        share = (np.arange(len(length)) + 1) / max(1, len(length))
+        left.plot(
+            np.maximum(length, 1e-4), share, label=name, color=look.color,
+            linestyle=look.dash, marker=look.marker, markersize=5,
+            markevery=max(1, len(length) // 8),
+        )  # fmt: skip
+        at = np.arange(3) + (k - (len(errors) - 1) / 2) * width
+        boxes = right.boxplot(
+            list((held * _MM).T), positions=at, widths=width * 0.8, patch_artist=True,
+            whis=(2.5, 97.5), showfliers=False, medianprops={"color": INK, "linewidth": 1.5},
+        )  # fmt: skip
+        for box in boxes["boxes"]:
+            box.set(facecolor="white", edgecolor=look.color, hatch=look.hatch)
+    if sigma_mm is not None:
+        scale = float(np.sqrt(np.mean(np.square(sigma_mm))))
+        below = np.linspace(0.005, 0.995, 200)
+        left.plot(scale * normal_length(below), below, color=INK, linewidth=1, label=FLOOR)
+    left.set(
+        xscale="log", ylim=(0, 1.02), xlabel=f"|{error}|, mm (log scale)",
+        ylabel=f"share of {rows}", title=f"Share of {rows} below an error",
+    )  # fmt: skip
+    left.legend(fontsize=8, loc="best")
+    right.axhline(0, color=INK, linewidth=0.8)
+    right.set_xticks(range(3), ["x", "y", "z"])
+    right.set(
+        ylabel=f"{error}, mm", yscale="symlog", title="Per axis: quartiles and 95 % range\n(from "
+        "left to right in the order of the legend)",
+    )  # fmt: skip
+    drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.13, top=0.86, wspace=0.2)
+    return drawn
+
+
+MOST = 150
+"""Most arrows in one figure. Of more rows, this many are taken evenly along the session."""
+_ROUND = np.array([1.0, 2.0, 5.0])
+
+
+def stages_of(rows: SeenRows) -> tuple[str, ...]:
+    """The stages that these rows have, in order."""
+    return tuple(stage for stage in LOOKS if stage in rows.errors_m)
+
+
+def points_of(rows: SeenRows) -> np.ndarray:
+    """(P, 3) every measured tip and every point of the centre-lines, m."""
+    return np.concatenate([rows.measured_m, *rows.arms_m])
+
+
+def exaggeration(rows: SeenRows, stages: tuple[str, ...]) -> float:
+    """Factor on all arrows: the largest p95 of the stages becomes about 15 % of the scene.
+
+    It is 1, 2 or 5 times a power of ten.
+    """
+    lengths = [np.linalg.norm(rows.errors_m[stage], axis=1) for stage in stages]
+    long = max((float(np.percentile(length, 95)) for length in lengths if len(length)), default=0.0)
+    if long <= 0:
+        return 1.0
+    wanted = max(1.0, 0.15 * float(np.ptp(points_of(rows), axis=0).max()) / long)
+    decade = 10.0 ** np.floor(np.log10(wanted))
+    return float(decade * _ROUND[wanted / decade * (1 + 1e-9) >= _ROUND].max())
+
+
+def arrows(rows: SeenRows) -> np.ndarray:
+    """(M,) the rows that get an arrow, evenly along the session."""
+    n = len(rows.index)
+    return np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))
+
+
+def scene_json(rows: SeenRows) -> str:
+    """What report.js draws and turns, as JSON that is safe to stand in a script element; m.
+
+    Every stage has its arrows at a scale of its own.
+    """
+    taken = arrows(rows)
+    stages = {
+        stage: {
+            "times": exaggeration(rows, (stage,)),
+            "color": LOOKS[stage].color,
+            "errors": rows.errors_m[stage][taken].tolist(),
+        }
+        for stage in stages_of(rows)
+    }
+    plain = {
+        "arms": [line.tolist() for line in rows.arms_m],
+        "rows": rows.index[taken].tolist(),
+        "tips": rows.measured_m[taken].tolist(),
+        "stages": stages,
+    }
+    # To a hundredth of a millimetre, to keep the file small
+    short = rounded(plain, lambda v: round(v, 5))
+    return json.dumps(short, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

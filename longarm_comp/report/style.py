@@ -37,6 +37,7 @@ LOOKS = {
     "with_functions": Look("+\u00a0discovered", VERMILLION, (0, (3, 1)), "v", "++"),
     "with_network": Look("+\u00a0network", GREEN, (0, (8, 1.5, 1, 1.5, 1, 1.5)), "D", "\\\\"),
 }
+"""Stages of the before/after table, in the order in which they are built."""
 FLOOR = "noise floor"
 
 RC: Any = {

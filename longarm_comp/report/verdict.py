@@ -25,32 +25,32 @@ def meaning(report: DiagnosisReport) -> str:
     """The verdict in one sentence."""
     n, open_ = len(report.findings), sum(f.open for f in report.findings)
     left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
-    none = f"{_count(unnamed).lower()} cause without a name was found and added"
-    none = none.replace("cause", "causes").replace("was", "were") if unnamed > 1 else none
-    added = none if unnamed else "none was added"
-    gives = report.written is not None and report.written.model == "with_effects"
+    explain = _counted(n, "physical effect") + (" explains" if n == 1 else " explain")
+    causes = _counted(unnamed, "cause") + " without a name"
+    added = f"{causes.lower()} {'was' if unnamed == 1 else 'were'} found and added"
+    if not unnamed:
+        added = "none was added"
+    part = explain
+    if unnamed and n:
+        part = f"{_counted(n, 'physical effect')} and {causes.lower()} explain"
+    elif unnamed:
+        part = f"{causes} explain{'s' * (unnamed == 1)}"
     of = f"{_count(open_).lower()} of them"
     if open_ == n:
         of = "it" if n == 1 else "each of them"
     noise = "Nothing beyond the noise was found; nothing was added."
-    if gives and not n:
+    if report.written is not None and report.written.model == "with_effects" and not n:
         noise = "Every joint, seat and link yields a little, which was added; only noise is left."
     return {
         "noise": noise,
-        "named": f"{_count(n)} {_explain(n)} what the model lacked.",
-        "set": (
-            f"{_count(n)} {_explain(n)} what the model lacked; "
-            f"{of} may have another name, and more poses may tell."
-        ),
-        "partly": (
-            f"{_partly(n, unnamed)} a part of what the model lacked; "
-            + ("structure is left." if left.flag else "too many names could explain the rest.")
-        ),
-        "unknown": (
-            f"There is structure that no effect of the library explains; {added}."
-            if left.flag
-            else f"Effects were found in the fitted poses, but not proven at other poses; {added}."
-        ),
+        "named": f"{explain} what the model lacked.",
+        "set": f"{explain} what the model lacked; {of} may have another name, and more poses may "
+        "tell.",
+        "partly": f"{part} a part of what the model lacked; "
+        + ("structure is left." if left.flag else "too many names could explain the rest."),
+        "unknown": f"There is structure that no effect of the library explains; {added}."
+        if left.flag
+        else f"Effects were found in the fitted poses, but not proven at other poses; {added}.",
         "bad_data": "The data were refused; nothing was fitted, nothing was added.",
     }[report.verdict]
 
@@ -59,19 +59,8 @@ def _count(n: int) -> str:
     return (COUNTS[n] if n < len(COUNTS) else str(n)).capitalize()
 
 
-def _partly(n: int, unnamed: int) -> str:
-    causes = f"{_count(unnamed)} cause{'' if unnamed == 1 else 's'} without a name"
-    if not n:
-        return f"{causes} explain{'s' if unnamed == 1 else ''}"
-    named = f"{_count(n)} {_explain(n)}"
-    if not unnamed:
-        return named
-    effects = named.removesuffix(" explains").removesuffix(" explain")
-    return f"{effects} and {causes[0].lower()}{causes[1:]} explain"
-
-
-def _explain(n: int) -> str:
-    return "physical effect explains" if n == 1 else "physical effects explain"
+def _counted(n: int, what: str) -> str:
+    return f"{_count(n)} {what}{'' if n == 1 else 's'}"
 
 
 def improvement(report: DiagnosisReport) -> dict[str, Any] | None:

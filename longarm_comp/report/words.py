@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from longarm_comp.report.detail import Correlation
-from longarm_comp.report.record import DiagnosisReport, FindingParameter, ReportCandidate
+from longarm_comp.report.record import DiagnosisReport, FindingParameter
 
 DASH = "–"
 _CERTAIN = 100
@@ -52,7 +51,6 @@ def odds(log_bayes_factor: float) -> str:
 
 
 def _ten(power: int) -> str:
-    """A power of ten with its exponent raised."""
     return "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
@@ -94,23 +92,3 @@ def plausible(parameter: FindingParameter) -> str:
     times = abs(parameter.value) / parameter.prior_scale
     verdict = "usual" if times <= 2 else "large" if times <= 4 else "implausible"
     return f"{verdict}: {times:.1f} × prior scale"
-
-
-def best_first(report: DiagnosisReport) -> list[ReportCandidate]:
-    """Every candidate, those without a score last."""
-
-    def order(entry: ReportCandidate) -> tuple[float, str, str]:
-        score = entry.log_bayes_factor
-        return (float("inf") if score is None else -score, entry.effect, entry.where)
-
-    return sorted(report.candidates, key=order)
-
-
-def strongest(entry: Correlation) -> list[tuple[str, str]]:
-    """Per parameter, the geometry that it is most correlated with, in words."""
-    lines = []
-    for name, row in zip(entry.parameters, entry.matrix, strict=True):
-        first = np.argsort(-np.abs(row), kind="stable")[:5]
-        named = (f"{entry.geometry[k]} ({row[k]:+.2f})".replace("-", "−") for k in first)
-        lines.append((name, ", ".join(named)))
-    return lines

@@ -1,20 +1,25 @@
-"""Writes the files of a diagnosis: report.json, report.html, plots."""
+"""Writes the files of a diagnosis: report.json, report.html (self-contained), plots."""
 
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from longarm_comp.core.files import atomic_path, write_text
-from longarm_comp.report import plots, record, style
-from longarm_comp.report.at_the_tip import at_the_tip
+from longarm_comp.core.identify.structure import SIGNIFICANT
+from longarm_comp.report import cards, plots, record, style, verdict, words
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.page import against, page, place_name, still_stages
-from longarm_comp.report.scene import stages_of
+from longarm_comp.report.pages import beside, data_uri, template
+from longarm_comp.report.plots import MOST, at_the_tip, scene_json, stages_of
+
+_FEW = 20
+"""Number of candidates shown; the others are folded."""
 
 
 def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLike[str]) -> Path:
@@ -42,7 +47,6 @@ def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLi
 
 
 def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
-    """Name -> SVG of every still figure that this diagnosis has."""
     figures: dict[str, Figure] = {}
     rows = detail.held_out
     floor = floor_of(report)
@@ -59,12 +63,52 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
                 error="measured − predicted",
                 sigma_mm=sigma_mm,
             )
-            figures["scene"] = plots.still_scene(rows, still_stages(detail))
             if {detail.before, detail.after} <= set(stages):
+                inputs = {entry.name: entry for entry in rows.inputs}
                 for name in detail.guilty:
                     figures[against(name)] = plots.against_input(
-                        rows, rows.input(name), detail.before, detail.after, sigma_mm
+                        rows, inputs[name], detail.before, detail.after, sigma_mm
                     )
-        if detail.correlation is not None and detail.correlation.matrix.size:
-            figures["correlation"] = plots.correlations(detail.correlation)
         return {name: style.svg(figure) for name, figure in figures.items()}
+
+
+def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) -> str:
+    """The page as text, joints by their names; ``plots``: SVG of the still figures by name."""
+    report = report.for_people()
+    rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
+    candidates = report.candidates
+    stages = stages_of(rows) if rows else ()
+    shown = detail.before if detail.before in stages else next(iter(stages), "")
+    return template("report.html.j2").render(
+        report=report,
+        detail=detail,
+        cards=cards,
+        verdict=verdict,
+        words=words,
+        picture=place_name,
+        significant=SIGNIFICANT,
+        rows=rows,
+        candidates=candidates[:_FEW],
+        more_candidates=candidates[_FEW:],
+        looks=style.LOOKS,
+        against=against,
+        stages=stages,
+        shown=shown,
+        floor=floor_of(report),
+        floor_label=style.FLOOR,
+        most=MOST,
+        plots={name: data_uri(content) for name, content in plots.items()},
+        scene=scene_json(rows) if rows else None,
+        style=beside("report.css"),
+        script=beside("report.js"),
+    )
+
+
+def place_name(number: int) -> str:
+    """The name of the figure of where a finding is, counted from 1."""
+    return f"place_{number}"
+
+
+def against(name: str) -> str:
+    """The name of the figure of the errors over an input; a column may be called anything."""
+    return "against_" + re.sub(r"\W", "_", name)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +18,8 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import AS_DECLARED, read_stored, restore, save_model, store
 from longarm_comp.report.record import DiagnosisReport, read_report
+from longarm_comp.workflows import inputs
 from longarm_comp.workflows.at_work import finish, put_to_work
-from longarm_comp.workflows.diagnosis_files import MODEL, MODEL_BEFORE, PREDICTOR, SESSION
-from longarm_comp.workflows.inputs import Note, Telling, admitted, file_hash, log_note
 from longarm_comp.workflows.train import TrainedPredictor, train
 
 Term = Effect | Bias
@@ -47,7 +47,6 @@ class _Change:
     tip_mm: float
 
     def __str__(self) -> str:
-        """In one line."""
         place = f" at {self.where}" if self.where else ""
         shown = [
             f"{name} {_number(before)} -> {_number(after)} {unit}".rstrip()
@@ -95,8 +94,8 @@ def apply(
     session: Path | None = None,
     network: bool = True,
     seed: int = 0,
-    note: Note = log_note,
-    progress: Telling = False,
+    note: inputs.Note = inputs.log_note,
+    progress: inputs.Telling = False,
 ) -> Applied:
     """Put a diagnosis to work.
 
@@ -113,13 +112,13 @@ def apply(
             missing or another one.
         JobError: the diagnosis adds nothing.
     """
-    report, made = read_report(diagnosis), diagnosis / MODEL
+    report, made = read_report(diagnosis), diagnosis / inputs.MODEL
     nothing = nothing_to_apply(diagnosis, report)
     if nothing:
         raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
     stored = read_stored(made)
     after = restore(stored, arm, str(made))
-    target = predictor or model.parent / PREDICTOR
+    target = predictor or model.parent / inputs.PREDICTOR
     finish(model, target)
     before = _before(stored.provenance, made, model, arm)
     rows = _session(stored.provenance, diagnosis, session, before, arm, note)
@@ -144,7 +143,7 @@ def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
     if report.verdict == "bad_data":
         return report.summary
     found = report.findings or any(d.kept for d in report.discovered)
-    if found or (diagnosis / PREDICTOR).is_file():
+    if found or (diagnosis / inputs.PREDICTOR).is_file():
         return ""
     commanded, seen = _mean_errors(report)
     pair = commanded or seen
@@ -175,21 +174,21 @@ def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
 
 def _before(provenance: dict[str, str | int | float], made: Path, model: Path, arm: Arm) -> Model:
     """The model at work, which must be the one that was diagnosed."""
-    diagnosed = provenance.get(MODEL_BEFORE)
+    diagnosed = provenance.get(inputs.MODEL_BEFORE)
     if diagnosed is None:
-        raise InputError(made, f"provenance.{MODEL_BEFORE}", "missing", "diagnose again")
+        raise InputError(made, f"provenance.{inputs.MODEL_BEFORE}", "missing", "diagnose again")
     at_work, now = declared_model(arm), ""
     if model.is_file():
         stored = read_stored(model)
         at_work = restore(stored, arm, str(model))
-        now = file_hash(model)
-        if now == file_hash(made):
+        now = inputs.file_hash(model)
+        if now == inputs.file_hash(made):
             raise InputError(made, "model", "in use already", "another diagnosis")
         if stored.version == AS_DECLARED and not diagnosed:
             return at_work
     if diagnosed != now:
         raise InputError(
-            made, f"provenance.{MODEL_BEFORE}", str(diagnosed)[:12] or "the declared arm",
+            made, f"provenance.{inputs.MODEL_BEFORE}", str(diagnosed)[:12] or "the declared arm",
             f"the model in use, {now[:12] or 'the declared arm'}: diagnose with --model {model}",
         )  # fmt: skip
     return at_work
@@ -197,16 +196,15 @@ def _before(provenance: dict[str, str | int | float], made: Path, model: Path, a
 
 def _session(
     provenance: dict[str, str | int | float], diagnosis: Path, given: Path | None, before: Model,
-    arm: Arm, note: Note,
+    arm: Arm, note: inputs.Note,
 ) -> Session:  # fmt: skip
-    """The session that was diagnosed."""
-    named = str(provenance.get(SESSION, ""))
+    named = str(provenance.get(inputs.SESSION, ""))
     path = given or Path(os.path.normpath(diagnosis / named))
     if (given is None and not named) or not path.exists():
         allowed = "--session, the session diagnosed"
         raise InputError(diagnosis, "session", named or "none named", allowed)
-    known = before if provenance[MODEL_BEFORE] else None
-    rows = admitted(path, arm, known, note=note)
+    known = before if provenance[inputs.MODEL_BEFORE] else None
+    rows = inputs.admitted(path, arm, known, note=note)
     if rows.hash != provenance.get("session_hash"):
         wanted = f"the session diagnosed, {str(provenance.get('session_hash'))[:12]}"
         raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
@@ -220,35 +218,30 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
     model without this change. One that does not move the tip is left out.
     """
     old, new = ({(t.name, t.place): t for t in model.terms} for model in (before, after))
-    seen = after.measured(q, context)
-    found = []
-    for group in _groups(old, new):
-        terms = {key: new[key] for key in new if key not in group}
-        terms |= {key: old[key] for key in group if key in old}
-        moved = after.with_terms(list(terms.values())).measured(q, context) - seen
-        first = new.get(group[0]) or old[group[0]]
-        single = len(group) == 1 and _name(first) == first.name
-        values: tuple[Value, ...] = ()
-        where, kind = "", "changed"
-        if single:
-            where, values = first.where, _values(old.get(group[0]), new.get(group[0]), after)
-            kind = "added" if group[0] not in old else "changed" if group[0] in new else "removed"
-        tip_mm = 1e3 * float(np.sqrt((moved**2).sum(axis=1).mean()))
-        found.append(_Change(_name(first), where, kind, values, tip_mm))
-    # A change that moves the tip by less than this is not reported
-    felt = (change for change in found if change.tip_mm >= 5e-4)
-    return sorted(felt, key=lambda change: -change.tip_mm)
-
-
-def _groups(old: dict[Key, Term], new: dict[Key, Term]) -> list[list[Key]]:
-    """Keys of the terms that differ; geometry and camera together, every effect by itself."""
-    together: dict[str, list[Key]] = {}
+    differing: dict[tuple[str, str], list[Key]] = {}
     for key in dict.fromkeys((*new, *old)):
         if old.get(key) != new.get(key):
             name = _name(new.get(key) or old[key])
-            whole = name in (GEOMETRY, CAMERA)
-            together.setdefault(name if whole else "/".join(key), []).append(key)
-    return list(together.values())
+            together = name in (GEOMETRY, CAMERA)
+            differing.setdefault((name, "") if together else key, []).append(key)
+    seen = after.measured(q, context)
+    found = []
+    for (name, _), keys in differing.items():
+        terms = {key: new[key] for key in new if key not in keys}
+        terms |= {key: old[key] for key in keys if key in old}
+        moved = after.with_terms(list(terms.values())).measured(q, context) - seen
+        tip_mm = 1e3 * float(np.sqrt((moved**2).sum(axis=1).mean()))
+        # A change that moves the tip by less than this is not reported
+        if tip_mm < 5e-4:
+            continue
+        was, now = old.get(keys[0]), new.get(keys[0])
+        change = _Change(name, "", "changed", (), tip_mm)
+        if name not in (GEOMETRY, CAMERA):
+            kind = "added" if was is None else "removed" if now is None else "changed"
+            term: Any = now or was
+            change = replace(change, where=term.where, kind=kind, values=_values(was, now, after))
+        found.append(change)
+    return sorted(found, key=lambda change: -change.tip_mm)
 
 
 def _name(term: Term) -> str:

@@ -37,24 +37,14 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored, restore, save_model, store
 from longarm_comp.version import __version__
+from longarm_comp.workflows import inputs
 from longarm_comp.workflows.error_table import ErrorTable
-from longarm_comp.workflows.inputs import (
-    FilePath,
-    ModelLike,
-    Note,
-    SessionLike,
-    Telling,
-    admitted,
-    file_hash,
-    log_note,
-    teller,
-)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def kind_from(arm: Arm, given: Sequence[ModelLike]) -> tuple[KindOfArm, str]:
+def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, str]:
     """What arms of a kind say of a further one, and which they are."""
     models, names, origins = [], [], []
     noise: dict[str, list[float]] = {}
@@ -68,7 +58,7 @@ def kind_from(arm: Arm, given: Sequence[ModelLike]) -> tuple[KindOfArm, str]:
         stored = read_stored(path)
         models.append(restore(stored, Arm.load(beside) if beside.is_file() else arm, str(path)))
         names.append(str(path))
-        origins.append(f"{path.name} {file_hash(path)[:12]}")
+        origins.append(f"{path.name} {inputs.file_hash(path)[:12]}")
         for kind in KINDS:
             sigma = stored.provenance.get(_noise_key(kind))
             if isinstance(sigma, float) and sigma > 0:
@@ -190,7 +180,7 @@ class Calibration:
     def __repr__(self) -> str:
         return f"Calibration({self.summary})"
 
-    def save(self, path: FilePath) -> Path:
+    def save(self, path: inputs.FilePath) -> Path:
         """Write model.yaml with 95 % intervals. An existing file becomes the previous version."""
         provenance: dict[str, str | int | float] = {
             "session_hash": self.session.hash,
@@ -207,15 +197,15 @@ class Calibration:
 
 def calibrate(
     arm: Arm,
-    session: SessionLike,
+    session: inputs.SessionLike,
     *,
     effects: Sequence[str | Term | Sequence[Term]] = (),
     deflection: bool = True,
     fraction: float = 0.2,
     seed: int = 0,
-    kind_of: Sequence[ModelLike] = (),
-    note: Note = log_note,
-    progress: Telling = False,
+    kind_of: Sequence[inputs.ModelLike] = (),
+    note: inputs.Note = inputs.log_note,
+    progress: inputs.Telling = False,
 ) -> Calibration:
     """Fit geometry and declared effects of an arm to a session.
 
@@ -244,11 +234,11 @@ def calibrate(
     for effect in effects:
         if isinstance(effect, str):
             instances(effect, arm)
-    whole = admitted(session, arm, note=note)
+    whole = inputs.admitted(session, arm, note=note)
     chosen = [_named(effect, arm, whole, note) for effect in effects]
     kind, origin = kind_from(arm, kind_of) if kind_of else (None, "")
     train, held_out = blocked_split(whole, fraction, rng=seed)
-    steps, tell = 5 + len(chosen), teller(progress)
+    steps, tell = 5 + len(chosen), inputs.teller(progress)
     done = iter(range(steps))
     rungs = ladder(
         arm, train, held_out, chosen, deflection=deflection, kind=kind,
@@ -282,7 +272,7 @@ def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]
     return terms
 
 
-def recorded(terms: tuple[Term, ...], session: Session, note: Note) -> tuple[Term, ...]:
+def recorded(terms: tuple[Term, ...], session: Session, note: inputs.Note) -> tuple[Term, ...]:
     """Of the places of an effect, those whose inputs were recorded and moved."""
     context = session.context()
     usable, why = [], None
@@ -311,9 +301,8 @@ def recorded(terms: tuple[Term, ...], session: Session, note: Note) -> tuple[Ter
 
 
 def _named(
-    given: str | Term | Sequence[Term], arm: Arm, session: Session, note: Note
+    given: str | Term | Sequence[Term], arm: Arm, session: Session, note: inputs.Note
 ) -> tuple[str, tuple[Term, ...]]:
-    """A rung of the ladder: its name and its terms."""
     if isinstance(given, str):
         return given, recorded(instances(given, arm), session, note)
     terms = (given,) if isinstance(given, Effect | Bias) else tuple(given)

@@ -84,11 +84,6 @@ class Commands(Sequence[Compensation]):
         return np.array([each.success for each in self.results])
 
     @property
-    def predicted_error(self) -> np.ndarray:
-        """(N, 3) learned error that was compensated, m."""
-        return np.array([each.predicted_error for each in self.results])
-
-    @property
     def summary(self) -> str:
         """Number of targets by status, in one line."""
         counts = Counter(status.name.lower() for status in self.status)
@@ -105,9 +100,8 @@ class Commands(Sequence[Compensation]):
         good = [each for each in self.results if each.success and np.isfinite(each.expected_m)]
         if not good:
             return ""
-        expected, within = (
-            1e3 * max(getattr(each, name) for each in good) for name in ("expected_m", "p90_m")
-        )
+        expected = 1e3 * max(each.expected_m for each in good)
+        within = 1e3 * max(each.p90_m for each in good)
         return f"; expected error up to {expected:.2f} mm, 90 % within {within:.2f} mm"
 
     def _repr_html_(self) -> str:

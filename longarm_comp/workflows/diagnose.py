@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.admission import FEW_POSES
+from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import atomic_path
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.calibrate import Errors
@@ -20,25 +25,18 @@ from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.findings import EffectFinding
 from longarm_comp.core.identify.uncertainty import uncertainty
 from longarm_comp.core.learn import ensemble as networks
+from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
 from longarm_comp.report.assemble import assemble, refused
+from longarm_comp.report.detail import SPLITS
 from longarm_comp.report.write import write_report
+from longarm_comp.sessions.poses import FILE, write_poses
+from longarm_comp.version import __version__
+from longarm_comp.workflows import inputs
 from longarm_comp.workflows.calibrate import kind_from
-from longarm_comp.workflows.diagnosis_files import write_model, write_next, write_predictor
 from longarm_comp.workflows.error_table import ErrorTable
-from longarm_comp.workflows.inputs import (
-    FilePath,
-    ModelLike,
-    Note,
-    SessionLike,
-    Telling,
-    admitted,
-    file_hash,
-    log_note,
-    physics,
-    teller,
-)
 from longarm_comp.workflows.train import training_rows
 
 if TYPE_CHECKING:
@@ -110,36 +108,101 @@ class DiagnosisResult:
         """The contents of report.json."""
         return self._assembled[0]
 
-    def save(self, folder: FilePath) -> Path:
+    def save(self, folder: inputs.FilePath) -> Path:
         """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
         helped, and next_poses.csv where more poses would tell two effects apart.
+
+        `undo` restores the model before, if one was given. Files of an earlier diagnosis go.
         """
         target = Path(folder)
         write_report(*self._assembled, target)
-        write_model(
-            self.diagnosis, self.model, self.session_hash, self.model_before, target,
-            self.session_file,
-        )  # fmt: skip
-        write_predictor(self.predictor, self.session_hash, target)
-        write_next(self.diagnosis, target)
+        before, path = self.model_before, target / inputs.MODEL
+        stored = self._stored(target)
+        if before is not None and before.resolve() != path.resolve():
+            with atomic_path(path) as partial:
+                partial.write_bytes(before.read_bytes())
+        save_model(path, stored)
+        for name, write in ((inputs.PREDICTOR, self._write_predictor), (FILE, self._write_next)):
+            if not write(target / name):
+                (target / name).unlink(missing_ok=True)
         return target
 
     @cached_property
     def _assembled(self) -> tuple[dict[str, Any], Any]:
         return assemble(self.diagnosis, self.session_hash, self.facts)
 
+    def _stored(self, folder: Path) -> StoredModel:
+        found, model, at = self.diagnosis, self.model, self.session_file
+        origin = self.model_before
+        before = None if origin is None else read_stored(origin)
+        intervals = {
+            (slot.term, slot.parameter.name): (found.intervals[k].low, found.intervals[k].high)
+            for k, slot in enumerate(model.slots)
+        }
+        added = {t.key for t in found.search.chosen}
+        known = () if before is None else (*before.geometry, *before.effects, *before.camera)
+        held = {(t.effect, t.where): t.origin for t in known}
+        new = f"{found.verdict}, session {self.session_hash[:16]}, seed {found.seed}"
+        origins = {
+            number: new if term.key in added else held.get(term.key, "")
+            for number, term in enumerate(model.terms)
+        }
+        provenance = {
+            "session_hash": self.session_hash,
+            "rows": len(found.train),
+            "verdict": found.verdict,
+            "seed": found.seed,
+            "longarm_comp": __version__,
+            inputs.MODEL_BEFORE: "" if origin is None else inputs.file_hash(origin),
+            inputs.SESSION: "" if at is None else os.path.relpath(at, folder),
+        }
+        return store(
+            model,
+            None,
+            version=1 if before is None else before.version + 1,
+            provenance=provenance,
+            origins=origins,
+            intervals=intervals,
+        )
+
+    def _write_predictor(self, path: Path) -> bool:
+        """Write the network if it helped, bound to the model that was written beside it."""
+        if self.predictor is None:
+            return False
+        origin = self.predictor.provenance
+        mark = {"model_hash": inputs.file_hash(path.with_name(inputs.MODEL)), "deflection": True}
+        settings = {**origin.settings, **mark}
+        bound = replace(origin, session_hash=self.session_hash, settings=settings)
+        predictor_file.save(replace(self.predictor, provenance=bound), path)
+        return True
+
+    def _write_next(self, path: Path) -> bool:
+        """Write the poses that separate effects, or settle a doubt, if there are any."""
+        splits = [s for s in self.diagnosis.split_by if s.log_bayes_factor >= SPLITS]
+        more = self.diagnosis.next_q
+        if not splits and not len(more):
+            return False
+        q = np.concatenate([*(s.q for s in splits), more])
+        sides = np.where(np.arange(len(more)) % 2, -1, 1)
+        side = np.concatenate([*(s.approach for s in splits), sides])
+        loads = [s.payload_kg for s in splits if s.payload_kg is not None]
+        if loads and len(more):
+            loads.append(np.full(len(more), float(np.median(np.concatenate(loads)))))
+        write_poses(Plan(q, side.astype(int), np.concatenate(loads) if loads else None), path)
+        return True
+
 
 def diagnose(
     arm: Arm,
-    session: SessionLike,
+    session: inputs.SessionLike,
     *,
-    test: SessionLike | None = None,
-    model: ModelLike | None = None,
-    kind_of: Sequence[ModelLike] = (),
+    test: inputs.SessionLike | None = None,
+    model: inputs.ModelLike | None = None,
+    kind_of: Sequence[inputs.ModelLike] = (),
     network: bool = True,
     seed: int = 0,
-    note: Note = log_note,
-    progress: Telling = False,
+    note: inputs.Note = inputs.log_note,
+    progress: inputs.Telling = False,
 ) -> DiagnosisResult:
     """Find in a session the effects that a model lacks, add them, and prove them on held-out rows.
 
@@ -157,17 +220,17 @@ def diagnose(
         InputError: the data were refused, or a file cannot be used.
         JobError: a fit diverged.
     """
-    known = None if model is None else physics(arm, model)
-    whole = admitted(session, arm, known, FEW_POSES, note)
-    held_out = None if test is None else admitted(test, arm, known, 1, note)
+    known = None if model is None else inputs.physics(arm, model)
+    whole = inputs.admitted(session, arm, known, FEW_POSES, note)
+    held_out = None if test is None else inputs.admitted(test, arm, known, 1, note)
     for rows in (whole, held_out):
         if rows is not None and not rows.placed.any():
             allowed = "rows that say where the tip is (longarm calibrate takes orientations alone)"
             raise InputError(rows.source, "x, y, z", "blank in all rows", allowed)
     kind, origin_of_kind = kind_from(arm, kind_of) if kind_of else (None, "")
     found = core.diagnose(
-        arm, whole, test=held_out, model=known, kind=kind, seed=seed, progress=teller(progress),
-        train_network=_train(seed) if network else None,
+        arm, whole, test=held_out, model=known, kind=kind, seed=seed,
+        progress=inputs.teller(progress), train_network=_train(seed) if network else None,
     )  # fmt: skip
     facts = {"session": _path(session).name, "arm": arm.hash, "rows": str(len(whole))}
     if test is not None and held_out is not None:
@@ -175,7 +238,7 @@ def diagnose(
     facts |= {"kind of": origin_of_kind} if kind_of else {}
     before = None if model is None or isinstance(model, Model) else Path(model)
     if before is not None:
-        facts["model before"] = file_hash(before)
+        facts["model before"] = inputs.file_hash(before)
     kinds = {type(term) for term in found.model.terms}
     facts |= {f"effect {k.name}": origin(k) for k in kinds if origin(k)}
     recorded = _path(session) if _path(session).exists() else None
@@ -190,7 +253,7 @@ def diagnose_files(
     test: Path | None = None,
     model: Path | None = None,
     kind_of: Sequence[Path] = (),
-    progress: Telling = False,
+    progress: inputs.Telling = False,
     **how: Any,
 ) -> DiagnosisResult:
     """Diagnose files and write everything to a folder; arguments as in `diagnose`."""
@@ -198,16 +261,16 @@ def diagnose_files(
         if path is not None and not path.exists():
             raise InputError(path, "file", "missing", "a file or a bag that exists")
     if model is not None:
-        physics(arm, model)
+        inputs.physics(arm, model)
     try:
         found = diagnose(
             arm, session, test=test, model=model, kind_of=kind_of, progress=progress, **how
         )
     except InputError as error:
         seed = how.get("seed", 0)
-        write_report(*refused(error, seed, session.name, file_hash(session)), folder)
+        write_report(*refused(error, seed, session.name, inputs.file_hash(session)), folder)
         raise
-    teller(progress)("report")
+    inputs.teller(progress)("report")
     found.save(folder)
     return found
 
@@ -222,6 +285,6 @@ def _train(seed: int) -> core.Train:
     return train_on
 
 
-def _path(given: SessionLike) -> Path:
+def _path(given: inputs.SessionLike) -> Path:
     """Where a session came from; of one in memory, its name."""
     return Path(given.source if isinstance(given, Session) else given)

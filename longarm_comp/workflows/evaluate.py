@@ -16,17 +16,8 @@ from longarm_comp.core.identify.plausible import displaced
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
+from longarm_comp.workflows import inputs
 from longarm_comp.workflows.error_table import ErrorTable
-from longarm_comp.workflows.inputs import (
-    FilePath,
-    ModelLike,
-    Note,
-    SessionLike,
-    admitted,
-    log_note,
-    physics,
-    predictor_of,
-)
 from longarm_comp.workflows.train import expected
 
 if TYPE_CHECKING:
@@ -74,11 +65,11 @@ class Evaluation(ErrorTable):
 
 def evaluate(
     arm: Arm,
-    test: SessionLike,
+    test: inputs.SessionLike,
     *,
-    model: ModelLike | None = None,
-    predictor: Predictor | FilePath | None = None,
-    note: Note = log_note,
+    model: inputs.ModelLike | None = None,
+    predictor: Predictor | inputs.FilePath | None = None,
+    note: inputs.Note = inputs.log_note,
 ) -> Evaluation:
     """Errors of every stage on measured poses.
 
@@ -93,12 +84,12 @@ def evaluate(
         InputError: the session cannot be read, or is in other units; the model or the predictor
             is for another arm, or the predictor for another model.
     """
-    calibrated = None if model is None else physics(arm, model)
-    session = admitted(test, arm, calibrated, min_poses=1, note=note, judge=True)
-    rigid, placed = standing(physics(arm, None, False), session)
+    calibrated = None if model is None else inputs.physics(arm, model)
+    session = inputs.admitted(test, arm, calibrated, min_poses=1, note=note, judge=True)
+    rigid, placed = standing(inputs.physics(arm, None, False), session)
     models = {"rigid": rigid}
     if arm.links:
-        models["deflection"] = standing(physics(arm, None), session)[0]
+        models["deflection"] = standing(inputs.physics(arm, None), session)[0]
     if calibrated is not None:
         if far := displaced(calibrated, session):
             note(far)
@@ -106,14 +97,14 @@ def evaluate(
     taken_off = {name: np.zeros(3) for name in models}
     outside, refused, learned = 0, 0, None
     if predictor is not None:
-        learned = predictor_of(predictor, arm, model)
+        learned = inputs.predictor_of(predictor, arm, model)
         beside = learned.provenance.beside_deflection
         found = expected(learned, session)
         inside = np.asarray(found.in_domain)
         outside = int(found.outside.sum())
         refused = int((~inside).sum()) - outside
         inside = inside & session.located[session.placed]
-        beneath = physics(arm, model, beside)
+        beneath = inputs.physics(arm, model, beside)
         models["network"] = beneath if model is not None else standing(beneath, session)[0]
         taken_off["network"] = np.where(inside[:, None], found.error, 0.0)
     file = None if model is None or isinstance(model, Model) else Path(model)

@@ -32,6 +32,11 @@ ModelLike = Model | FilePath
 """A model, or the model.yaml that it is read from."""
 Note = Callable[[str], None]
 
+MODEL, PREDICTOR = "model.yaml", "predictor.npz"
+"""Files of a diagnosis, and beside it in use."""
+MODEL_BEFORE, SESSION = "model_before", "session"
+"""Keys in the provenance of a diagnosis's model: SHA-256 of the model that was diagnosed, empty for
+the declared arm; path of the session, seen from the diagnosis, empty for a session in memory."""
 DIGEST = "model_digest"
 """Key in a predictor's settings: digest of a model in memory that it was trained with."""
 
@@ -162,6 +167,5 @@ def file_hash(path: FilePath) -> str:
 
 
 def _digest(model: Model) -> str:
-    """SHA-256 of a model's terms and values."""
     bare = dataclasses.replace(model, uncertainty=None)
     return hashlib.sha256(store(bare).model_dump_json().encode()).hexdigest()

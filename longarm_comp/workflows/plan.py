@@ -20,17 +20,9 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.sessions.poses import read_next_poses
-from longarm_comp.workflows.inputs import (
-    FilePath,
-    ModelLike,
-    Note,
-    SessionLike,
-    admitted,
-    log_note,
-    physics,
-)
+from longarm_comp.workflows import inputs
 
-Kind = Literal["grid", "sobol", "i-optimal", "d-optimal"]
+Kind = Literal["grid", "sobol", "next", "i-optimal", "d-optimal"]
 _FILLING = {"grid": (grid, lambda arm: len(paper_grid(arm))), "sobol": (sobol, lambda arm: 2**20)}
 """Makes a plan; says how many poses there are."""
 _OPTIMAL = ("i-optimal", "d-optimal")
@@ -42,26 +34,26 @@ def plan(
     arm: Arm,
     n: int,
     *,
-    kind: Kind = "sobol",
+    kind: Kind | None = None,
     seed: int = 0,
-    report: FilePath | None = None,
-    model: ModelLike | None = None,
-    measured: SessionLike | None = None,
+    report: inputs.FilePath | None = None,
+    model: inputs.ModelLike | None = None,
+    measured: inputs.SessionLike | None = None,
     measure: Measure = "position",
     noise: tuple[float, float] = NOISE,
     floor: float | None = None,
     seen: Callable[[np.ndarray], np.ndarray] | None = None,
     points: Mapping[str, Vec3] | None = None,
-    note: Note = log_note,
+    note: inputs.Note = inputs.log_note,
 ) -> Plan:
     """n poses at which to measure an arm, each with the sides of arrival.
 
     Args:
         kind: ``sobol`` fills the joints' ranges evenly; ``grid`` draws from the paper's grid;
-            ``i-optimal`` leaves the least expected error of the tip, ``d-optimal`` the least
-            uncertainty of all parameters together (docs/collect.md).
-        report: folder of a diagnosis. Its requested poses are used, whatever the kind; for an
-            optimal kind its model and session are what is known.
+            ``next`` are the poses that the `report` asks for; ``i-optimal`` leaves the least
+            expected error of the tip, ``d-optimal`` the least uncertainty of all parameters
+            together (docs/collect.md). Default: ``next`` with a report, else ``sobol``.
+        report: folder of a diagnosis; for an optimal kind its model and session are what is known.
         model: calibrated model, or its file: the arm is assumed to have its effects and no others.
             Without one it may have every effect of the library.
         measured: rows that were measured so far, for an optimal kind.
@@ -83,6 +75,7 @@ def plan(
         JobError: the rows measured so far could not be fitted; too few poses are allowed.
     """
     within = arm if floor is None else above(arm, floor)
+    kind = kind or ("sobol" if report is None else "next")
 
     def allowed(poses: Plan, where: Model) -> np.ndarray:
         free = outside_boxes(where, poses)
@@ -92,8 +85,8 @@ def plan(
         if report is not None:
             model, session = _of_diagnosis(report)
             measured = measured or session
-        known = physics(arm, model)
-        rows = None if measured is None else admitted(measured, arm, known, note=note)
+        known = inputs.physics(arm, model)
+        rows = None if measured is None else inputs.admitted(measured, arm, known, note=note)
         pool = None
         if measure == "touch":
             pool = touch_pool(known, points or {}, max(POOL, 4 * n), np.random.default_rng(seed))
@@ -109,6 +102,9 @@ def plan(
     if measured is not None or model is not None:
         raise InputError("plan", "kind", kind, f"{' or '.join(_OPTIMAL)}, with model or rows")
     where = declared_model(within)
+    if (kind == "next") != (report is not None):
+        allowed = "a diagnosis folder with --kind next, i-optimal or d-optimal, only"
+        raise InputError("plan", "--report", report, allowed)
     if report is not None:
         asked = read_next_poses(report, arm, n)
         free = np.flatnonzero(allowed(asked, where))
@@ -121,11 +117,9 @@ def plan(
     return filled(make, arm, n, seed, lambda poses: allowed(poses, where), most(arm))
 
 
-def _of_diagnosis(report: FilePath) -> tuple[Path, Path | None]:
+def _of_diagnosis(report: inputs.FilePath) -> tuple[Path, Path | None]:
     """Its model, and the session that it was made of where that is still there."""
-    from longarm_comp.workflows.diagnosis_files import MODEL, SESSION  # draws pictures
-
-    model = Path(report) / MODEL
-    said = read_stored(model).provenance.get(SESSION)
+    model = Path(report) / inputs.MODEL
+    said = read_stored(model).provenance.get(inputs.SESSION)
     path = Path(report) / str(said)
     return model, path if said and path.exists() else None

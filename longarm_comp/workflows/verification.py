@@ -12,7 +12,7 @@ from scipy.stats import bootstrap
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify.calibrate import Errors
-from longarm_comp.report.at_the_tip import at_the_tip
+from longarm_comp.report.plots import at_the_tip
 from longarm_comp.report.style import rc, save
 
 LEAST = 2

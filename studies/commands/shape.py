@@ -44,15 +44,12 @@ def study(*given: Callable[..., Any]) -> Callable[[Callable[..., Figures]], clic
         label = "study " + compute.__module__.rpartition(".")[2].replace("_", "-")
 
         @functools.wraps(compute)
-        def run(as_json: bool, **words: Any) -> None:
+        def run(**words: Any) -> None:
             with progress(label) as show:
                 found = compute(show=show, **words)
-            if as_json:
-                print_json(found.record)
-                return
+            print_json(found.record)
             for title, rows in found.tables.items():
-                if rows:
-                    print_rows(title, rows)
+                print_rows(title, rows)
             for line in found.notes:
                 note(line)
 

@@ -30,9 +30,7 @@ _LEAKS = {True: "yes", False: "no", None: "not judged"}
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of its files; else temporary.")
 @options.seed
 @options.as_json
-def command(
-    hours: float, rate: float, fault_every: float, out: Path | None, seed: int, as_json: bool
-) -> None:
+def command(hours: float, rate: float, fault_every: float, out: Path | None, seed: int) -> None:
     """Send targets to a simulated arm for hours while random faults occur.
 
     Nodes are killed and frozen, files overwritten, servos and cameras silent, replies damaged,
@@ -55,10 +53,8 @@ def command(
     ):
         setting = SoakSettings(out or Path(scratch), hours, rate, fault_every, seed=seed)
         report = soak(setting, stop, show)
-    if as_json:
-        print_json(report)
-    else:
-        _show(report)
+    print_json(report)
+    _show(report)
     if not report["passed"]:
         raise JobError("the soak found faults", **report["wrong"], **report["crashes"])
 
@@ -76,8 +72,7 @@ def _show(report: dict[str, Any]) -> None:
         }
         for g in report["growth"]
     ]
-    if rows:
-        print_rows("processes, after the warm-up -> at the end", rows)
+    print_rows("processes, after the warm-up -> at the end", rows)
     judged = report["leaks_judged"]
     if judged < len(rows):
         note(f"leaks: {len(rows) - judged} of {len(rows)} processes ran too short to be judged")

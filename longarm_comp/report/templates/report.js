@@ -5,28 +5,67 @@
 
   function turningScene() {
     const data = byId("scene-data");
-    if (!data || !window.Plotly) return;
-    const gl = document.createElement("canvas").getContext("webgl");
-    if (!gl) { byId("nogl").hidden = false; return; }
-    const { data: traces, layout } = JSON.parse(data.textContent);
+    if (!data) return;
+    const { arms, rows, tips, stages } = JSON.parse(data.textContent);
     const plot = byId("plot");
+    const pen = plot.getContext("2d");
     byId("turning").hidden = false;
-    const chosen = () => document.querySelector("input[name=stage]:checked").value;
-    const fits = (trace) => !trace.meta || trace.meta.stage === chosen();
-    const tell = () => {
-      const trace = traces.find((entry) => entry.meta && fits(entry));
-      if (trace) byId("times").textContent = `arrows × ${trace.meta.times}`;
+    const points = [...arms.flat(), ...tips];
+    const ends = [0, 1, 2].map((k) => points.map((p) => p[k]))
+      .map((values) => [Math.min(...values), Math.max(...values)]);
+    const middle = ends.map(([low, high]) => (low + high) / 2);
+    const scale = 0.8 * plot.height / Math.hypot(...ends.map(([low, high]) => high - low), 1e-3);
+    let [turn, tilt] = [-0.9, 0.4];
+    const seen = (p) => {
+      const [x, y, z] = p.map((value, k) => value - middle[k]);
+      const [c, s] = [Math.cos(turn), Math.sin(turn)];
+      const up = Math.cos(tilt) * z + Math.sin(tilt) * (s * x + c * y);
+      return [plot.width / 2 + scale * (c * x - s * y), plot.height / 2 - scale * up];
     };
-    // The wheel scrolls the page.
-    const options = { responsive: true, displayModeBar: false, scrollZoom: false };
-    Plotly.newPlot(plot, traces, layout, options).then(() => {
-      document.documentElement.classList.add("alive");
+    const line = (corners, color, width, dots) => {
+      [pen.strokeStyle, pen.fillStyle, pen.lineWidth] = [color, color, width];
+      pen.beginPath();
+      corners.forEach((at) => pen.lineTo(...at));
+      pen.stroke();
+      for (const [x, y] of dots) pen.fillRect(x - 4, y - 4, 8, 8);
+    };
+    const chosen = () => stages[document.querySelector("input[name=stage]:checked").value];
+    const draw = () => {
+      const { errors, times, color } = chosen();
+      pen.clearRect(0, 0, plot.width, plot.height);
+      for (const arm of arms.map((corners) => corners.map(seen))) line(arm, "#8a8a8a", 8, arm);
+      const axes = [["#a33", "x"], ["#363", "y"], ["#33a", "z"]];
+      axes.forEach(([ink, name], k) => {
+        const along = [0, 0, 0].map((_, j) => middle[j] + (j === k ? 60 / scale : 0));
+        const [from, to] = [seen(middle), seen(along)].map(([x, y]) =>
+          [x - plot.width / 2 + 90, y + plot.height / 2 - 90]);
+        line([from, to], ink, 3, []);
+        pen.font = "28px sans-serif";
+        pen.fillText(name, ...to);
+      });
+      tips.forEach((tip, k) => {
+        const stop = seen(tip.map((value, j) => value + times * errors[k][j]));
+        line([seen(tip), stop], color, 4, [seen(tip)]);
+      });
+      byId("times").textContent = `arrows × ${times}`;
+    };
+    plot.addEventListener("pointerdown", (event) => plot.setPointerCapture(event.pointerId));
+    plot.addEventListener("pointermove", (event) => {
+      if (event.buttons) {
+        turn += event.movementX / 150;
+        tilt += event.movementY / 150;
+        draw();
+        return;
+      }
+      const zoom = plot.width / plot.clientWidth;
+      const far = tips.map(seen).map(([x, y]) =>
+        Math.hypot(x / zoom - event.offsetX, y / zoom - event.offsetY));
+      const near = far.indexOf(Math.min(...far));
+      const mm = chosen().errors[near].map((value) => (1e3 * value).toFixed(2)).join(", ");
+      plot.title = far[near] < 8 ? `row ${rows[near]}: (${mm}) mm` : "";
     });
-    byId("turning").addEventListener("change", () => {
-      Plotly.restyle(plot, { visible: traces.map(fits) });
-      tell();
-    });
-    tell();
+    byId("turning").addEventListener("change", draw);
+    draw();
   }
 
   function candidateTables() {
