@@ -21,13 +21,12 @@ from longarm_comp.core.compensation.arrive import CompensationOptions
 from longarm_comp.core.compensation.compensate import Method, Status, compensate
 from longarm_comp.core.compensation.online import Readings, compensate_now
 from longarm_comp.core.compensation.unknown import unknown_history
-from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.catalogue import BUILT_IN
+from longarm_comp.core.effects.drive_errors import ServoDroop
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.joint_term import JointTerm
-from longarm_comp.core.effects.servo_droop import ServoDroop
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.ik.engines import compiler_at_hand

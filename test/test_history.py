@@ -17,9 +17,9 @@ from longarm_comp.core.arm.history import History, onward, play, recorded
 from longarm_comp.core.compensation.online import Readings, compensate_now
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.drive_errors import JointGain
+from longarm_comp.core.effects.plays import FrictionHysteresis
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.diagnose import diagnose

@@ -16,9 +16,9 @@ from longarm_comp.core.compensation.online import (
     compensate_now,
 )
 from longarm_comp.core.data.rest import RestWatch
-from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.plays import Backlash
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import exaggerated, outline
 from longarm_comp.core.model.model import Model

@@ -16,9 +16,8 @@ from scipy.spatial.transform import Rotation
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.compensation.result import Method
-from longarm_comp.core.effects.dh_error import DhError
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.geometry_errors import DhError, JointZero
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm

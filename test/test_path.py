@@ -23,8 +23,7 @@ from longarm_comp.core.compensation.path import (
 from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.compensation.result import Method, Status
 from longarm_comp.core.compensation.retime import MotionLimits, Timed, fastest, retimed
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model

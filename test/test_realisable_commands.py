@@ -19,8 +19,7 @@ from longarm_comp.core.compensation.arrive import CompensationOptions, compensat
 from longarm_comp.core.compensation.compensate import commandable, compensate
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Method, Status
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.learn.expansion import Expansion, Nearby
 from longarm_comp.core.learn.predictor import Prediction
 from longarm_comp.core.model.declared_model import declared_model

@@ -17,9 +17,9 @@ from longarm_comp.core.compensation.compensate import Method, Status, compensate
 from longarm_comp.core.compensation.expected import expected_miss, of_tolerances
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.joint_gain import JointGain as Gain
-from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.effects.drive_errors import JointGain as Gain
+from longarm_comp.core.effects.masses import TipPayload
+from longarm_comp.core.effects.plays import FrictionHysteresis
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.fit import fit
