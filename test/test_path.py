@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from longarm_comp.core.compensation.path import (
     compensate_path,
 )
 from longarm_comp.core.compensation.planned_path import PlannedPath
-from longarm_comp.core.compensation.result import Method, Status
+from longarm_comp.core.compensation.result import Method, Prediction, Status
 from longarm_comp.core.compensation.retime import MotionLimits, Timed, fastest, retimed
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.errors import InputError, JobError
@@ -233,10 +232,10 @@ def test_what_the_predictor_cannot_answer_for_is_not_corrected_in_part(
     class Doubtful:
         asked = 0
 
-        def predict(self, q: np.ndarray, context: Context) -> SimpleNamespace:
+        def predict(self, q: np.ndarray, context: Context) -> Prediction:
             self.asked += 1
             known = np.array([self.asked < 20])
-            return SimpleNamespace(
+            return Prediction(
                 error=np.array([[2e-3, 0.0, 0.0]]), sigma=np.full((1, 3), 1e-4), in_domain=known,
                 reason=["too far out"],
             )  # fmt: skip

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.arm.moves import Move
-from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions
+from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.path import MAX_LONGER
 from longarm_comp.core.compensation.path import compensate_path as solve_path
 from longarm_comp.core.compensation.planned_path import PlannedPath
-from longarm_comp.core.compensation.result import Method, Settling
+from longarm_comp.core.compensation.result import CompensationOptions, Method
 from longarm_comp.core.compensation.retime import MotionLimits, Timed
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Predictor
@@ -114,7 +114,7 @@ def compensate_path(
         context_at=lambda arrived: points.after(told, arrived),
         limits=limits, max_correction_m=max_correction_m, max_longer=max_longer,
         position_only=position_only,
-        options=CompensationOptions(chosen, Settling(**settling), tuple(locked)),
+        options=CompensationOptions(chosen, locked, **settling),
     )  # fmt: skip
     joints = found.answers.command
     steps = np.diff(joints, axis=0, prepend=(joints[0] if start is None else start)[None])

@@ -16,11 +16,11 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.arrive import CompensationOptions
-from longarm_comp.core.compensation.compensate import judged, physics_of, reason_of
+from longarm_comp.core.compensation.compensate import judged, physics_of
 from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.compensation.result import (
     Compensation,
+    CompensationOptions,
     Method,
     ResidualPredictor,
     Status,
@@ -215,8 +215,8 @@ class _Way:
 
     def solved(self, seed: np.ndarray | None) -> tuple[Timed, PathAnswers]:
         """Joints at all way-points, with their times, and what they are for."""
-        settling = self.options.settling
-        learned = self.predictor is not None and self.options.method.learned
+        options = self.options
+        learned = self.predictor is not None and options.method.learned
         take, seeds = TakeUp(self.physics, self.turn_m), self._seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
         context = self._context(self.history)  # as if no joint turned: so the way of each is known
@@ -231,15 +231,15 @@ class _Way:
             came = take.came(way, lag, self.history, self.start)
             context, before = self._context(came), (lag, error)
             lag = take.lag(q, context)
-            if learned and not settling.single_pass:
+            if learned and not options.single_pass:
                 error, sigma = self._expected(q, context)
-            near = np.maximum(take.near, settling.tol_m)
-            changes = np.linalg.norm(error - before[1], axis=1) / settling.tol_m
+            near = np.maximum(take.near, options.tol_m)
+            changes = np.linalg.norm(error - before[1], axis=1) / options.tol_m
             changes = np.maximum(changes, (np.abs(lag - before[0]) / near).max(axis=1))
             if (changes <= 1.0).all():
                 break
-            if passes == settling.max_passes:
-                raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), settling.unsettled)
+            if passes == options.max_passes:
+                raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), options.unsettled)
             q = self._reached(q - before[0] + lag, error, context)
             passes += 1
         lag = before[0]  # that q was found with
@@ -344,10 +344,10 @@ class _Way:
             size = float(np.linalg.norm(error[row]))
             if not found.in_domain[0] or not np.isfinite(size):
                 raise _Unanswered(
-                    f"physics only, as way-point {row} is {outside(reason_of(found))}"
+                    f"physics only, as way-point {row} is {outside(*found.reason[:1])}"
                 )
-            if size > self.options.settling.max_correction_m:
-                why = self.options.settling.too_large(size)
+            if size > self.options.max_correction_m:
+                why = self.options.too_large(size)
                 raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
         return error, sigma
 

@@ -69,7 +69,7 @@ class _Component(ABC):
     def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
         """Twists by station of `amount` of it."""
 
-    def _along(self, amount: Scalar) -> Vec:
+    def along(self, amount: Scalar) -> Vec:
         x, y, z = (amount if k == self.axis else 0.0 for k in range(3))
         return (x, y, z)
 
@@ -81,7 +81,7 @@ class Move(_Component):
     unit = "m"
 
     def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
-        return {at.station: (*self._along(amount), *ZERO)}
+        return {at.station: (*self.along(amount), *ZERO)}
 
 
 class Turn(_Component):
@@ -91,7 +91,7 @@ class Turn(_Component):
     unit = "rad"
 
     def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
-        return {at.station: (*ZERO, *self._along(amount))}
+        return {at.station: (*ZERO, *self.along(amount))}
 
 
 class Give(_Component):
@@ -135,7 +135,7 @@ class Force(Wrench):
     unit = "N"
 
     def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
-        return at.frame.rotate(self._along(amount)), ZERO
+        return at.frame.rotate(self.along(amount)), ZERO
 
 
 class Moment(Wrench):
@@ -145,7 +145,7 @@ class Moment(Wrench):
     unit = "N m"
 
     def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
-        return ZERO, at.frame.rotate(self._along(amount))
+        return ZERO, at.frame.rotate(self.along(amount))
 
 
 class Weight(Wrench):

@@ -40,15 +40,20 @@ def views(arm: Arm) -> list[str]:
 
 
 class _OfFunction:
-    """What a term owes to its function alone."""
+    """What a term owes to its function alone; `kind`: of quantities that it may depend on."""
 
     name: ClassVar[str]
+    kind: ClassVar[type]
+    at: str
+    component: str
     function: str
     domain: str
+    scale: float
+    amount: float
 
     @property
     def where(self) -> str:
-        raise NotImplementedError
+        return f"{self.at}, {self.component}"
 
     @cached_property
     def of(self) -> Function:
@@ -67,6 +72,24 @@ class _OfFunction:
         for column in self.inputs:
             if column not in PER_JOINT and not context.has(column):
                 raise InputError(self.name, column, "missing", "a recorded column of the session")
+
+    def check(self, arm: Arm, where: str) -> None:
+        try:
+            factors = self.of.factors
+        except FunctionError as error:
+            field = f"{self.name}.function"
+            raise InputError(where, field, error.value, error.allowed) from error
+        for factor in factors:
+            of = factor.quantity
+            if not (isinstance(of, (self.kind, Recorded)) and of.exists(arm)):
+                allowed = "a quantity of this arm, or a recorded column"
+                raise InputError(where, f"{self.name}.function", factor.of, allowed)
+        for field, value in (("scale", self.scale), ("amount", self.amount)):
+            if not (np.isfinite(value) and abs(value) <= LARGEST):
+                allowed = f"a number within +-{LARGEST:g}"
+                raise InputError(where, f"{self.name}.{field}", value, allowed)
+        if not self.scale > 0:
+            raise InputError(where, f"{self.name}.scale", self.scale, "above 0")
 
 
 @dataclass(frozen=True)
@@ -87,6 +110,7 @@ class Discovered(_OfFunction, Effect):
     loaded = True
     bounded = True
     searched = False
+    kind = OfPosture
 
     at: str = place(stations, default="base")
     component: str = place(components, default="move x")
@@ -94,10 +118,6 @@ class Discovered(_OfFunction, Effect):
     domain: str = place(default="")
     scale: float = form(1e-3)
     amount: float = parameter("of its component and function", "how much", prior=1e-3)
-
-    @property
-    def where(self) -> str:
-        return f"{self.at}, {self.component}"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         unit = _quotient(COMPONENTS[self.component].unit, self.of.units(arm))
@@ -110,9 +130,6 @@ class Discovered(_OfFunction, Effect):
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
         return tuple(dict.fromkeys(j for q in self.of.quantities for j in q.joints))
-
-    def check(self, arm: Arm, where: str) -> None:
-        _check(self.name, self, arm, where, OfPosture)
 
     def outside(self, posture: Posture) -> list[tuple[str, ...]]:
         """Which quantities of N postures lie outside the data, and so count as at their end."""
@@ -147,6 +164,7 @@ class DiscoveredView(_OfFunction, Bias):
     title = "cause without a name in what is measured"
     action = "Check mount, lenses and calibration of the camera."
     searched = False
+    kind = SeenCoordinate
 
     at = CAMERA
 
@@ -161,18 +179,11 @@ class DiscoveredView(_OfFunction, Bias):
         """Its axis, or `DISTANCE`."""
         return self.axis
 
-    @property
-    def where(self) -> str:
-        return f"{self.at}, {self.axis}"
-
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The amount, in m, or as a share of the distance, per unit of the function."""
         unit = "1" if self.axis == DISTANCE else "m"
         unit = _quotient(unit, self.of.units(arm))
         return with_prior(self.declared(), unit=unit, prior=self.scale)
-
-    def check(self, arm: Arm, where: str) -> None:
-        _check(self.name, self, arm, where, SeenCoordinate)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         at = SeenPoint(point, context)
@@ -196,21 +207,3 @@ def _quotient(unit: str, over: list[str]) -> str:
         return unit
     whole = " ".join(below)
     return f"{unit}/({whole})" if " " in whole else f"{unit}/{whole}"
-
-
-def _check(name: str, term: Discovered | DiscoveredView, arm: Arm, where: str, kind: type) -> None:
-    try:
-        of = term.of
-    except FunctionError as error:
-        raise InputError(where, f"{name}.function", error.value, error.allowed) from error
-    for factor in of.factors:
-        usable = isinstance(factor.quantity, (kind, Recorded)) and factor.quantity.exists(arm)
-        if not usable:
-            allowed = "a quantity of this arm, or a recorded column"
-            raise InputError(where, f"{name}.function", factor.of, allowed)
-    for field in ("scale", "amount"):
-        value = getattr(term, field)
-        if not (np.isfinite(value) and abs(value) <= LARGEST):
-            raise InputError(where, f"{name}.{field}", value, f"a number within +-{LARGEST:g}")
-    if not term.scale > 0:
-        raise InputError(where, f"{name}.scale", term.scale, "above 0")

@@ -54,7 +54,7 @@ class Quantity(ABC):
     """
 
     pattern: ClassVar[str]
-    si = "1"
+    si: ClassVar[str] = "1"
     plain = True
     inputs: ClassVar[tuple[str, ...]] = ()
 
@@ -89,7 +89,9 @@ class OfPosture(Quantity):
 
 
 class _OfJoint(OfPosture):
-    """A quantity of one commanded joint."""
+    """A quantity of one commanded joint; `of_slide`: its unit where that is a slide."""
+
+    of_slide = "1"
 
     @property
     def joint(self) -> int:
@@ -99,18 +101,16 @@ class _OfJoint(OfPosture):
     def exists(self, arm: Arm) -> bool:
         return 0 <= self.joint < arm.n
 
-    def slides(self, arm: Arm) -> bool:
-        """Whether the joint is a slide."""
-        return arm.joints[arm.commanded[self.joint] - 1].type == "prismatic"
+    def unit(self, arm: Arm) -> str:
+        slides = arm.joints[arm.commanded[self.joint] - 1].type == "prismatic"
+        return self.of_slide if slides else self.si
 
 
 class JointPosition(_OfJoint):
     """Position of a commanded joint."""
 
     pattern = r"q(\d+)"
-
-    def unit(self, arm: Arm) -> str:
-        return "m" if self.slides(arm) else "rad"
+    si, of_slide = "rad", "m"
 
     def read(self, posture: Posture) -> Scalar:
         return posture.q[self.joint]
@@ -120,9 +120,7 @@ class JointLoad(_OfJoint):
     """Gravity load of a commanded joint."""
 
     pattern = r"load_(\d+)"
-
-    def unit(self, arm: Arm) -> str:
-        return "N" if self.slides(arm) else "N m"
+    si, of_slide = "N m", "N"
 
     def read(self, posture: Posture) -> Scalar:
         return joint_load(posture, posture.arm.commanded[self.joint])
@@ -175,10 +173,6 @@ class _OfRow(OfPosture):
     def exists(self, arm: Arm) -> bool:
         return 0 <= self.numbers[0] <= len(arm.joints)
 
-    def station(self, posture: Posture) -> int:
-        """Station of the bearing, or of the base."""
-        return _bearing(posture, self.numbers[0])
-
 
 class Moment(_OfRow):
     """Moment of all that is carried at a bearing, about one of its axes."""
@@ -188,7 +182,7 @@ class Moment(_OfRow):
     plain = False
 
     def read(self, posture: Posture) -> Scalar:
-        return posture.moment(self.station(posture))[self.axis]
+        return posture.moment(_bearing(posture, self.numbers[0]))[self.axis]
 
 
 class Gravity(_OfRow):
@@ -199,7 +193,9 @@ class Gravity(_OfRow):
 
     def read(self, posture: Posture) -> Scalar:
         size = float(np.linalg.norm(posture.arm.gravity_mps2))
-        return posture.gravity_in(self.station(posture))[self.axis] * (1.0 / max(size, 1e-9))
+        return posture.gravity_in(_bearing(posture, self.numbers[0]))[self.axis] * (
+            1.0 / max(size, 1e-9)
+        )
 
 
 class Span(OfPosture):
@@ -252,15 +248,7 @@ class Recorded(Quantity):
 
 _UNITS = {"t_s": "s", "temperature_c": "K", "payload_kg": "kg"}
 _KINDS: tuple[type[Quantity], ...] = (
-    JointPosition,
-    JointLoad,
-    JointSide,
-    LoadSum,
-    Warmth,
-    Moment,
-    Gravity,
-    Span,
-    SeenCoordinate,
+    *(JointPosition, JointLoad, JointSide, LoadSum, Warmth, Moment, Gravity, Span, SeenCoordinate),
 )
 
 
