@@ -175,7 +175,7 @@ class DiscoveredView(_OfFunction, Bias):
     amount: float = parameter("of its function", "displacement of what is seen", prior=1e-3)
 
     @property
-    def component(self) -> str:
+    def component(self) -> str:  # type: ignore[override]
         """Its axis, or `DISTANCE`."""
         return self.axis
 

@@ -193,9 +193,8 @@ class Gravity(_OfRow):
 
     def read(self, posture: Posture) -> Scalar:
         size = float(np.linalg.norm(posture.arm.gravity_mps2))
-        return posture.gravity_in(_bearing(posture, self.numbers[0]))[self.axis] * (
-            1.0 / max(size, 1e-9)
-        )
+        station = _bearing(posture, self.numbers[0])
+        return posture.gravity_in(station)[self.axis] * (1.0 / max(size, 1e-9))
 
 
 class Span(OfPosture):
