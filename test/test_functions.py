@@ -19,8 +19,7 @@ from longarm_comp.core.effects.compliances import BaseCompliance, BearingTilt
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.function import Function
-from longarm_comp.core.effects.shapes import Legendre, Linear, Square, Switch
+from longarm_comp.core.effects.shapes import Function, Legendre, Linear, Square, Switch
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose

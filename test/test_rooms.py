@@ -277,7 +277,7 @@ def test_no_two_classes_have_one_name() -> None:
     """The simulator is apart, whose hidden effects are called as the model's."""
     aside = (
         f"{PACKAGE}.sim",
-        f"{PACKAGE}.core.effects.components",
+        f"{PACKAGE}.core.effects.discovered",
         f"{PACKAGE}.core.effects.quantities",
     )
     where: dict[str, list[str]] = {}

@@ -22,7 +22,7 @@ from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.codegen import Compiled
 from longarm_comp.core.learn.expansion import Nearby
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import entered
+from longarm_comp.core.model.link_frames import entered
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.frames import FrameListener
 from longarm_comp.nodes.health import OK, WARN, Report, Twins

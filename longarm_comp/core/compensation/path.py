@@ -35,8 +35,7 @@ from longarm_comp.core.compensation.retime import (
     fastest,
     retimed,
 )
-from longarm_comp.core.compensation.slow_down import slowed
-from longarm_comp.core.compensation.take_up import TakeUp, Turn, taken_up
+from longarm_comp.core.compensation.take_up import TakeUp, Turn, slowed, taken_up
 from longarm_comp.core.compensation.unknown import (
     missing_column,
     outside_data,
@@ -46,8 +45,7 @@ from longarm_comp.core.compensation.unknown import (
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import entered_at
-from longarm_comp.core.model.link_frames import reach
+from longarm_comp.core.model.link_frames import entered_at, reach
 from longarm_comp.core.model.model import Model
 from longarm_comp.math.cubic_path import CubicPath
 

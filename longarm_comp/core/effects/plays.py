@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.beam import Beam
 from longarm_comp.core.arm.history import SLIDE
+from longarm_comp.core.arm.parts import Beam
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import (
