@@ -304,6 +304,13 @@ class Arm(Declared):
         """Names of the commanded joints, in the order of q."""
         return tuple(self.joints[i - 1].name or f"joint{i}" for i in self.commanded)
 
+    def order(self, names: list[str], where: str) -> list[int]:
+        """Place of every joint among names. Raises `InputError`, of a source, where one lacks."""
+        for name in self.joint_names:
+            if name not in names:
+                raise InputError(where, f"servo of {name}", "missing", ", ".join(names))
+        return [names.index(name) for name in self.joint_names]
+
     @cached_property
     def called(self) -> dict[str, str]:
         """What people read for a place that is a row of arm.yaml, where they have another name:

@@ -89,8 +89,6 @@ class _Component(ABC):
 
 
 class Move(_Component):
-    """A displacement."""
-
     word = "move"
     unit = "m"
 
@@ -99,8 +97,6 @@ class Move(_Component):
 
 
 class Turn(_Component):
-    """A rotation."""
-
     word = "turn"
     unit = "rad"
 
@@ -143,8 +139,6 @@ class Wrench(_Component):
 
 
 class Force(Wrench):
-    """A force at the place."""
-
     word = "force"
     unit = "N"
 
@@ -153,8 +147,6 @@ class Force(Wrench):
 
 
 class Moment(Wrench):
-    """A moment at the place."""
-
     word = "moment"
     unit = "N m"
 

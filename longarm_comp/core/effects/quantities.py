@@ -107,8 +107,6 @@ class _OfJoint(OfPosture):
 
 
 class JointPosition(_OfJoint):
-    """Position of a commanded joint."""
-
     pattern = r"q(\d+)"
     si, of_slide = "rad", "m"
 
@@ -117,8 +115,6 @@ class JointPosition(_OfJoint):
 
 
 class JointLoad(_OfJoint):
-    """Gravity load of a commanded joint."""
-
     pattern = r"load_(\d+)"
     si, of_slide = "N m", "N"
 
@@ -127,8 +123,6 @@ class JointLoad(_OfJoint):
 
 
 class JointSide(_OfJoint):
-    """Side that a commanded joint arrived from."""
-
     pattern = r"side_(\d+)"
     inputs = ("approach",)
 
@@ -141,8 +135,6 @@ class JointSide(_OfJoint):
 
 
 class LoadSum(OfPosture):
-    """Sum of the absolute torques of the turning commanded joints."""
-
     pattern = r"sum_loads"
     si = "N m"
 
@@ -157,8 +149,6 @@ class LoadSum(OfPosture):
 
 
 class Warmth(OfPosture):
-    """Temperature above the arm's reference."""
-
     pattern = r"warmth"
     si = "K"
     inputs = ("temperature_c",)
@@ -175,8 +165,6 @@ class _OfRow(OfPosture):
 
 
 class Moment(_OfRow):
-    """Moment of all that is carried at a bearing, about one of its axes."""
-
     pattern = r"moment_(\d+)_([xyz])"
     si = "N m"
     plain = False
@@ -186,8 +174,6 @@ class Moment(_OfRow):
 
 
 class Gravity(_OfRow):
-    """Share of gravity along an axis of a row."""
-
     pattern = r"gravity_(\d+)_([xyz])"
     plain = False
 
@@ -198,8 +184,6 @@ class Gravity(_OfRow):
 
 
 class Span(OfPosture):
-    """Distance between two bearings; row 0 is the base."""
-
     pattern = r"distance_(\d+)_(\d+)"
     si = "m"
     resolution = 1e-3  # the tolerance of a row's lengths (`dh_error`)
@@ -217,8 +201,6 @@ class Span(OfPosture):
 
 
 class SeenCoordinate(Quantity):
-    """A coordinate of the seen point in the base frame."""
-
     pattern = r"seen_([xyz])"
     si = "m"
 

@@ -96,8 +96,6 @@ _COMMON = ("of", "low", "high")
 
 
 class Linear(Shape):
-    """x."""
-
     word = "linear"
     power = 1
 
@@ -106,8 +104,6 @@ class Linear(Shape):
 
 
 class Square(Shape):
-    """x^2."""
-
     word = "square"
     written = "{of}^2"
     power = 2
@@ -117,8 +113,6 @@ class Square(Shape):
 
 
 class SignedSquare(Shape):
-    """x |x|."""
-
     word = "signed_square"
     written = "{of} |{of}|"
     power = 2
@@ -169,8 +163,6 @@ class Wave(Shape):
 
 
 class Cosine(Wave):
-    """cos(order x)."""
-
     word = "cos"
 
     def value(self, x: Scalar) -> Scalar:
@@ -178,8 +170,6 @@ class Cosine(Wave):
 
 
 class Sine(Wave):
-    """sin(order x)."""
-
     word = "sin"
 
     def value(self, x: Scalar) -> Scalar:
@@ -224,8 +214,6 @@ class Above(Threshold):
 
 
 class Below(Threshold):
-    """How far the quantity is below the threshold, else 0."""
-
     word = "below"
     written = "max(0, {threshold:.4g} - {of})"
     power = 1

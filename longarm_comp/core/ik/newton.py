@@ -13,7 +13,7 @@ keeps the sag constant.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -323,12 +323,3 @@ def evaluation(level: Level, passes: int, anew: bool) -> tuple[str, ...]:
     if level.evaluate == "carried":
         return ("first", "tip") if anew else ("again", "tip")
     return ("first", *["again"] * (passes - 1), "tip") if passes else ("tip",)
-
-
-def run(work: Flow, call: Callable[[str], None], repeat: Callable[[str, Flow], None]) -> None:
-    """Run a flow, given functions that call a program and repeat a flow."""
-    for step in work:
-        if isinstance(step, str):
-            call(step)
-        else:
-            repeat(step.row, step.body)

@@ -11,7 +11,6 @@ import numpy as np
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Joint
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.model.tip_motion import stack
 
@@ -112,13 +111,9 @@ def entered_at(model: Model, q: np.ndarray) -> str:
 
 def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:
     """`entered_at` for joints (M, n) in the order of their names; None where there are no boxes."""
-    arm = model.arm
-    if not arm.keep_out:
+    if not model.arm.keep_out:
         return None
-    for name in arm.joint_names:
-        if name not in names:
-            raise InputError(where, f"servo of {name}", "missing", ", ".join(names))
-    order = [names.index(name) for name in arm.joint_names]
+    order = model.arm.order(names, where)
     return lambda q: entered_at(model, q[:, order])
 
 
