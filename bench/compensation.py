@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from bench.arms import demo_arm
 from bench.comparison import Result, alone, beside
 from bench.kinematics import soft_model, timed
 from longarm_comp.core.compensation.compensate import Method, compensate
-from longarm_comp.core.compensation.result import Compensation
+from longarm_comp.core.compensation.result import Compensation, Prediction
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.workflows.compensate_path import compensate_path
@@ -26,7 +25,7 @@ class _Smooth:
         """Some 2 mm down, growing with the first joint."""
         error = np.tile([1e-3, 0.0, -2e-3], (len(q), 1)) * (1.0 + q[:, :1])
         sigma, inside = np.full_like(error, 1e-4), np.ones(len(q), bool)
-        return SimpleNamespace(error=error, sigma=sigma, in_domain=inside)
+        return Prediction(error, sigma, inside)
 
 
 def compensate_batch_10000(count: int = 10_000) -> Result:

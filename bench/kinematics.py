@@ -22,7 +22,7 @@ from bench.comparison import Result, alone, beside, missing
 from bench.ik_peers import Toolbox
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import paper_grid, random_joints
-from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.solver import Engine

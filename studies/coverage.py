@@ -18,10 +18,9 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.catalogue import effect_class
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit

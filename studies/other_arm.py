@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.data.measurement import errors
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.kind_direction import KindDirection
+from longarm_comp.core.effects.geometry_errors import KindDirection
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.placement import placed

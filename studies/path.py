@@ -24,7 +24,6 @@ from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.path import CompensatedPath, compensate_path
 from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.compensation.result import Method
-from longarm_comp.core.compensation.retime import Timed
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import effect_class
@@ -34,7 +33,7 @@ from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from longarm_comp.math.cubic_path import smooth_slopes
+from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
@@ -164,7 +163,7 @@ def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
     arm, plan, n = studied.arm, found.plan, studied.arm.n
     assert plan.joints is not None and plan.times is not None
     came = History.unknown(n).after(plan.joints[:1], arm.mid)
-    before = Timed(plan.times, plan.joints, smooth_slopes(plan.times, plan.joints))
+    before = CubicPath(plan.times, plan.joints, smooth_slopes(plan.times, plan.joints))
     started = time.process_time()
     made: CompensatedPath = compensate_path(
         studied.model, None, plan, start=None, history=came,
@@ -182,7 +181,9 @@ def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
     }  # fmt: skip
 
 
-def deviation(studied: StudiedArm, path: Timed, curve: np.ndarray, sides: np.ndarray) -> np.ndarray:
+def deviation(
+    studied: StudiedArm, path: CubicPath, curve: np.ndarray, sides: np.ndarray
+) -> np.ndarray:
     """(M,) m: distance of the true tip from the curve; joints came to its start from sides (n,)."""
     count = _LOOKED_AT * (len(path.times) - 1) + 1
     joints = path.at(np.interp(np.arange(count) / _LOOKED_AT, np.arange(len(path.times)),

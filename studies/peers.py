@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.learn.inputs import Encoding, check_rows, fit_encoding
-from longarm_comp.core.learn.predictor import Prediction
 from studies.extra import extra
 
 with extra():

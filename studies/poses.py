@@ -14,7 +14,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import Plan, grid, random_joints, sobol
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.fit import fit

@@ -12,8 +12,8 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.joint_compliance import JointCompliance as SoftJoint
-from longarm_comp.core.effects.servo_droop import ServoDroop
+from longarm_comp.core.effects.compliances import JointCompliance as SoftJoint
+from longarm_comp.core.effects.drive_errors import ServoDroop
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose

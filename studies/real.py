@@ -16,11 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.effects.placements import TipOffset
 from longarm_comp.core.identify.calibrate import (
     Errors,
     declared_model,

@@ -18,7 +18,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import commandable
 from longarm_comp.core.compensation.realisable import KNOWN_TO, Lattice, Search
-from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.effects.placements import TipOffset
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length

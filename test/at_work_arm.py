@@ -8,7 +8,7 @@ import numpy as np
 from small_arm import ARM
 
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.plays import FrictionHysteresis
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.uncertainty import with_uncertainty

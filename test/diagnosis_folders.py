@@ -12,8 +12,8 @@ import numpy as np
 import report_samples
 from small_arm import ARM
 
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.effects.plays import FrictionHysteresis
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.report import record

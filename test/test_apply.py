@@ -15,7 +15,7 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.plays import FrictionHysteresis
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import LearnedGain

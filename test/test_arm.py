@@ -15,8 +15,8 @@ import yaml
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.dh_error import DhError
-from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.effects.geometry_errors import DhError
+from longarm_comp.core.effects.placements import TipOffset
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model, unstack
 

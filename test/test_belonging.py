@@ -17,9 +17,9 @@ from longarm_comp.core.data.belonging import MIN_POSES, believe, mistakes
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.base_pose import BasePose
-from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.model import Model

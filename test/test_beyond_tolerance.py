@@ -10,7 +10,7 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.dh_error import DhError
+from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.kind_of_arm import KindOfArm

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,17 +18,16 @@ from longarm_comp.core.arm.context import LEGS, PER_JOINT, WIDTH, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
-from longarm_comp.core.compensation.arrive import CompensationOptions
+from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import Method, Status, compensate
-from longarm_comp.core.compensation.online import Readings, compensate_now
+from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.unknown import unknown_history
-from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.catalogue import BUILT_IN
+from longarm_comp.core.effects.drive_errors import ServoDroop
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.joint_term import JointTerm
-from longarm_comp.core.effects.servo_droop import ServoDroop
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.ik.engines import compiler_at_hand
@@ -262,9 +262,9 @@ def test_commands_one_after_another_land_where_the_sliders_are(rng: np.random.Ge
     misses = []
     for goal in ARM.mid + 0.6 * span * (rng.random((25, ARM.n)) - 0.5):
         target = Model(ARM).tip(goal)
-        arrival = compensate_now(
-            model, None, target, start=at, history=history, readings=Readings(),
-            now_s=1.0, max_age_s=1.0,
+        arrival = compensate_move(
+            model, None, target, start=at, history=history,
+            context_after=partial(Readings().context, model, 1.0, 1.0),
         )  # fmt: skip
         points = arrival.move.points
         sliders.drive(points)
@@ -344,9 +344,10 @@ def test_a_joint_that_no_move_brings_from_one_side_counts_as_unknown() -> None:
     """At rest between the two commands, each side's command lies on the other side."""
     model = Model(ARM, (Backlash(joint=ARM.commanded[0], gate=0.3, width=0.02),))
     target = Model(ARM).tip(ARM.mid)
-    arrival = compensate_now(
-        model, None, target, start=ARM.mid, history=History.unknown(ARM.n), readings=Readings(),
-        now_s=1.0, max_age_s=1.0, options=CompensationOptions(run_up=False),
+    arrival = compensate_move(
+        model, None, target, start=ARM.mid, history=History.unknown(ARM.n),
+        context_after=partial(Readings().context, model, 1.0, 1.0),
+        options=CompensationOptions(run_up=False),
     )  # fmt: skip
     found, context = arrival.outcome, arrival.context
     step = found.command - ARM.mid

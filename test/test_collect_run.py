@@ -21,7 +21,7 @@ from quick_arm import QuickArm, quick_arm
 
 from longarm_comp.arm_folder.visible import view_beside
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.boxes import Box
+from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.data.plan import Plan, sobol
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model

@@ -9,11 +9,11 @@ import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.catalogue import BUILT_IN
-from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.model.model import Model, unstack
 
 N = 25

@@ -22,13 +22,11 @@ from longarm_comp.core.data.commanded import (
 )
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.camera_drift import CameraDrift
-from longarm_comp.core.effects.creep import Creep
+from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.effect import Effect, parameter
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.sensor_place import SensorPlace
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.placements import SensorPlace
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
+from longarm_comp.core.effects.slow_changes import Creep, ThermalGrowth
 from longarm_comp.core.identify.calibrate import declared_model
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import Method, Status, compensate
+from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -27,13 +26,6 @@ def smooth_error(q: np.ndarray) -> np.ndarray:
     return 1e-3 * np.stack([3 + a, 2 * np.cos(3 * q[:, 0]), -8 - 3 * a], axis=1)
 
 
-@dataclass
-class Answer:
-    error: np.ndarray
-    sigma: np.ndarray
-    in_domain: np.ndarray
-
-
 class Known:
     """A predictor that knows the plant's residual, and optionally refuses."""
 
@@ -42,7 +34,7 @@ class Known:
 
     def predict(self, q, context=None):
         self.seen.append(context)
-        return Answer(self.error(q), np.full((len(q), 3), 1e-4), self.inside(q))
+        return Prediction(self.error(q), np.full((len(q), 3), 1e-4), self.inside(q))
 
 
 @pytest.fixture

@@ -12,11 +12,9 @@ from small_arm import ARM
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.cylinder_pins import CylinderPins
-from longarm_comp.core.effects.cylinder_play import CylinderPlay
-from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError
+from longarm_comp.core.effects.plays import Backlash, CylinderPlay
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit

@@ -13,19 +13,14 @@ from test_thresholds import session_of
 
 from longarm_comp.core.arm.measuring import CameraPlacement
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
-from longarm_comp.core.effects.camera_drift import CameraDrift
-from longarm_comp.core.effects.camera_radial import CameraRadial
-from longarm_comp.core.effects.camera_scale import CameraScale
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.gravity_direction import GravityDirection
-from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.camera_errors import CameraDrift, CameraRadial, CameraScale
+from longarm_comp.core.effects.compliances import BearingTilt, LinkStiffness
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, ServoQuantisation
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.link_stiffness import LinkStiffness
+from longarm_comp.core.effects.masses import GravityDirection
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
-from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.plays import Backlash
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model

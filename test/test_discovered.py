@@ -85,7 +85,7 @@ def test_one_posture_is_a_row_of_many(model: Model) -> None:
 
 def test_a_force_bends_the_beams_like_a_weight_there(demo: Arm) -> None:
     """A constant force down at the tip is what a further payload of that weight is, sag apart."""
-    from longarm_comp.core.effects.tip_payload import TipPayload
+    from longarm_comp.core.effects.masses import TipPayload
 
     q = demo.mid[None] + 0.0
     sagging = Model(demo, (LinkDeflection(),))

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from longarm_comp.core.effects.catalogue import BUILT_IN
-from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
+from longarm_comp.core.effects.drive_errors import ServoQuantisation
 from longarm_comp.core.effects.units import for_people
 
 

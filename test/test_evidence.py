@@ -10,9 +10,9 @@ from demo_rows import session_of
 from discover_rows import DEMO
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.effects.compliances import LinkStiffness
 from longarm_comp.core.effects.joint_term import reach, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit

@@ -16,19 +16,18 @@ from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.base_compliance import BaseCompliance
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
-from longarm_comp.core.effects.creep import Creep
+from longarm_comp.core.effects.compliances import (
+    BaseCompliance,
+    BearingTilt,
+    JointCompliance,
+    LinkStiffness,
+)
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.gravity_direction import GravityDirection
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.link_stiffness import LinkStiffness
-from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
-from longarm_comp.core.effects.thermal_softening import ThermalSoftening
+from longarm_comp.core.effects.masses import GravityDirection
+from longarm_comp.core.effects.plays import TelescopeClearance
+from longarm_comp.core.effects.slow_changes import Creep, ThermalGrowth, ThermalSoftening
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session

@@ -6,11 +6,9 @@ import dataclasses
 
 import pytest
 
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.posterior.found import FoundEffect

@@ -14,14 +14,12 @@ from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.base_pose import BasePose
-from longarm_comp.core.effects.dh_error import DhError
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.geometry_errors import DhError, JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
-from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.effects.placements import BasePose, TipOffset
+from longarm_comp.core.effects.plays import Backlash
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.calibrate import geometry

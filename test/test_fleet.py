@@ -17,7 +17,7 @@ from small_arm import ARM, measured
 import longarm_comp as la
 from longarm_comp.cli.fleet import command
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.pages import fleet_page

@@ -14,14 +14,12 @@ from small_arm import ARM as SMALL
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.base_compliance import BaseCompliance
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
-from longarm_comp.core.effects.camera_drift import CameraDrift
+from longarm_comp.core.effects.camera_errors import CameraDrift
+from longarm_comp.core.effects.compliances import BaseCompliance, BearingTilt
 from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.function import Function
-from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.shapes import Legendre, Linear, Square, Switch
+from longarm_comp.core.effects.shapes import Function, Legendre, Linear, Square, Switch
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose

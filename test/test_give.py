@@ -11,11 +11,9 @@ from touching import ARM
 
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, LinkBending
+from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.link_bending import LinkBending
 from longarm_comp.core.identify.candidates import distinct, library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import CALIBRATED, WITH_EFFECTS, Diagnosis

@@ -15,11 +15,9 @@ from small_arm import ARM
 import longarm_comp.sim
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.catalogue import LIBRARY
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.fit import fit

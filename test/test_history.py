@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +15,15 @@ from wind_up import Sliders, WindUp, there_and_back
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History, onward, play, recorded
-from longarm_comp.core.compensation.online import Readings, compensate_now
+from longarm_comp.core.compensation.arrive import compensate_move
+from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, ServoDroop
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.servo_droop import ServoDroop
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.diagnose import diagnose
@@ -313,9 +312,9 @@ def commanded(arm: Arm, model: Model) -> float:
         target = Model(arm).tip(
             arm.lower + (arm.upper - arm.lower) * rng.uniform(0.15, 0.85, arm.n)
         )
-        arrival = compensate_now(
-            model, None, target, start=at, history=history, readings=Readings(),
-            now_s=1.0, max_age_s=1.0, position_only=True,
+        arrival = compensate_move(
+            model, None, target, start=at, history=history, position_only=True,
+            context_after=partial(Readings().context, model, 1.0, 1.0),
         )  # fmt: skip
         assert "not known" not in arrival.outcome.reason
         moves.append(arrival.move.points)

@@ -10,7 +10,7 @@ from hidden_arm import at, session
 from small_arm import ARM
 
 from longarm_comp.core.data import holdout
-from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.practical import Gain

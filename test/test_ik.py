@@ -12,7 +12,7 @@ import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import engines as ik_engines
@@ -254,7 +254,7 @@ def test_failure_is_an_answer(model, monkeypatch):
 
 
 def test_camera_side_biases_play_no_part(model):
-    from longarm_comp.core.effects.camera_scale import CameraScale
+    from longarm_comp.core.effects.camera_errors import CameraScale
 
     (bias,) = CameraScale.for_arm(model.arm)
     (name,) = [p.name for p in bias.declared()]

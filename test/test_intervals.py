@@ -12,10 +12,10 @@ from small_arm import ARM
 from test_thresholds import session_of
 
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.evidence import columns_at

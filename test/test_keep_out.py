@@ -9,11 +9,10 @@ import pytest
 from follower_rig import CONFIG, Rig
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.boxes import Box
+from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import entered, keeper
-from longarm_comp.core.model.link_frames import outline
+from longarm_comp.core.model.link_frames import entered, keeper, outline
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 

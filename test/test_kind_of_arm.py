@@ -15,10 +15,8 @@ from longarm_comp.cli.calibrate import command
 from longarm_comp.cli.diagnose import command as diagnose
 from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.dh_error import DhError
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.effects.kind_direction import KindDirection
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.geometry_errors import DhError, JointZero, KindDirection
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.kind_of_arm import KindOfArm, folded, plain

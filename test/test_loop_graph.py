@@ -22,7 +22,7 @@ from quick_arm import QuickArm, quick_arm
 from small_arm import ARM
 
 from longarm_comp.core.compensation.compensate import Method
-from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store

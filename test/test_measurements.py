@@ -28,12 +28,14 @@ import longarm_comp as la
 from longarm_comp.core.data.kinds import rotation_vector
 from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.anchor_place import AnchorPlace
-from longarm_comp.core.effects.camera_pose import CameraPose
-from longarm_comp.core.effects.camera_scale import CameraScale
-from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.effects.sensor_place import SensorPlace
-from longarm_comp.core.effects.tip_orientation import TipOrientation
+from longarm_comp.core.effects.camera_errors import CameraScale
+from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.effects.placements import (
+    AnchorPlace,
+    CameraPose,
+    SensorPlace,
+    TipOrientation,
+)
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit

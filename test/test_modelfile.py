@@ -15,11 +15,10 @@ from small_arm import ARM as SMALL
 from longarm_comp.core import files
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import BUILT_IN
-from longarm_comp.core.effects.dh_error import DhError
+from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.geometry_errors import DhError, JointZero
 from longarm_comp.core.effects.joint_term import reach
-from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import (

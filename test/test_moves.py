@@ -18,7 +18,7 @@ from longarm_comp.core.arm.moves import plan_move, run_up_lengths, wanted_sides
 from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.compensation.expected import expected_miss
-from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.compensate import compensate
 

@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 from wind_up import there_and_back
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.plays import FrictionHysteresis
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph

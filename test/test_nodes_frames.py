@@ -19,7 +19,7 @@ from rclpy.time import Time
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.frame_tree import FrameTree
-from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import Placed
 from longarm_comp.core.model.model import Model

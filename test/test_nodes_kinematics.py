@@ -26,8 +26,8 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects import catalogue
-from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.core.strict_yaml import read_yaml

@@ -255,7 +255,7 @@ def test_whatever_the_clock_does_targets_and_joints_are_judged_by_it_and_loops_g
         raise RuntimeError("broken on purpose")
 
     with monkeypatch.context() as patch:
-        patch.setattr(compensator, "compensate_now", broken)
+        patch.setattr(compensator, "compensate_move", broken)
         assert seen.ask().status == STATUS.INTERNAL_ERROR
         seen.says("targets", "RuntimeError: broken", level=b"\2")
         seen.says("process", "survived 1 faults", level=b"\2")

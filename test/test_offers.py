@@ -16,17 +16,19 @@ from scipy.special import expit
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.drive_errors import (
+    GearEccentricity,
+    JointGain,
+    ServoDroop,
+    ServoQuantisation,
+)
 from longarm_comp.core.effects.effect import Effect, parameter
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.gravity_direction import GravityDirection
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.joint_term import joint_load, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.servo_droop import ServoDroop
-from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
+from longarm_comp.core.effects.masses import GravityDirection
+from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.evidence import columns_at

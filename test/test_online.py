@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 from small_arm import ARM
 
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.compensate import Status
-from longarm_comp.core.compensation.online import (
-    Readings,
-    StaleContext,
-    compensate_now,
-)
+from longarm_comp.core.compensation.online import Readings, StaleContext
 from longarm_comp.core.data.rest import RestWatch
-from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.plays import Backlash
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import exaggerated, outline
 from longarm_comp.core.model.model import Model
@@ -68,9 +66,9 @@ def test_backlash_is_compensated_for_the_side_of_this_move() -> None:
     commands = []
     for step in (-0.2, 0.2):
         start = ARM.mid + step * (ARM.upper - ARM.lower) * [1, 0, 0, 0]
-        arrival = compensate_now(
-            model, None, target, start=start, history=History.unknown(ARM.n), readings=told(),
-            now_s=100.0, max_age_s=10.0,
+        arrival = compensate_move(
+            model, None, target, start=start, history=History.unknown(ARM.n),
+            context_after=partial(told().context, model, 100.0, 10.0),
         )  # fmt: skip
         made, context = arrival.outcome, arrival.context
         assert made.status is Status.NO_PREDICTOR

@@ -18,7 +18,7 @@ from longarm_comp.cli.run import run
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.catalogue import BUILT_IN, load_file
-from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose

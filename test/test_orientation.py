@@ -15,10 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import rigid
-from longarm_comp.core.compensation.result import Method
-from longarm_comp.core.effects.dh_error import DhError
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.compensation.result import Method, Prediction
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.geometry_errors import DhError, JointZero
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
@@ -141,13 +140,9 @@ def test_a_learned_error_is_a_position_and_leaves_the_orientation_to_the_physics
     class Known:
         """Expects 3 mm in x everywhere."""
 
-        sigma = np.full((1, 3), 1e-4)
-
-        def predict(self, q: np.ndarray, context: object = None) -> Known:
-            self.error = np.tile([3e-3, 0.0, 0.0], (len(q), 1))
-            self.sigma = np.full((len(q), 3), 1e-4)
-            self.in_domain = np.ones(len(q), bool)
-            return self
+        def predict(self, q: np.ndarray, context: object = None) -> Prediction:
+            error = np.tile([3e-3, 0.0, 0.0], (len(q), 1))
+            return Prediction(error, np.full((len(q), 3), 1e-4), np.ones(len(q), bool))
 
     targets = found.pose(joints)
     made = compensate_many(found, Known(), targets, seed=joints)

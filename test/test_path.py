@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,10 +20,9 @@ from longarm_comp.core.compensation.path import (
     compensate_path,
 )
 from longarm_comp.core.compensation.planned_path import PlannedPath
-from longarm_comp.core.compensation.result import Method, Status
-from longarm_comp.core.compensation.retime import MotionLimits, Timed, fastest, retimed
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.compensation.result import Method, Prediction, Status
+from longarm_comp.core.compensation.retime import MotionLimits, between, fastest, retimed
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -186,7 +184,7 @@ def test_a_path_of_many_way_points_says_what_single_targets_say(arm: Arm, model:
     plan = plan_of(arm, 7)
     found = follow(model, plan)
     answers, history = (
-        found.answers.each(model, Method.DEFLECTION, plan.targets),
+        found.each(model, Method.DEFLECTION, plan.targets),
         History.unknown(arm.n),
     )
     for row in range(1, 7):
@@ -234,10 +232,10 @@ def test_what_the_predictor_cannot_answer_for_is_not_corrected_in_part(
     class Doubtful:
         asked = 0
 
-        def predict(self, q: np.ndarray, context: Context) -> SimpleNamespace:
+        def predict(self, q: np.ndarray, context: Context) -> Prediction:
             self.asked += 1
             known = np.array([self.asked < 20])
-            return SimpleNamespace(
+            return Prediction(
                 error=np.array([[2e-3, 0.0, 0.0]]), sigma=np.full((1, 3), 1e-4), in_domain=known,
                 reason=["too far out"],
             )  # fmt: skip
@@ -250,14 +248,14 @@ def test_what_the_predictor_cannot_answer_for_is_not_corrected_in_part(
 def test_limits_are_kept_nowhere_faster_than_the_plan(arm: Arm, model: Model) -> None:
     plan = plan_of(arm)
     free = follow(model, plan).timed
-    peak = np.abs(free.at(free.between, 1)).max(axis=0)
+    peak = np.abs(free.at(between(free), 1)).max(axis=0)
     limits = MotionLimits(0.6 * peak, np.full(arm.n, 2.0))
-    assert free.excess(limits) > 1.5
+    assert limits.excess(free) > 1.5
     timed = follow(model, plan, limits=limits).timed
     np.testing.assert_array_equal(timed.joints, free.joints)
-    between = timed.between
-    assert (np.abs(timed.at(between, 1)) <= limits.velocity * (1 + 1e-5)).all()
-    assert (np.abs(timed.at(between, 2)) <= limits.acceleration * (1 + 1e-5)).all()
+    inside = between(timed)
+    assert (np.abs(timed.at(inside, 1)) <= limits.velocity * (1 + 1e-5)).all()
+    assert (np.abs(timed.at(inside, 2)) <= limits.acceleration * (1 + 1e-5)).all()
     assert (np.diff(timed.times) >= np.diff(plan.times) - 1e-9).all()
     assert timed.stretch == pytest.approx(timed.times[-1] / SECONDS) and timed.stretch < 3.0
     assert not timed.velocities[[0, -1]].any()
@@ -270,11 +268,11 @@ def test_random_ways_are_timed_within_limits() -> None:
         limits = MotionLimits(np.full(4, 0.5), rng.uniform(1.0, 4.0, 4))
         quick = fastest(ways, limits)
         slow = np.linspace(0.0, 5.0, 30)
-        for timed in (quick, retimed(Timed(slow, ways, monotone_slopes(slow, ways)), limits)):
-            assert timed.excess(limits) <= 1.0 + 1e-5
+        for timed in (quick, retimed(CubicPath(slow, ways, monotone_slopes(slow, ways)), limits)):
+            assert limits.excess(timed) <= 1.0 + 1e-5
         least = (np.abs(np.diff(ways, axis=0)) / limits.velocity).max(axis=1).sum()
         assert least < quick.times[-1] < 4.0 * least
-        kept = Timed(20.0 * slow, ways, monotone_slopes(20.0 * slow, ways))
+        kept = CubicPath(20.0 * slow, ways, monotone_slopes(20.0 * slow, ways))
         assert retimed(kept, limits) is kept
 
 
@@ -285,7 +283,7 @@ def test_without_toppra_only_a_path_that_is_too_fast_is_refused(
 
     monkeypatch.setitem(sys.modules, "toppra", None)
     times, ways = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 5)[:, None]
-    path = Timed(times, ways, monotone_slopes(times, ways))
+    path = CubicPath(times, ways, monotone_slopes(times, ways))
     assert retimed(path, MotionLimits(np.array([9.0]), np.array([99.0]))) is path
     with pytest.raises(JobError, match=r"longarm_comp\[path\]"):
         retimed(path, MotionLimits(np.array([0.5]), np.array([99.0])))

@@ -17,10 +17,9 @@ from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.base_pose import BasePose
-from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.effects.placements import BasePose, TipOffset
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import plausible
 from longarm_comp.core.identify.calibrate import ladder, stages

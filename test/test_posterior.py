@@ -12,13 +12,11 @@ import pytest
 from demo_rows import session_of
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, ServoDroop
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.parameters import ALIKE
 from longarm_comp.core.effects.quantities import Span
-from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.shapes import Cosine, FunctionError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import library

@@ -21,15 +21,12 @@ from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.rest import RestWatch
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, ServoDroop
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.encoder import Encoder
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.servo_droop import ServoDroop
-from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.effects.geometry_errors import Encoder
+from longarm_comp.core.effects.masses import TipPayload
+from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.diagnose import diagnose

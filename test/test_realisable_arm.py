@@ -17,7 +17,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import commandable
 from longarm_comp.core.compensation.realisable import Lattice, Search
-from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.effects.masses import TipPayload
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.forward import posture_at, tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length

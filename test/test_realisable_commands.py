@@ -18,11 +18,9 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import commandable, compensate
 from longarm_comp.core.compensation.realisable import Lattice
-from longarm_comp.core.compensation.result import Method, Status
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.compensation.result import Method, Prediction, Status
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.learn.expansion import Expansion, Nearby
-from longarm_comp.core.learn.predictor import Prediction
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.compensate import Commands
@@ -62,22 +60,15 @@ def residual(q: np.ndarray) -> np.ndarray:
     return 1e-3 * np.stack([2 + turn, 2 * np.cos(6 * q[:, 0]), -3 + turn], axis=1)
 
 
-@dataclasses.dataclass
-class Answer:
-    error: np.ndarray
-    sigma: np.ndarray
-    in_domain: np.ndarray
-
-
 class Known:
     """A predictor that knows the residual; its sigma tells where it was asked."""
 
     def __init__(self, inside: bool = True) -> None:
         self.inside = inside
 
-    def predict(self, q: np.ndarray, context: Context | None = None) -> Answer:
+    def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
         sigma = np.repeat(np.abs(q[:, :1]), 3, axis=1)
-        return Answer(residual(q), sigma, np.full(len(q), self.inside))
+        return Prediction(residual(q), sigma, np.full(len(q), self.inside))
 
 
 def test_commands_stand_on_steps_and_the_tip_on_its_target(

@@ -12,7 +12,7 @@ import pytest
 from report_samples import named
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes

@@ -16,32 +16,33 @@ import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context as ModelContext
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.base_compliance import BaseCompliance
-from longarm_comp.core.effects.base_pose import BasePose
-from longarm_comp.core.effects.base_settling import BaseSettling
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
-from longarm_comp.core.effects.camera_radial import CameraRadial
-from longarm_comp.core.effects.camera_scale import CameraScale
-from longarm_comp.core.effects.creep import Creep
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.gravity_direction import GravityDirection
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.camera_errors import CameraRadial, CameraScale
+from longarm_comp.core.effects.compliances import (
+    BaseCompliance,
+    BearingTilt,
+    JointCompliance,
+    LinkStiffness,
+)
+from longarm_comp.core.effects.drive_errors import (
+    GearEccentricity,
+    JointGain,
+    PrismaticPitch,
+    ServoDroop,
+    ServoQuantisation,
+)
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.joint_term import typical_loads
-from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.link_mass import LinkMass
-from longarm_comp.core.effects.link_stiffness import LinkStiffness
+from longarm_comp.core.effects.masses import GravityDirection, LinkMass, TipPayload
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
-from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
-from longarm_comp.core.effects.servo_droop import ServoDroop
-from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
-from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
-from longarm_comp.core.effects.thermal_softening import ThermalSoftening
-from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.effects.placements import BasePose
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, TelescopeClearance
+from longarm_comp.core.effects.slow_changes import (
+    BaseSettling,
+    Creep,
+    ThermalGrowth,
+    ThermalSoftening,
+)
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State

@@ -14,14 +14,13 @@ from column_arm import BENT, COLUMN, EI, arm
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.base_settling import BaseSettling
-from longarm_comp.core.effects.camera_drift import CameraDrift
+from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.catalogue import LIBRARY
+from longarm_comp.core.effects.compliances import LinkBending
+from longarm_comp.core.effects.drive_errors import GuideCurvature
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.guide_curvature import GuideCurvature
-from longarm_comp.core.effects.link_bending import LinkBending
-from longarm_comp.core.effects.slide_play import SlidePlay
-from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
+from longarm_comp.core.effects.plays import SlidePlay, TelescopeClearance
+from longarm_comp.core.effects.slow_changes import BaseSettling
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm

@@ -13,8 +13,7 @@ from small_arm import ARM
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import searched
-from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
+from longarm_comp.core.effects.drive_errors import JointGain, ServoQuantisation
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.diagnose import diagnose

@@ -12,10 +12,9 @@ import yaml
 from click.testing import CliRunner
 from small_arm import ARM
 
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
+from longarm_comp.core.effects.plays import FrictionHysteresis
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from studies import day
 from studies.commands.day import command
 

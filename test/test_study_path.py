@@ -9,8 +9,8 @@ import pytest
 from cli_shell import Shell
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.retime import Timed
 from longarm_comp.core.model.model import Model
+from longarm_comp.math.cubic_path import CubicPath
 from longarm_comp.sim.arm_truth import TrueArm
 from studies import path
 
@@ -40,7 +40,7 @@ def test_a_deviation_is_the_distance_from_the_curve_and_not_from_its_timing() ->
     found = path.way(stiff, "joints", 0.1, np.random.default_rng(1))
     assert found.plan.times is not None and found.plan.joints is not None
     zero = np.zeros_like(found.plan.joints)
-    on_the_way = Timed(found.plan.times**1.5, found.plan.joints, zero)
+    on_the_way = CubicPath(found.plan.times**1.5, found.plan.joints, zero)
     assert path.deviation(studied, on_the_way, found.curve, np.ones(7)).max() < 1e-7
     beside = np.array([0.0, 0.0, 3e-3])
     off = path.deviation(studied, on_the_way, found.curve + beside, np.ones(7))

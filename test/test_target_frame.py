@@ -13,7 +13,7 @@ from small_arm import ARM, measured
 import longarm_comp as la
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.target_frame import placement
-from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.sessions.csv import write_csv

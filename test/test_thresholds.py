@@ -10,9 +10,9 @@ import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.evidence import columns_at

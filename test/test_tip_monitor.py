@@ -11,7 +11,7 @@ from small_arm import ARM
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.data.rest import RestPose
-from longarm_comp.core.effects.camera_pose import CameraPose
+from longarm_comp.core.effects.placements import CameraPose
 from longarm_comp.core.model.model import Model
 
 pytest.importorskip("rclpy")

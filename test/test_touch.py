@@ -27,8 +27,7 @@ from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, errors, posture, spreads
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.plane_place import PlanePlace
-from longarm_comp.core.effects.touch_beside import TouchBeside
+from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit

@@ -15,7 +15,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.ik import newton
 from longarm_comp.core.ik.codegen import llvm as emit_llvm

@@ -12,14 +12,10 @@ import pytest
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.camera_radial import CameraRadial
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
-from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
-from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
+from longarm_comp.core.effects.camera_errors import CameraRadial
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.drive_errors import JointGain, PrismaticPitch, ServoQuantisation
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, TelescopeClearance
 from longarm_comp.core.identify.calibrate import declared_model, geometry, ladder
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.wind_up import with_run_ups

@@ -15,11 +15,12 @@ from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Method, Status, compensate, judged
 from longarm_comp.core.compensation.expected import expected_miss, of_tolerances
+from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.joint_gain import JointGain as Gain
-from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.effects.drive_errors import JointGain as Gain
+from longarm_comp.core.effects.masses import TipPayload
+from longarm_comp.core.effects.plays import FrictionHysteresis
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.fit import fit
@@ -290,10 +291,8 @@ class Says:
 
     def predict(self, q, context=None):
         n = len(q)
-        self.error, self.in_domain = np.full((n, 3), 1e-4), np.full(n, self.inside)
-        return dataclasses.make_dataclass("Answer", ["error", "sigma", "in_domain"])(
-            self.error, np.full((n, 3), self.sigma), self.in_domain
-        )
+        sigma, inside = np.full((n, 3), self.sigma), np.full(n, self.inside)
+        return Prediction(np.full((n, 3), 1e-4), sigma, inside)
 
 
 def test_outside_a_predictor_s_data_good_physics_is_a_success() -> None:

@@ -12,9 +12,8 @@ from finite_elements import fe_frequencies
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.plays import Backlash, TelescopeClearance
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model

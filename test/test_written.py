@@ -14,10 +14,10 @@ from small_arm import ARM
 
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.camera_drift import CameraDrift
+from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.discovered import Discovered
-from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.drive_errors import PrismaticPitch
+from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.posterior.found import FoundEffect

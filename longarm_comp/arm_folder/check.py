@@ -19,7 +19,7 @@ from longarm_comp.arm_folder.parameter_file import own_parameters, read_paramete
 from longarm_comp.arm_folder.servos import ZERO_TICKS
 from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.beam import Beam, Rect, Tube
+from longarm_comp.core.arm.parts import Beam, Rect, Tube
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model

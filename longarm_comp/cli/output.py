@@ -39,7 +39,7 @@ def note(text: str) -> None:
 
 def note_link_places(arm: Arm) -> None:
     """Say where links can be declared, of an arm that has none."""
-    from longarm_comp.core.arm.places import link_places
+    from longarm_comp.core.arm.parts import link_places
 
     if not arm.links and (places := link_places(arm.joints)):
         named = (f"row {row} ({arm.joints[row - 1].name or f'joint{row}'}) {role} {size:.4g} m"

@@ -45,10 +45,12 @@ class Declared(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_booleans(cls, data: Any) -> Any:
+    def _known_keys_without_booleans(cls, data: Any) -> Any:
+        known = {field.alias or name: field for name, field in cls.model_fields.items()}
         for key, given in data.items() if isinstance(data, dict) else ():
-            field = cls.model_fields.get(key)
-            if field is None or "bool" in str(field.annotation):
+            if key not in known:
+                raise Misdeclared(str(key), given, f"known keys: {', '.join(sorted(known))}")
+            if "bool" in str(known[key].annotation):
                 continue
             for path, value in _leaves(key, given):
                 if isinstance(value, bool):
@@ -86,10 +88,10 @@ def parse_declared(cls: type[T], data: Any, where: str) -> T:
     try:
         return cls.model_validate(data)
     except ValidationError as error:
-        raise InputError(where, *_fault(cls, data, error)) from error
+        raise InputError(where, *_fault(data, error)) from error
 
 
-def _fault(cls: type[BaseModel], data: Any, error: ValidationError) -> tuple[str, Any, str]:
+def _fault(data: Any, error: ValidationError) -> tuple[str, Any, str]:
     """(field, value, allowed) of the first fault; of a choice of shapes, the nearest one."""
     faults = error.errors(include_url=False)
     paths = [_path(data, fault) for fault in faults]
@@ -99,11 +101,8 @@ def _fault(cls: type[BaseModel], data: Any, error: ValidationError) -> tuple[str
     told = fault.get("ctx", {}).get("error")
     if isinstance(told, Misdeclared):
         return ".".join((*map(str, path), told.field)), told.value, told.allowed
-    if fault["type"] == "extra_forbidden":
-        allowed = "known keys: " + ", ".join(_known_keys(cls, fault["loc"][:-1]))
-    else:
-        texts = [faults[k]["msg"] for k in same if paths[k] == path]
-        allowed = " or ".join(dict.fromkeys(t.removeprefix("Value error, ") for t in texts))
+    texts = [faults[k]["msg"] for k in same if paths[k] == path]
+    allowed = " or ".join(dict.fromkeys(t.removeprefix("Value error, ") for t in texts))
     value = "missing" if fault["type"] == "missing" else fault.get("input")
     return ".".join(map(str, path)) or "document", value, allowed
 
@@ -119,38 +118,3 @@ def _path(data: Any, fault: Mapping[str, Any]) -> tuple[int | str, ...]:
             continue
         kept.append(part)
     return (*kept, fault["loc"][-1]) if fault["type"] == "missing" else tuple(kept)
-
-
-def _known_keys(cls: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
-    """Keys that the schema knows at `path`."""
-    schema = cls.model_json_schema()
-    node: Any = schema
-    for part in (*path, None):
-        while "$ref" in node or "anyOf" in node or "oneOf" in node:
-            if "$ref" in node:
-                node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
-                continue
-            options = node.get("anyOf") or node["oneOf"]
-            tagged = node.get("discriminator", {}).get("mapping", {})
-            if part in tagged:
-                node = {"$ref": tagged[part]}
-                part = None
-                break
-            named = [o for o in options if o.get("$ref", "").endswith(f"/{part}")]
-            if named or str(part).startswith("list["):
-                node, part = (named or [o for o in options if "items" in o])[0], None
-                break
-            node = next(
-                (o for o in options if "$ref" in o or "oneOf" in o or "items" in o), options[0]
-            )
-        if part is None:
-            if "$ref" in node:
-                node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
-            continue
-        if isinstance(part, int):
-            node = node.get("items", {})
-        else:
-            node = node.get("properties", {}).get(part, node.get("additionalProperties", {}))
-        if not isinstance(node, dict):
-            return []
-    return sorted(node.get("properties", {}))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Hashable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,15 +12,17 @@ from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import Header
 
 from longarm_comp.core.arm.frame_tree import UnknownPlace, carried
-from longarm_comp.core.compensation.compensate import Method, Settling, Status, physics_of
+from longarm_comp.core.compensation.arrive import compensate_move
+from longarm_comp.core.compensation.compensate import Method, Status, physics_of
 from longarm_comp.core.compensation.joint_trust import check_inside
-from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
+from longarm_comp.core.compensation.online import StaleContext
+from longarm_comp.core.compensation.result import CompensationOptions
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.codegen import Compiled
 from longarm_comp.core.learn.expansion import Nearby
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import entered
+from longarm_comp.core.model.link_frames import entered
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import stamp_ns, steady_timer
 from longarm_comp.nodes.frames import FrameListener
@@ -60,10 +61,6 @@ class Compensator:
         self._declared = declared_model(state.arm)
         self._frames = FrameListener(state.node, p["frames.wait_s"], state.node.tally.count)
         self._base_frame = state.base_frame
-        self._settling = Settling(
-            tol_m=p["tolerance_m"], max_passes=p["max_passes"],
-            max_correction_m=p["max_correction_m"],
-        )  # fmt: skip
 
     def kind(self) -> Hashable:
         """What the programs that a target needs depend on: model, options, what is known.
@@ -120,9 +117,12 @@ class Compensator:
             "start": start,
             "seed": seed,
             "history": self._state.driver.history,
-            "readings": self._state.readings,
-            "now_s": time.monotonic(),
-            "max_age_s": self._state.p["context_max_age_s"],
+            "context_after": partial(
+                self._state.readings.context,
+                physics_of(loaded.model, options.method),
+                time.monotonic(),
+                self._state.p["context_max_age_s"],
+            ),
             "position_only": request.position_only,
             "options": options,
         }
@@ -132,10 +132,10 @@ class Compensator:
         try:
             ask = None if client is None else partial(client.ask, deflection=options.method.physics)
             near = None if ask is None else Nearby(ask)  # mostly one call a target
-            arrival = compensate_now(loaded.model, near, target, **known)
+            arrival = compensate_move(loaded.model, near, target, **known)
         except NoAnswer as absent:
             client, why = None, f": {absent.reason}"
-            arrival = compensate_now(loaded.model, None, target, **known)
+            arrival = compensate_move(loaded.model, None, target, **known)
         outcome = arrival.outcome
         status = outcome.status
         reason = outcome.reason + (why if status is Status.NO_PREDICTOR else "")
@@ -163,14 +163,13 @@ class Compensator:
         return PoseStamped(header=moved, pose=pose_message(target)), target
 
     def _options(self) -> CompensationOptions:
-        value = lambda name: self._node.get_parameter(name).value  # noqa: E731
-        once = bool(value("single_pass"))
+        value, p = lambda name: self._node.get_parameter(name).value, self._state.p
         return CompensationOptions(
-            Method(value("method")),
-            replace(self._settling, single_pass=once) if once else self._settling,
-            run_up=bool(value("run_up")),
-            realisable=bool(value("realisable")),
-        )
+            Method(value("method")), run_up=bool(value("run_up")),
+            realisable=bool(value("realisable")), single_pass=bool(value("single_pass")),
+            tol_m=p["tolerance_m"], max_passes=p["max_passes"],
+            max_correction_m=p["max_correction_m"],
+        )  # fmt: skip
 
     def _start(self, request: Compensate.Request) -> tuple[np.ndarray, np.ndarray | None]:
         """Where the move starts and where the search does, (n,) each.

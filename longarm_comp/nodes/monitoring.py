@@ -16,7 +16,7 @@ from trajectory_msgs.msg import JointTrajectory
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor
-from longarm_comp.core.compensation.stands import TipByReadings, tip_by_readings
+from longarm_comp.core.compensation.expected import TipByReadings, tip_by_readings
 from longarm_comp.core.data.rest import JOINT_REST, RestPose, RestWatch
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model

@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import keeper
+from longarm_comp.core.model.link_frames import keeper
 from longarm_comp.core.vibration.shaper import shaping
 from longarm_comp.devices.servo_arm import Cycle, ServoArm, ServoReading
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply

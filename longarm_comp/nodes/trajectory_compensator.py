@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Method, physics_of
-from longarm_comp.core.compensation.online import CompensationOptions, StaleContext
+from longarm_comp.core.compensation.online import StaleContext
 from longarm_comp.core.compensation.path import (
     MAX_LONGER,
     TURN_M,
@@ -29,6 +29,7 @@ from longarm_comp.core.compensation.path import (
     compensate_path,
 )
 from longarm_comp.core.compensation.planned_path import PlannedPath, as_planned
+from longarm_comp.core.compensation.result import CompensationOptions
 from longarm_comp.core.compensation.retime import MotionLimits
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik

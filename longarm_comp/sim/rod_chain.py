@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.arm.beam import Beam, Tube
+from longarm_comp.core.arm.parts import Beam, Tube
 from longarm_comp.sim.context import State
 from longarm_comp.sim.hidden.base import THETA, D, HiddenEffect, Place
 from longarm_comp.sim.rods import Walker, rpy_matrix, settle

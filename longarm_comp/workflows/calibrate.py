@@ -16,9 +16,9 @@ from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify.calibrate import Rung, ladder, stages

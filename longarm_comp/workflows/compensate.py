@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
+from longarm_comp.core.compensation.arrive import Arrival, compensate_move
 from longarm_comp.core.compensation.realisable import Lattice
-from longarm_comp.core.compensation.result import Compensation, Method, Settling, Status
+from longarm_comp.core.compensation.result import Compensation, CompensationOptions, Method, Status
 from longarm_comp.core.compensation.target_frame import Placement, placement
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -195,7 +195,7 @@ def compensate(
     if starts is not None and starts.ndim == 2 and len(starts) != len(goals):
         allowed = f"one row or {len(goals)}"
         raise InputError("compensate", "seed", f"{len(starts)} rows", allowed)
-    options = CompensationOptions(chosen, Settling(**settling), tuple(locked), run_up, realisable)
+    options = CompensationOptions(chosen, locked, run_up, realisable, **settling)
     at, came = (None, History.unknown(model.arm.n)) if history is None else last(history, model)
     arrivals = []
     for k, (goal, placed) in enumerate(zip(goals, placements, strict=True)):

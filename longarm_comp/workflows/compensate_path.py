@@ -12,15 +12,16 @@ from numpy.typing import ArrayLike
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.arm.moves import Move
-from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions
+from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.path import MAX_LONGER
 from longarm_comp.core.compensation.path import compensate_path as solve_path
 from longarm_comp.core.compensation.planned_path import PlannedPath
-from longarm_comp.core.compensation.result import Method, Settling
-from longarm_comp.core.compensation.retime import MotionLimits, Timed
+from longarm_comp.core.compensation.result import CompensationOptions, Method
+from longarm_comp.core.compensation.retime import MotionLimits
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
+from longarm_comp.math.cubic_path import CubicPath
 from longarm_comp.sessions.csv import joint_names
 from longarm_comp.sessions.targets import Targets
 from longarm_comp.workflows import compensate as points
@@ -37,7 +38,7 @@ class PathCommands(points.Commands):
         notes: doubts of way-points, each once.
     """
 
-    timed: Timed
+    timed: CubicPath
     correction_m: np.ndarray
     notes: tuple[str, ...]
 
@@ -114,13 +115,13 @@ def compensate_path(
         context_at=lambda arrived: points.after(told, arrived),
         limits=limits, max_correction_m=max_correction_m, max_longer=max_longer,
         position_only=position_only,
-        options=CompensationOptions(chosen, Settling(**settling), tuple(locked)),
+        options=CompensationOptions(chosen, locked, **settling),
     )  # fmt: skip
-    joints = found.answers.command
+    joints = found.timed.joints
     steps = np.diff(joints, axis=0, prepend=(joints[0] if start is None else start)[None])
     sides = np.where(np.abs(steps) < SAME_POSE, 0.0, np.sign(steps))
-    outcomes = found.answers.each(model, chosen, carried)
-    contexts = found.answers.context.each(len(carried))
+    outcomes = found.each(model, chosen, carried)
+    contexts = found.context.each(len(carried))
     moves = [Move(q, None, side, np.zeros(n, bool)) for q, side in zip(joints, sides, strict=True)]
     arrivals = [
         Arrival(outcome, move, context, found.history)

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.pose import Vec3
+from longarm_comp.core.arm.parts import Vec3
 from longarm_comp.core.data.allowed_poses import above, filled, outside_boxes
 from longarm_comp.core.data.plan import Plan, grid, paper_grid, sobol
 from longarm_comp.core.errors import InputError

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
@@ -18,7 +19,7 @@ from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.plausible import check_placed
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn import predictor_file
-from longarm_comp.core.learn.predictor import Prediction, Predictor, Provenance
+from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.inputs import (
     FilePath,

@@ -17,9 +17,6 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from longarm_comp.core.arm.beam import Beam
-from longarm_comp.core.arm.boxes import Box
-from longarm_comp.core.arm.cylinder import Cylinder
 from longarm_comp.core.arm.measuring import (
     Anchor,
     CameraPlacement,
@@ -31,8 +28,16 @@ from longarm_comp.core.arm.measuring import (
     Sensors,
     TouchDistances,
 )
-from longarm_comp.core.arm.places import called
-from longarm_comp.core.arm.pose import NonNegative, Pose, Positive, Vec3
+from longarm_comp.core.arm.parts import (
+    Beam,
+    Box,
+    Cylinder,
+    NonNegative,
+    Pose,
+    Positive,
+    Vec3,
+    called,
+)
 from longarm_comp.core.arm.spatial import IDENTITY, Frame, rpy_frame
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
@@ -298,6 +303,13 @@ class Arm(Declared):
     def joint_names(self) -> tuple[str, ...]:
         """Names of the commanded joints, in the order of q."""
         return tuple(self.joints[i - 1].name or f"joint{i}" for i in self.commanded)
+
+    def order(self, names: list[str], where: str) -> list[int]:
+        """Place of every joint among names. Raises `InputError`, of a source, where one lacks."""
+        for name in self.joint_names:
+            if name not in names:
+                raise InputError(where, f"servo of {name}", "missing", ", ".join(names))
+        return [names.index(name) for name in self.joint_names]
 
     @cached_property
     def called(self) -> dict[str, str]:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from longarm_comp.core.arm.pose import Pose, Positive, Vec3
+from longarm_comp.core.arm.parts import Pose, Positive, Vec3
 from longarm_comp.core.yaml_file import Declared, Misdeclared
 
 Instrument = Literal["camera", "tracker", "total_station", "touch"]

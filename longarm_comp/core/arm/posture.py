@@ -20,8 +20,8 @@ import numpy as np
 
 from longarm_comp.core.arm import spatial, stacked
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.beam import Beam
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.parts import Beam
 from longarm_comp.core.arm.spatial import IDENTITY, ZERO, Frame, Scalar, Twist, Vec
 
 Twists = Mapping[int, Twist]

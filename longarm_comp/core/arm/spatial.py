@@ -33,11 +33,18 @@ def _of_any(of_float: Callable[[float], float], ufunc: np.ufunc) -> Callable[[Sc
 sin, cos = _of_any(math.sin, np.sin), _of_any(math.cos, np.cos)
 sqrt, tanh = _of_any(math.sqrt, np.sqrt), _of_any(math.tanh, np.tanh)
 absolute = _of_any(abs, np.absolute)
+sign = _of_any(lambda x: float((x > 0) - (x < 0)), np.sign)
+floor = _of_any(lambda x: float(math.floor(x)), np.floor)
 
 
-def sign(x: Scalar) -> Scalar:
-    """-1, 0 or +1."""
-    return np.sign(x) if type(x) is not float else float((x > 0) - (x < 0))
+def _of_two(of_floats: Callable[..., float], ufunc: np.ufunc) -> Callable[..., Scalar]:
+    """A function of two floats or of any two that NumPy's ufunc accepts."""
+    return lambda a, b: of_floats(a, b) if type(a) is float and type(b) is float else ufunc(a, b)
+
+
+atan2 = _of_two(math.atan2, np.arctan2)
+"""Angle of the point (x, y), given y and x (rad)."""
+minimum, maximum = _of_two(min, np.minimum), _of_two(max, np.maximum)
 
 
 def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
@@ -47,26 +54,6 @@ def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
     if isinstance(condition, np.ndarray):
         return np.where(condition, yes, no)
     return condition.where(yes, no)
-
-
-def atan2(y: Scalar, x: Scalar) -> Scalar:
-    """Angle of the point (x, y) (rad)."""
-    return math.atan2(y, x) if type(y) is float and type(x) is float else np.arctan2(y, x)
-
-
-def floor(x: Scalar) -> Scalar:
-    """Largest whole number not above x."""
-    return float(math.floor(x)) if type(x) is float else np.floor(x)
-
-
-def minimum(a: Scalar, b: Scalar) -> Scalar:
-    """The smaller of two."""
-    return min(a, b) if type(a) is float and type(b) is float else np.minimum(a, b)
-
-
-def maximum(a: Scalar, b: Scalar) -> Scalar:
-    """The larger of two."""
-    return max(a, b) if type(a) is float and type(b) is float else np.maximum(a, b)
 
 
 def add(a: Vec, b: Vec) -> Vec:

@@ -7,7 +7,7 @@ so, and the joints are found for that side.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,25 +16,14 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import Move, plan_move, wanted_sides
 from longarm_comp.core.compensation.compensate import compensate, lattice_of, physics_of
 from longarm_comp.core.compensation.realisable import Lattice
-from longarm_comp.core.compensation.result import Compensation, Method, ResidualPredictor, Settling
+from longarm_comp.core.compensation.result import (
+    Compensation,
+    CompensationOptions,
+    ResidualPredictor,
+)
 from longarm_comp.core.compensation.unknown import history_joints
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
-
-
-@dataclass(frozen=True)
-class CompensationOptions:
-    """How far compensation may go; as in `compensate`.
-
-    `run_up`: whether a run-up may be added so that joints arrive from a chosen side.
-    """
-
-    method: Method = Method.BOTH
-    settling: Settling = field(default_factory=Settling)
-    locked: tuple[int | str, ...] = ()
-    run_up: bool = True
-    realisable: bool | Lattice = True
-    starts: int = ik.MAX_STARTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +82,8 @@ def compensate_move(
     ) -> Compensation:
         return compensate(
             model, predictor, target, context=context, seed=seed, position_only=position_only,
-            method=options.method, locked=options.locked, doubtful=doubtful,
-            realisable=realisable, context_at=context_at if matters else None,
-            starts=options.starts,
-            **vars(options.settling),
+            doubtful=doubtful, context_at=context_at if matters else None,
+            **{**vars(options), "realisable": realisable},
         )  # fmt: skip
 
     wanted = np.zeros(model.arm.n) if sides is None else sides

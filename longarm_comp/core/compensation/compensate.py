@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,10 +24,9 @@ from longarm_comp.core.compensation.realisable import Lattice, Realisable, Searc
 from longarm_comp.core.compensation.result import (
     NO_PREDICTOR,
     Compensation,
-    ExpectedError,
+    CompensationOptions,
     Method,
     ResidualPredictor,
-    Settling,
     Status,
     missed,
     other_unit,
@@ -84,14 +83,10 @@ def compensate(
     *,
     context: Context | None = None,
     seed: np.ndarray | None = None,
-    method: Method = Method.BOTH,
     position_only: bool = False,
-    locked: Sequence[int | str] = (),
     doubtful: np.ndarray | None = None,
-    realisable: bool | Lattice = True,
     context_at: _ContextAt | None = None,
-    starts: int = ik.MAX_STARTS,
-    **settling: Any,
+    **options: Any,
 ) -> Compensation:
     """Joints that bring the *real* tip to one target.
 
@@ -101,12 +96,9 @@ def compensate(
         context: circumstances in which the arm will stand.
         seed: (n,) current joints; default mid-range.
         doubtful: (n,) joints whose side of arrival the context tells, but not for certain.
-        realisable: choose the command among the joints that the servos can stand at: by the steps
-            that the arm declares, from each joint's zero, or by a lattice; arms without steps are
-            commanded as they are. Off for paths of close targets; a single pass never chooses.
         context_at: circumstances at joints (M, n), where the way there depends on the joints; the
             choice among the steps judges each command in its own. Default: ``context`` for all.
-        starts: of the search for the target; 1: from the seed alone, so that no path jumps.
+        options: of `CompensationOptions`.
 
     Returns:
         Invalid or unreachable targets are reported in `status`, not raised.  So is a recorded
@@ -119,9 +111,8 @@ def compensate(
         raise InputError("compensate", "target", f"shape {given.shape}", "shape (3,) or (4, 4)")
     return _Target(
         model, predictor, given, (context or Context.empty()).take(0),
-        ik.checked_seed(model, seed, 1, "compensate")[0], method,
-        position_only or given.ndim == 1, tuple(locked), Settling(**settling), doubtful,
-        lattice_of(model, realisable), context_at, starts,
+        ik.checked_seed(model, seed, 1, "compensate")[0], position_only or given.ndim == 1,
+        doubtful, context_at, CompensationOptions(**options),
     ).reach()  # fmt: skip
 
 
@@ -175,16 +166,13 @@ class _Target:
     target: np.ndarray
     context: Context
     seed: np.ndarray
-    method: Method
     position_only: bool
-    locked: tuple[int | str, ...]
-    settling: Settling
     doubtful: np.ndarray | None
-    lattice: Lattice | None
     context_at: _ContextAt | None
-    starts: int
+    options: CompensationOptions
 
     def __post_init__(self) -> None:
+        self.method = self.options.method
         self.model = physics_of(self.whole, self.method)
         self.ideal = self.q = self.seed
         self.error, self.sigma = np.zeros(3), np.full(3, np.nan)
@@ -198,7 +186,7 @@ class _Target:
         lacking = missing_column(self.model, self.context)
         if lacking:
             return self._ended(Status.STALE_CONTEXT, lacking)
-        found = self._search(self.target, self.starts)
+        found = self._search(self.target, self.options.starts)
         self.ideal = self.q = found.q
         if not found.ok:
             here = self.target if self.target.ndim == 1 else self.target[:3, 3]
@@ -211,7 +199,7 @@ class _Target:
         return self._correct(self.predictor)
 
     def _correct(self, predictor: ResidualPredictor) -> Compensation:
-        settling = self.settling
+        options = self.options
         while True:
             expected = predictor.predict(self.q[None], self.context)
             before, self.error = self.error, np.asarray(expected.error[0], float)
@@ -219,34 +207,35 @@ class _Target:
             size = math.sqrt(self.error @ self.error)
             self.inside = bool(expected.in_domain[0]) and math.isfinite(size)
             if not self.inside:
-                return self._ended(Status.OUT_OF_DOMAIN, outside(reason_of(expected)))
-            if size > settling.max_correction_m:
-                return self._ended(Status.CORRECTION_TOO_LARGE, settling.too_large(size))
-            if self.passes and math.dist(self.error, before) <= settling.tol_m:
+                return self._ended(Status.OUT_OF_DOMAIN, outside(*expected.reason[:1]))
+            if size > options.max_correction_m:
+                return self._ended(Status.CORRECTION_TOO_LARGE, options.too_large(size))
+            if self.passes and math.dist(self.error, before) <= options.tol_m:
                 return self._ended(Status.SUCCESS)
-            if self.passes == settling.max_passes:
-                return self._ended(Status.NOT_CONVERGED, settling.unsettled)
+            if self.passes == options.max_passes:
+                return self._ended(Status.NOT_CONVERGED, options.unsettled)
             self.passes += 1
             # A pseudo-target lies next to its target: look near its joints only
-            found = self._search(shifted(self.target, self.error), min(self.starts, 3))
+            found = self._search(shifted(self.target, self.error), min(self.options.starts, 3))
             if not found.ok:
                 return self._ended(Status.UNREACHABLE, missed("pseudo-target", found))
             self.q = found.q
-            if settling.single_pass:
+            if options.single_pass:
                 return self._ended(Status.SUCCESS)
 
     def _search(self, to: np.ndarray, starts: int) -> ik.Solution:
         return ik.solve(
             self.model, to, seed=self.q, context=self.context, position_only=self.position_only,
-            locked=self.locked, max_starts=starts,
+            locked=self.options.locked, max_starts=starts,
         )  # fmt: skip
 
     def _ended(self, status: Status, reason: str = "") -> Compensation:
         alone, miss, chosen = status.physics_only, UNKNOWN, None
         applied = np.zeros(3) if alone else self.error
         command = self.q if status is Status.SUCCESS else self.ideal
-        if status.success and self.lattice and not self.settling.single_pass:
-            chosen = self._chosen(self.lattice, command, status)
+        lattice = lattice_of(self.whole, self.options.realisable)
+        if status.success and lattice and not self.options.single_pass:
+            chosen = self._chosen(lattice, command, status)
             command = chosen.joints
             applied = np.zeros(3) if alone else self.error
             reason = "; ".join(filter(None, (reason, chosen.note)))
@@ -279,7 +268,7 @@ class _Target:
         free = self.position_only and self.target.ndim == 2
         target = self.target[:3, 3] if free else self.target
         arm = self.model.arm
-        locked = ik.locked_joints(self.model, self.locked)
+        locked = ik.locked_joints(self.model, self.options.locked)
         search = Search(characteristic_length(self.model))
         chosen = choose(arm, lattice, tip, target, joints, search, locked=locked)
         self.context = context_at(chosen.joints[None]).take(0)
@@ -288,8 +277,3 @@ class _Target:
             self.error = np.asarray(expected.error[0], float)
             self.sigma = np.asarray(expected.sigma[0], float)
         return chosen
-
-
-def reason_of(expected: ExpectedError) -> str:
-    """Why a predictor has no answer; empty where it does not say."""
-    return str((getattr(expected, "reason", None) or [""])[0])

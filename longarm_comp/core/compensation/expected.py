@@ -19,6 +19,7 @@ from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.ik.forward import posture_at
+from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, sizes
@@ -133,3 +134,27 @@ def _carried(known: ModelUncertainty, model: Model, at: Posture) -> np.ndarray:
         model.__dict__["_not_known"] = held
     columns = model.columns(at, tuple(held.values()))[1]
     return known.carried(columns.reshape(-1, 3, len(held)), tuple(held))
+
+
+@dataclass(frozen=True, eq=False)
+class TipByReadings:
+    """The tip (3,), m, and what is not known of it."""
+
+    tip: np.ndarray
+    doubt: ExpectedMiss
+
+    def said(self, target: np.ndarray | None = None) -> str:
+        """In one sentence: where it stands, or how far from a target (3,), m."""
+        within = f", within {1e3 * self.doubt.p90_m:.2f} mm" if self.doubt.p90_m > 0 else ""
+        if target is not None:
+            off = 1e3 * float(np.linalg.norm(self.tip - target))
+            return f"by the readings the tip is {off:.2f} mm from the target{within}"
+        where = ", ".join(f"{1e3 * v:.2f}" for v in self.tip)
+        return f"by the readings the tip is at {where} mm{within}"
+
+
+def tip_by_readings(model: Model, readings: np.ndarray, context: Context) -> TipByReadings:
+    """Where the tip stands by readings (n,), rad and m; the model is that of the commands."""
+    arm = by_readings(model)
+    tip = arm.tip(readings, context)
+    return TipByReadings(tip, expected_miss(arm, readings, context, tip))

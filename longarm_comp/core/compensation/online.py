@@ -1,4 +1,4 @@
-"""One target on the running arm: what is known right now becomes a context, then a compensation.
+"""What is known of the running arm right now, as the circumstances of a target.
 
 Pure: time and readings are handed in.
 """
@@ -9,13 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-import numpy as np
-
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
-from longarm_comp.core.compensation.compensate import physics_of
-from longarm_comp.core.compensation.result import ResidualPredictor
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.model import Model
 
@@ -79,27 +74,3 @@ def _stale(column: str, old: Mapping[str, float]) -> StaleContext:
     if column in old:
         return StaleContext(f"{column} is {old[column]:.1f} s old", column=column)
     return StaleContext(f"{column} was never published, and the model needs it", column=column)
-
-
-def compensate_now(
-    model: Model,
-    predictor: ResidualPredictor | None,
-    target: np.ndarray,
-    *,
-    start: np.ndarray,
-    seed: np.ndarray | None = None,
-    history: History,
-    readings: Readings,
-    now_s: float,
-    max_age_s: float,
-    position_only: bool = False,
-    options: CompensationOptions | None = None,
-) -> Arrival:
-    """`compensate_move` in the circumstances of now. Raises as `Readings.context`."""
-    options = options or CompensationOptions()
-    physics = physics_of(model, options.method)
-    return compensate_move(
-        model, predictor, target, start=start, seed=seed, history=history,
-        context_after=lambda arrived: readings.context(physics, now_s, max_age_s, arrived),
-        position_only=position_only, options=options,
-    )  # fmt: skip

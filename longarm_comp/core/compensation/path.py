@@ -13,14 +13,13 @@ from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.arrive import CompensationOptions
-from longarm_comp.core.compensation.compensate import judged, physics_of, reason_of
+from longarm_comp.core.compensation.compensate import judged, physics_of
 from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.compensation.result import (
     Compensation,
+    CompensationOptions,
     Method,
     ResidualPredictor,
     Status,
@@ -29,9 +28,14 @@ from longarm_comp.core.compensation.result import (
     outside,
     shifted,
 )
-from longarm_comp.core.compensation.retime import MotionLimits, Timed, as_planned, fastest, retimed
-from longarm_comp.core.compensation.slow_down import slowed
-from longarm_comp.core.compensation.take_up import TakeUp, Turn, taken_up
+from longarm_comp.core.compensation.retime import (
+    MotionLimits,
+    as_planned,
+    between,
+    fastest,
+    retimed,
+)
+from longarm_comp.core.compensation.take_up import TakeUp, Turn, slowed, taken_up
 from longarm_comp.core.compensation.unknown import (
     missing_column,
     outside_data,
@@ -41,9 +45,9 @@ from longarm_comp.core.compensation.unknown import (
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import entered_at
-from longarm_comp.core.model.link_frames import reach
+from longarm_comp.core.model.link_frames import entered_at, reach
 from longarm_comp.core.model.model import Model
+from longarm_comp.math.cubic_path import CubicPath
 
 ContextAt = Callable[[History], Context]
 """Circumstances at all way-points, given the histories (k, n) there, or one (n,) for all."""
@@ -58,29 +62,38 @@ class PathRefused(JobError):  # noqa: N818
 
 
 @dataclass(frozen=True, eq=False)
-class PathAnswers:
-    """Joints at all way-points, and what they are for.
+class CompensatedPath:
+    """A path to send, and what its k way-points are for.
 
     Attributes:
-        ideal, command: (k, n) joints without and with what is learned.
+        timed: joints, velocities and times, as `as_planned`.
+        ideal: (k, n) joints without what is learned.
         error, sigma: (k, 3) m, as learned; NaN sigma where nothing is.
         context: circumstances at the way-points. passes: of the pseudo-targets.
+        correction_m: (k,) m, by how much the declared arm's tip is moved.
+        history: of the joints at the end.
+        notes: doubts.
     """
 
+    timed: CubicPath
     ideal: np.ndarray
-    command: np.ndarray
     error: np.ndarray
     sigma: np.ndarray
     context: Context
     passes: int
+    correction_m: np.ndarray
+    history: History
+    notes: tuple[str, ...]
 
     def each(self, model: Model, method: Method, targets: np.ndarray) -> list[Compensation]:
         """The answers at way-points, with how good each is expected to be.
 
+        Nothing of it holds at a way-point where the arm stood already.
+
         Args:
             targets: (k, 3) or (k, 4, 4) of the plan.
         """
-        pseudo = shifted(targets, self.error)
+        pseudo, command = shifted(targets, self.error), self.timed.joints
         place = pseudo if pseudo.ndim == 2 else pseudo[:, :3, 3]
         learned = np.isfinite(self.sigma).all(axis=1)
         made: dict[int, Compensation] = {}
@@ -88,35 +101,16 @@ class PathAnswers:
             if not len(rows := np.flatnonzero(learned == with_it)):
                 continue
             miss, _, doubts = judged(
-                model, method, self.command[rows], self.context.take(rows), place[rows],
+                model, method, command[rows], self.context.take(rows), place[rows],
                 self.sigma[rows] if with_it else None,
             )  # fmt: skip
             said = (miss.sigma, doubts, *(size.tolist() for size in miss.sizes))
             for k, sigma, doubt, expected, p90 in zip(rows.tolist(), *said, strict=True):
                 made[k] = Compensation(
                     targets[k], self.ideal[k], self.error[k], sigma, with_it, pseudo[k],
-                    self.command[k], self.passes, Status.SUCCESS, doubt, None, expected, p90,
+                    command[k], self.passes, Status.SUCCESS, doubt, None, expected, p90,
                 )  # fmt: skip
         return [made[k] for k in range(len(targets))]
-
-
-@dataclass(frozen=True, eq=False)
-class CompensatedPath:
-    """A path to send.
-
-    Attributes:
-        timed: joints, velocities and times, as `as_planned`.
-        answers: of all way-points; of one where the arm stood already nothing holds.
-        correction_m: (k,) m, by how much the declared arm's tip is moved.
-        history: of the joints at the end.
-        notes: doubts.
-    """
-
-    timed: Timed
-    answers: PathAnswers
-    correction_m: np.ndarray
-    history: History
-    notes: tuple[str, ...]
 
 
 TURN_M = 1e-4
@@ -171,21 +165,15 @@ def compensate_path(
     for row in (row for row, fault in enumerate(faults) if fault):
         raise PathRefused(Status.BAD_TARGET, row, faults[row])
     begun = plan.begun and start is not None
-    notes: tuple[str, ...] = ()
     way = _Way(
         model, predictor, plan, start, history, context_at, begun, turn_m, max_longer,
-        limits or MotionLimits.none(arm.n), free, options,
+        limits or MotionLimits.none(arm.n), max_correction_m, free, options,
     )  # fmt: skip
     try:
-        timed, answers = way.solved(seed)
+        return way.solved(seed)
     except _Unanswered as unanswered:
-        notes = (str(unanswered),)
-        way = replace(way, predictor=None)
-        timed, answers = way.solved(seed)
-    corrected = _corrections(arm, plan, answers.command, int(begun), max_correction_m)
-    _keep_out(arm, timed)
-    came = history.along(timed.joints, timed.joints[0] if begun else start).latest
-    return CompensatedPath(timed, answers, corrected, came, (*notes, *way.doubts(answers)))
+        made = replace(way, predictor=None).solved(seed)
+        return replace(made, notes=(str(unanswered), *made.notes))
 
 
 class _Unanswered(Exception):  # noqa: N818
@@ -206,6 +194,7 @@ class _Way:
     turn_m: float
     max_longer: float
     limits: MotionLimits
+    max_correction_m: float
     free: bool
     options: CompensationOptions
 
@@ -213,10 +202,10 @@ class _Way:
     def physics(self) -> Model:
         return physics_of(self.model, self.options.method)
 
-    def solved(self, seed: np.ndarray | None) -> tuple[Timed, PathAnswers]:
+    def solved(self, seed: np.ndarray | None) -> CompensatedPath:
         """Joints at all way-points, with their times, and what they are for."""
-        settling = self.options.settling
-        learned = self.predictor is not None and self.options.method.learned
+        options = self.options
+        learned = self.predictor is not None and options.method.learned
         take, seeds = TakeUp(self.physics, self.turn_m), self._seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
         context = self._context(self.history)  # as if no joint turned: so the way of each is known
@@ -231,36 +220,65 @@ class _Way:
             came = take.came(way, lag, self.history, self.start)
             context, before = self._context(came), (lag, error)
             lag = take.lag(q, context)
-            if learned and not settling.single_pass:
+            if learned and not options.single_pass:
                 error, sigma = self._expected(q, context)
-            near = np.maximum(take.near, settling.tol_m)
-            changes = np.linalg.norm(error - before[1], axis=1) / settling.tol_m
+            near = np.maximum(take.near, options.tol_m)
+            changes = np.linalg.norm(error - before[1], axis=1) / options.tol_m
             changes = np.maximum(changes, (np.abs(lag - before[0]) / near).max(axis=1))
             if (changes <= 1.0).all():
                 break
-            if passes == settling.max_passes:
-                raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), settling.unsettled)
+            if passes == options.max_passes:
+                raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), options.unsettled)
             q = self._reached(q - before[0] + lag, error, context)
             passes += 1
         lag = before[0]  # that q was found with
         timed = self._timed(way, q - lag - way, lag, take.turns(way, lag, came.approach))
         ideal = self._standing(bare + lag) if learned else timed.joints
-        answers = PathAnswers(ideal, timed.joints, *before[1:], sigma, context, passes)
-        return timed, answers
+        moved = self._corrections(timed.joints)
+        self._keep_out(timed)
+        came = self.history.along(timed.joints, timed.joints[0] if self.begun else self.start)
+        return CompensatedPath(
+            timed, ideal, *before[1:], sigma, context, passes, moved, came.latest,
+            self._doubts(timed.joints, context),
+        )  # fmt: skip
 
-    def doubts(self, answers: PathAnswers) -> tuple[str, ...]:
+    def _doubts(self, command: np.ndarray, context: Context) -> tuple[str, ...]:
         """What is not known where the path begins, and what lies beyond the data."""
         first = slice(int(self.begun), int(self.begun) + 1)
-        begins = self.physics, answers.command[first], answers.context.take(first)
+        begins = self.physics, command[first], context.take(first)
         rows = slice(first.start, None)
         found = [
             *unknown_history(*begins)[1],
             *uncertain_payload(*begins)[1],
-            *outside_data(self.physics, answers.command[rows], answers.context.take(rows)),
+            *outside_data(self.physics, command[rows], context.take(rows)),
         ]
         return tuple(dict.fromkeys(filter(None, found)))
 
-    def _timed(self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: list[Turn]) -> Timed:
+    def _corrections(self, joints: np.ndarray) -> np.ndarray:
+        """(k,) m: how far the declared arm's tip is moved; refused where that is too far."""
+        targets, first = self.plan.targets, int(self.begun)
+        wanted = targets if targets.ndim == 2 else targets[:, :3, 3]
+        rigid = Model(self.model.arm, elements_per_beam=1)
+        moved = np.linalg.norm(rigid.tip(joints) - wanted, axis=1)
+        row = first + int(np.argmax(moved[first:])) if first < len(moved) else 0
+        if first < len(moved) and moved[row] > self.max_correction_m:
+            why = f"{1e3 * moved[row]:.2f} mm, allowed {1e3 * self.max_correction_m:g} mm"
+            raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
+        return moved
+
+    def _keep_out(self, timed: CubicPath) -> None:
+        """Refuse a path that enters a box."""
+        if not self.model.arm.keep_out:
+            return
+        model = declared_model(self.model.arm)
+        places = np.split(between(timed), max(1, len(timed.times) - 1))
+        for row, times in enumerate(places, 1):
+            if entry := entered_at(model, timed.at(times)):
+                raise PathRefused(Status.KEPT_OUT, row, entry)
+
+    def _timed(
+        self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, turns: list[Turn]
+    ) -> CubicPath:
         """Commands of parts (k, n) as `taken_up` has them, and when they are due."""
         plan, arm = self.plan, self.model.arm
         planned = np.arange(float(len(way))) if plan.times is None else plan.times
@@ -270,7 +288,7 @@ class _Way:
         second = min(1, len(way) - 1)
         box = arm.lower, arm.upper
 
-        def commands(times: np.ndarray) -> Timed:
+        def commands(times: np.ndarray) -> CubicPath:
             stands, beyond = taken_up(way, off, lag, turns, times)
             stands[0] = stands[second] - first  # what is beyond is gone first
             beyond[0] = begun[0] - stands[0]
@@ -344,34 +362,9 @@ class _Way:
             size = float(np.linalg.norm(error[row]))
             if not found.in_domain[0] or not np.isfinite(size):
                 raise _Unanswered(
-                    f"physics only, as way-point {row} is {outside(reason_of(found))}"
+                    f"physics only, as way-point {row} is {outside(*found.reason[:1])}"
                 )
-            if size > self.options.settling.max_correction_m:
-                why = self.options.settling.too_large(size)
+            if size > self.options.max_correction_m:
+                why = self.options.too_large(size)
                 raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
         return error, sigma
-
-
-def _corrections(
-    arm: Arm, plan: PlannedPath, joints: np.ndarray, first: int, most_m: float
-) -> np.ndarray:
-    """(k,) m: how far the declared arm's tip is moved; refused where that is too far."""
-    wanted = plan.targets if plan.targets.ndim == 2 else plan.targets[:, :3, 3]
-    moved = np.linalg.norm(Model(arm, elements_per_beam=1).tip(joints) - wanted, axis=1)
-    row = first + int(np.argmax(moved[first:])) if first < len(moved) else 0
-    if first < len(moved) and moved[row] > most_m:
-        raise PathRefused(
-            Status.CORRECTION_TOO_LARGE, row,
-            f"{1e3 * moved[row]:.2f} mm, allowed {1e3 * most_m:g} mm",
-        )  # fmt: skip
-    return moved
-
-
-def _keep_out(arm: Arm, timed: Timed) -> None:
-    """Refuse a path that enters a box."""
-    if not arm.keep_out:
-        return
-    model, places = declared_model(arm), np.split(timed.between, max(1, len(timed.times) - 1))
-    for row, times in enumerate(places, 1):
-        if entry := entered_at(model, timed.at(times)):
-            raise PathRefused(Status.KEPT_OUT, row, entry)

@@ -26,8 +26,8 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik.box_step import rotation_error
 from longarm_comp.core.ik.lattice import nearest
+from longarm_comp.core.ik.newton import rotation_error
 from longarm_comp.core.ik.solver import axes_of
 
 Predict = Callable[[np.ndarray], np.ndarray]

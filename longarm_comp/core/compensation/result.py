@@ -1,18 +1,19 @@
-"""What goes into a compensation and what comes out of it: method, predictor, status, result."""
+"""What goes into a compensation and what comes out of it: options, predictor, status, result."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Protocol
 
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.realisable import Realisable
+from longarm_comp.core.compensation.realisable import Lattice, Realisable
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik.solver import Solution
+from longarm_comp.core.ik.solver import MAX_STARTS, Solution
 
 
 class Method(Enum):
@@ -75,16 +76,27 @@ class Status(IntEnum):
 
 
 @dataclass(frozen=True)
-class Settling:
-    """When the passes of the pseudo-target end.
+class CompensationOptions:
+    """How far compensation may go.
 
     Attributes:
+        locked: joints that stay at their seed, by name or number from 0.
+        run_up: whether a run-up may be added so that joints arrive from a chosen side.
+        realisable: choose the command among the joints that the servos can stand at: by the steps
+            that the arm declares, from each joint's zero, or by a lattice; arms without steps are
+            commanded as they are. Off for paths of close targets; a single pass never chooses.
+        starts: of the search for the target; 1: from the seed alone, so that no path jumps.
         single_pass: correct once, as in the paper.
         tol_m: the expected error may change by so much between passes at the end.
         max_passes: pseudo-target passes permitted.
         max_correction_m: length of the expected error that may be corrected.
     """
 
+    method: Method = Method.BOTH
+    locked: Sequence[int | str] = ()
+    run_up: bool = True
+    realisable: bool | Lattice = True
+    starts: int = MAX_STARTS
     single_pass: bool = False
     tol_m: float = 1e-5
     max_passes: int = 10
@@ -110,26 +122,24 @@ class Settling:
         return f"the expected error still changes by {size}"
 
 
-class ExpectedError(Protocol):
-    """Expected error at N postures."""
+@dataclass(frozen=True)
+class Prediction:
+    """The learned correction: expected residual at N postures."""
 
-    @property
-    def error(self) -> np.ndarray:
-        """(N, 3), measured - predicted, m, base frame."""
-
-    @property
-    def sigma(self) -> np.ndarray:
-        """(N, 3), m."""
-
-    @property
-    def in_domain(self) -> np.ndarray:
-        """(N,) bool."""
+    error: np.ndarray  # (N, 3) m, measured - predicted, base frame
+    sigma: np.ndarray  # (N, 3) m, sd of a measurement around ``error``
+    in_domain: np.ndarray  # (N,) bool
+    reason: Sequence[str] = ()  # (N,) empty where in domain
+    doubt: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """(N,) epistemic variance as a share of the largest that is trusted."""
+    outside: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    """(N,) outside the training data: one reason among others not to be in domain."""
 
 
 class ResidualPredictor(Protocol):
     """The learned residual, as far as compensation knows it."""
 
-    def predict(self, q: np.ndarray, context: Context | None = None) -> ExpectedError:
+    def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
         """Expected error at joints (N, n) under the circumstances of a model."""
 
 
@@ -183,7 +193,7 @@ class Compensation:
 NO_PREDICTOR = "no predictor: compensated with physics only"
 
 
-def outside(reason: str) -> str:
+def outside(reason: str = "") -> str:
     """Why the learned error is left out."""
     text = "outside the predictor's training data, compensated with physics only"
     return f"{text}: {reason}" if reason else text

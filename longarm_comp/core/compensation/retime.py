@@ -38,42 +38,37 @@ class MotionLimits:
         """Whether every joint has both."""
         return bool(np.isfinite(self.velocity).all() and np.isfinite(self.acceleration).all())
 
-
-@dataclass(frozen=True, eq=False)
-class Timed(CubicPath):
-    """A path from rest to rest, compared with limits."""
-
-    @property
-    def between(self) -> np.ndarray:
-        """Times on the way: 16 in every segment, and its ends from inside."""
-        share = np.linspace(1e-9, 1.0 - 1e-9, _LOOKED_AT)
-        return (self.times[:-1, None] + np.diff(self.times)[:, None] * share).ravel()
-
-    def excess(self, limits: MotionLimits) -> float:
+    def excess(self, path: CubicPath) -> float:
         """The largest share of a limit that velocity, or root of acceleration, takes."""
-        speed = self.peak_velocity() / limits.velocity
-        force = self.peak_acceleration() / limits.acceleration
+        speed = path.peak_velocity() / self.velocity
+        force = path.peak_acceleration() / self.acceleration
         return float(max(speed.max(), np.sqrt(force.max())))
 
 
-def retimed(path: Timed, limits: MotionLimits) -> Timed:
+def between(path: CubicPath) -> np.ndarray:
+    """Times on the way: 16 in every segment, and its ends from inside."""
+    share = np.linspace(1e-9, 1.0 - 1e-9, _LOOKED_AT)
+    return (path.times[:-1, None] + np.diff(path.times)[:, None] * share).ravel()
+
+
+def retimed(path: CubicPath, limits: MotionLimits) -> CubicPath:
     """The path within limits, at the same way-points and nowhere faster."""
-    if path.excess(limits) <= 1.0 + _ROUNDING:
+    if limits.excess(path) <= 1.0 + _ROUNDING:
         return path
     begins = path.times[0]
     made = _found(replace(path, times=path.times - begins), limits)
     return replace(made, times=made.times + begins)
 
 
-def fastest(joints: np.ndarray, limits: MotionLimits) -> Timed:
+def fastest(joints: np.ndarray, limits: MotionLimits) -> CubicPath:
     """The fastest way through way-points (k, n) from rest to rest."""
     ways = (np.abs(np.diff(joints, axis=0)) / limits.velocity).max(axis=1)  # s at full speed
     times = np.concatenate([[0.0], np.cumsum(np.maximum(ways, _ROUNDING * ways.sum()))])
     if not times[-1]:
-        return Timed(_ROUNDING * np.arange(float(len(joints))), joints, np.zeros_like(joints))
+        return CubicPath(_ROUNDING * np.arange(float(len(joints))), joints, np.zeros_like(joints))
     slopes = smooth_slopes(times, joints)  # of the way itself, which is at rest nowhere
     slopes[[0, -1]] = np.diff(joints, axis=0)[[0, -1]] / np.diff(times)[[0, -1], None]
-    path = Timed(times, joints, slopes)
+    path = CubicPath(times, joints, slopes)
     return replace(_found(path, limits), stretch=1.0)
 
 
@@ -84,7 +79,7 @@ def as_planned(
     stands: np.ndarray,
     beyond: np.ndarray,
     box: tuple[np.ndarray, np.ndarray],
-) -> Timed:
+) -> CubicPath:
     """Commands at times (k,), smooth between.
 
     Args:
@@ -95,20 +90,20 @@ def as_planned(
     """
     joints = stands + beyond
     if len(joints) == 1:
-        return Timed(times, joints, np.zeros_like(joints))
+        return CubicPath(times, joints, np.zeros_like(joints))
     slopes = monotone_slopes(times, beyond)
     if plan.velocities is None or plan.joints is None:
         slopes += smooth_slopes(times, stands)
     else:
         slopes += smooth_slopes(times, planned[:, None]) * plan.velocities
         slopes += smooth_slopes(times, stands - plan.joints)
-    low, high = Timed(times, joints, slopes).extremes()
+    low, high = CubicPath(times, joints, slopes).extremes()
     out = (low < box[0]) | (high > box[1])
     slopes[:, out] = monotone_slopes(times, joints[:, out])
-    return Timed(times, joints, slopes, float(np.ptp(times) / np.ptp(planned)))
+    return CubicPath(times, joints, slopes, float(np.ptp(times) / np.ptp(planned)))
 
 
-def _found(path: Timed, limits: MotionLimits) -> Timed:
+def _found(path: CubicPath, limits: MotionLimits) -> CubicPath:
     """Times by TOPP-RA, from rest to rest."""
     try:
         from toppra import algorithm, constraint
@@ -136,16 +131,16 @@ def _found(path: Timed, limits: MotionLimits) -> Timed:
     passed = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(grid) / (paces[1:] + paces[:-1]))])
     at = _LOOKED_AT * np.arange(len(path.times))
     stretch = path.stretch * float(passed[-1] / path.times[-1])
-    slower = Timed(passed[at], path.joints, path.velocities * paces[at][:, None], stretch)
-    over = max(1.0, slower.excess(limits))  # between way-points it is cubic in time again
-    return Timed(slower.times * over, path.joints, slower.velocities / over, stretch * over)
+    slower = CubicPath(passed[at], path.joints, path.velocities * paces[at][:, None], stretch)
+    over = max(1.0, limits.excess(slower))  # between way-points it is cubic in time again
+    return CubicPath(slower.times * over, path.joints, slower.velocities / over, stretch * over)
 
 
 _HUGE = 1e9
 """Stands for no limit: rad/s, m/s and their rates."""
 
 
-def _with_clock(path: Timed) -> Any:
+def _with_clock(path: CubicPath) -> Any:
     """The path with the plan's own time as one joint more: its limit of 1 keeps the plan's pace."""
     from toppra.interpolator import AbstractGeometricPath
 

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.boxes import Box
 from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.model.keep_out import boxes_entered
+from longarm_comp.core.model.link_frames import boxes_entered
 from longarm_comp.core.model.model import Model
 
 FLOOR = "floor"

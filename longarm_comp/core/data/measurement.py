@@ -16,7 +16,7 @@ from longarm_comp.core.data.kinds import KINDS, Equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import completed
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.model.model import Model, Slot
 from longarm_comp.core.model.tip_motion import TipMotion
 

@@ -17,9 +17,7 @@ from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
-from longarm_comp.core.effects.plane_place import PlanePlace
-from longarm_comp.core.effects.touch_beside import TouchBeside
-from longarm_comp.core.effects.touch_place import TouchPlace
+from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside, TouchPlace
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack

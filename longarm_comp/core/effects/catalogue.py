@@ -18,49 +18,50 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
-from longarm_comp.core.effects.anchor_place import AnchorPlace
-from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.base_compliance import BaseCompliance
-from longarm_comp.core.effects.base_pose import BasePose
-from longarm_comp.core.effects.base_settling import BaseSettling
-from longarm_comp.core.effects.bearing_tilt import BearingTilt
-from longarm_comp.core.effects.camera_drift import CameraDrift
-from longarm_comp.core.effects.camera_pose import CameraPose
-from longarm_comp.core.effects.camera_radial import CameraRadial
-from longarm_comp.core.effects.camera_scale import CameraScale
-from longarm_comp.core.effects.creep import Creep
-from longarm_comp.core.effects.cylinder_pins import CylinderPins
-from longarm_comp.core.effects.cylinder_play import CylinderPlay
-from longarm_comp.core.effects.dh_error import DhError
+from longarm_comp.core.effects.camera_errors import CameraDrift, CameraRadial, CameraScale
+from longarm_comp.core.effects.compliances import (
+    BaseCompliance,
+    BearingTilt,
+    JointCompliance,
+    LinkBending,
+    LinkStiffness,
+)
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
+from longarm_comp.core.effects.drive_errors import (
+    GearEccentricity,
+    GuideCurvature,
+    JointGain,
+    PrismaticPitch,
+    ServoDroop,
+    ServoQuantisation,
+)
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.encoder import Encoder
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.gravity_direction import GravityDirection
-from longarm_comp.core.effects.guide_curvature import GuideCurvature
-from longarm_comp.core.effects.joint_compliance import JointCompliance
-from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.effects.link_bending import LinkBending
+from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError, Encoder, JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.link_mass import LinkMass
-from longarm_comp.core.effects.link_stiffness import LinkStiffness
+from longarm_comp.core.effects.masses import GravityDirection, LinkMass, TipPayload
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
-from longarm_comp.core.effects.plane_place import PlanePlace
-from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
-from longarm_comp.core.effects.sensor_place import SensorPlace
-from longarm_comp.core.effects.servo_droop import ServoDroop
-from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
-from longarm_comp.core.effects.slide_play import SlidePlay
-from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
-from longarm_comp.core.effects.thermal_growth import ThermalGrowth
-from longarm_comp.core.effects.thermal_softening import ThermalSoftening
-from longarm_comp.core.effects.tip_offset import TipOffset
-from longarm_comp.core.effects.tip_orientation import TipOrientation
-from longarm_comp.core.effects.tip_payload import TipPayload
-from longarm_comp.core.effects.touch_beside import TouchBeside
-from longarm_comp.core.effects.touch_place import TouchPlace
+from longarm_comp.core.effects.placements import (
+    AnchorPlace,
+    BasePose,
+    CameraPose,
+    SensorPlace,
+    TipOffset,
+    TipOrientation,
+)
+from longarm_comp.core.effects.plays import (
+    Backlash,
+    CylinderPlay,
+    FrictionHysteresis,
+    SlidePlay,
+    TelescopeClearance,
+)
+from longarm_comp.core.effects.slow_changes import (
+    BaseSettling,
+    Creep,
+    ThermalGrowth,
+    ThermalSoftening,
+)
+from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside, TouchPlace
 from longarm_comp.core.entry_points import check_name, of_other_packages
 from longarm_comp.core.errors import InputError
 

@@ -1,11 +1,13 @@
 """An effect that a diagnosis found and that has no name: place, component and function as data.
 
 One instance is one term: an amount times a function of the posture, acting as one component at
-one place.  `core/identify/discover` finds them; a model holds any number.
+one place: a unit twist, a wrench on the declared beams, something that gives under the load, or a
+weight.  `core/identify/discover` finds them; a model holds any number.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -15,12 +17,11 @@ import numpy as np
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import PER_JOINT, Context
-from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.arm.spatial import Scalar, Vec
-from longarm_comp.core.effects.components import COMPONENTS, Acting, components, stations
+from longarm_comp.core.arm.posture import BASE, Posture, Twists
+from longarm_comp.core.arm.spatial import ZERO, Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
-from longarm_comp.core.effects.function import Function, function
 from longarm_comp.core.effects.joint_term import with_prior
+from longarm_comp.core.effects.link_deflection import bent
 from longarm_comp.core.effects.quantities import (
     AXES,
     OfPosture,
@@ -28,8 +29,157 @@ from longarm_comp.core.effects.quantities import (
     SeenCoordinate,
     SeenPoint,
 )
-from longarm_comp.core.effects.shapes import LARGEST, FunctionError
+from longarm_comp.core.effects.shapes import LARGEST, Function, FunctionError, function
 from longarm_comp.core.errors import InputError
+
+BASE_PLACE, TIP_PLACE = "base", "tip"
+
+
+def stations(arm: Arm) -> list[str]:
+    """Where something may act: the base, every joint's bearing, every row's end, the tip.
+
+    The axes are those of what the joint carries: they turn with it.
+    """
+    each = (f"{kind} {joint.id}" for kind in ("joint", "frame") for joint in arm.joints)
+    return [BASE_PLACE, *each, TIP_PLACE]
+
+
+@dataclass(frozen=True)
+class Acting:
+    """A place at a posture: the station that a twist acts at; the pose at whose origin, in the
+    base frame, a wrench acts."""
+
+    station: int
+    frame: Frame
+
+    @classmethod
+    def of(cls, posture: Posture, place: str) -> Acting:
+        if place == TIP_PLACE:
+            tip = posture.arm.tip
+            station = posture.frame(tip.frame)
+            frame = posture.frames[station]
+            return cls(station, frame._replace(p=frame.transform(tip.position_m)))
+        kind, _, row = place.partition(" ")
+        stand = posture.bearing if kind == "joint" else posture.frame
+        station = stand(int(row)) if row else BASE
+        return cls(station, posture.frames[station])
+
+
+@dataclass(frozen=True)
+class _Component(ABC):
+    """What acts at a place, along axis 0, 1, 2; None where the posture says which way."""
+
+    word: ClassVar[str]
+    unit: ClassVar[str]
+
+    axis: int | None = None
+
+    @property
+    def name(self) -> str:
+        """As it is stored: ``force y``, ``weight``."""
+        return self.word if self.axis is None else f"{self.word} {AXES[self.axis]}"
+
+    @abstractmethod
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
+        """Twists by station of `amount` of it."""
+
+    def along(self, amount: Scalar) -> Vec:
+        x, y, z = (amount if k == self.axis else 0.0 for k in range(3))
+        return (x, y, z)
+
+
+class Move(_Component):
+    word = "move"
+    unit = "m"
+
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
+        return {at.station: (*self.along(amount), *ZERO)}
+
+
+class Turn(_Component):
+    word = "turn"
+    unit = "rad"
+
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
+        return {at.station: (*ZERO, *self.along(amount))}
+
+
+class Give(_Component):
+    """A rotation under the moment that is carried there, across the place's z axis."""
+
+    word = "give"
+    unit = "rad/(N m)"
+
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
+        x, y, _ = posture.moment(at.station)
+        return {at.station: (*ZERO, amount * x, amount * y, 0.0)}
+
+
+class Wrench(_Component):
+    """A load: it bends the declared beams between the base and the place."""
+
+    @abstractmethod
+    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
+        """Force (N) and moment (N m) in the base's axes."""
+
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
+        """To first order, every element as a cantilever under what the load makes of its end."""
+        pushed, turned = self.loads(posture, at, amount)
+        made: dict[int, Twist] = {}
+        for row in posture.chain.rows:
+            for element in row.elements_a + row.elements_d:
+                if element.station > at.station:
+                    continue
+                end = posture.frames[element.station]
+                lever = spatial.sub(at.frame.p, end.p)
+                moment = spatial.add(turned, spatial.cross(lever, pushed))
+                here = end.unrotate(pushed), end.unrotate(moment)
+                made[element.station] = bent(posture, element, *here)
+        return made
+
+
+class Force(Wrench):
+    word = "force"
+    unit = "N"
+
+    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
+        return at.frame.rotate(self.along(amount)), ZERO
+
+
+class Moment(Wrench):
+    word = "moment"
+    unit = "N m"
+
+    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
+        return ZERO, at.frame.rotate(self.along(amount))
+
+
+class Weight(Wrench):
+    """A force at the place, the way that gravity pulls."""
+
+    word = "weight"
+    unit = "N"
+
+    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
+        size = float(np.linalg.norm(posture.arm.gravity_mps2))
+        return spatial.scale(amount * (1.0 / max(size, 1e-9)), posture.gravity), ZERO
+
+
+COMPONENTS: dict[str, _Component] = {
+    component.name: component
+    for component in (
+        *(kind(axis) for kind in (Move, Turn, Force, Moment) for axis in range(3)),
+        Give(),
+        Weight(),
+    )
+}
+"""Components by the name that stands for them in a model file."""
+
+
+def components(arm: Arm) -> list[str]:
+    """Names of the components that an arm can have: loads need declared beams to bend."""
+    return [n for n, c in COMPONENTS.items() if arm.links or not isinstance(c, Wrench)]
+
 
 CAMERA, DISTANCE = "camera", "distance"
 
@@ -40,15 +190,20 @@ def views(arm: Arm) -> list[str]:
 
 
 class _OfFunction:
-    """What a term owes to its function alone."""
+    """What a term owes to its function alone; `kind`: of quantities that it may depend on."""
 
     name: ClassVar[str]
+    kind: ClassVar[type]
+    at: str
+    component: str
     function: str
     domain: str
+    scale: float
+    amount: float
 
     @property
     def where(self) -> str:
-        raise NotImplementedError
+        return f"{self.at}, {self.component}"
 
     @cached_property
     def of(self) -> Function:
@@ -67,6 +222,24 @@ class _OfFunction:
         for column in self.inputs:
             if column not in PER_JOINT and not context.has(column):
                 raise InputError(self.name, column, "missing", "a recorded column of the session")
+
+    def check(self, arm: Arm, where: str) -> None:
+        try:
+            factors = self.of.factors
+        except FunctionError as error:
+            field = f"{self.name}.function"
+            raise InputError(where, field, error.value, error.allowed) from error
+        for factor in factors:
+            of = factor.quantity
+            if not (isinstance(of, (self.kind, Recorded)) and of.exists(arm)):
+                allowed = "a quantity of this arm, or a recorded column"
+                raise InputError(where, f"{self.name}.function", factor.of, allowed)
+        for field, value in (("scale", self.scale), ("amount", self.amount)):
+            if not (np.isfinite(value) and abs(value) <= LARGEST):
+                allowed = f"a number within +-{LARGEST:g}"
+                raise InputError(where, f"{self.name}.{field}", value, allowed)
+        if not self.scale > 0:
+            raise InputError(where, f"{self.name}.scale", self.scale, "above 0")
 
 
 @dataclass(frozen=True)
@@ -87,6 +260,7 @@ class Discovered(_OfFunction, Effect):
     loaded = True
     bounded = True
     searched = False
+    kind = OfPosture
 
     at: str = place(stations, default="base")
     component: str = place(components, default="move x")
@@ -94,10 +268,6 @@ class Discovered(_OfFunction, Effect):
     domain: str = place(default="")
     scale: float = form(1e-3)
     amount: float = parameter("of its component and function", "how much", prior=1e-3)
-
-    @property
-    def where(self) -> str:
-        return f"{self.at}, {self.component}"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         unit = _quotient(COMPONENTS[self.component].unit, self.of.units(arm))
@@ -110,9 +280,6 @@ class Discovered(_OfFunction, Effect):
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
         return tuple(dict.fromkeys(j for q in self.of.quantities for j in q.joints))
-
-    def check(self, arm: Arm, where: str) -> None:
-        _check(self.name, self, arm, where, OfPosture)
 
     def outside(self, posture: Posture) -> list[tuple[str, ...]]:
         """Which quantities of N postures lie outside the data, and so count as at their end."""
@@ -147,6 +314,7 @@ class DiscoveredView(_OfFunction, Bias):
     title = "cause without a name in what is measured"
     action = "Check mount, lenses and calibration of the camera."
     searched = False
+    kind = SeenCoordinate
 
     at = CAMERA
 
@@ -157,22 +325,15 @@ class DiscoveredView(_OfFunction, Bias):
     amount: float = parameter("of its function", "displacement of what is seen", prior=1e-3)
 
     @property
-    def component(self) -> str:
+    def component(self) -> str:  # type: ignore[override]
         """Its axis, or `DISTANCE`."""
         return self.axis
-
-    @property
-    def where(self) -> str:
-        return f"{self.at}, {self.axis}"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The amount, in m, or as a share of the distance, per unit of the function."""
         unit = "1" if self.axis == DISTANCE else "m"
         unit = _quotient(unit, self.of.units(arm))
         return with_prior(self.declared(), unit=unit, prior=self.scale)
-
-    def check(self, arm: Arm, where: str) -> None:
-        _check(self.name, self, arm, where, SeenCoordinate)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         at = SeenPoint(point, context)
@@ -196,21 +357,3 @@ def _quotient(unit: str, over: list[str]) -> str:
         return unit
     whole = " ".join(below)
     return f"{unit}/({whole})" if " " in whole else f"{unit}/{whole}"
-
-
-def _check(name: str, term: Discovered | DiscoveredView, arm: Arm, where: str, kind: type) -> None:
-    try:
-        of = term.of
-    except FunctionError as error:
-        raise InputError(where, f"{name}.function", error.value, error.allowed) from error
-    for factor in of.factors:
-        usable = isinstance(factor.quantity, (kind, Recorded)) and factor.quantity.exists(arm)
-        if not usable:
-            allowed = "a quantity of this arm, or a recorded column"
-            raise InputError(where, f"{name}.function", factor.of, allowed)
-    for field in ("scale", "amount"):
-        value = getattr(term, field)
-        if not (np.isfinite(value) and abs(value) <= LARGEST):
-            raise InputError(where, f"{name}.{field}", value, f"a number within +-{LARGEST:g}")
-    if not term.scale > 0:
-        raise InputError(where, f"{name}.scale", term.scale, "above 0")

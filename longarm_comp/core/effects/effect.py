@@ -102,6 +102,7 @@ class _Term:
         title: what a mechanic calls it: ``play``.
         action: what can be done about it at the arm, in one sentence.
         whole: where it is, for an effect without a place.
+        part: key of arm.yaml that an arm must declare to have it.
         needs: recorded inputs that every instance needs.
         geometry: always fitted, and never "named" by a diagnosis.
         passing: of one fit (where a touched point was), and no more: no model.yaml holds it.
@@ -131,6 +132,7 @@ class _Term:
     title: ClassVar[str] = ""
     action: ClassVar[str] = "Look for its cause at that place."
     whole: ClassVar[str] = "arm"
+    part: ClassVar[str] = ""
     needs: ClassVar[tuple[str, ...]] = ()
     geometry: ClassVar[bool] = False
     passing: ClassVar[bool] = False
@@ -244,7 +246,8 @@ class _Term:
         None where a place may be any text: then the rows of a session say which there are.
         """
         allowed = cls.allowed_places()
-        if len(allowed) < len(_metadata(cls, _PLACE)):  # type: ignore[arg-type]
+        absent = cls.part and not getattr(arm, cls.part)
+        if absent or len(allowed) < len(_metadata(cls, _PLACE)):  # type: ignore[arg-type]
             return []
         each = itertools.product(*(places(arm) for places in allowed.values()))
         return [dict(zip(allowed, values, strict=True)) for values in each]

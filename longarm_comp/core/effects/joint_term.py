@@ -16,7 +16,8 @@ from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import play
 from longarm_comp.core.arm.posture import Chain, Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar, Twist
-from longarm_comp.core.effects.effect import Drive, Effect, Parameter, Sites, moving_joints, place
+from longarm_comp.core.effects.effect import Drive, Effect, Parameter, Sites, place
+from longarm_comp.core.effects.sites import moving_joints
 
 GATES = (0.0, 0.03, 0.075, 0.15, 0.3, 0.75)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
@@ -40,10 +41,12 @@ class JointTerm(Effect):
         joint: row id.
         actions: instead of `action`, by the joint's kind of drive.
         types: of the commanded joints that may have it, where `fits` does not say otherwise.
+        passive: every joint that moves may have it, whatever its type.
     """
 
     actions: ClassVar[Mapping[str, str]] = {}
     types: ClassVar[tuple[str, ...]] = ("revolute",)
+    passive: ClassVar[bool] = False
     acts: ClassVar[Drive] = "gear"
 
     joint: int = place(moving_joints)
@@ -55,8 +58,8 @@ class JointTerm(Effect):
 
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:
-        """Rows that the effect may have: the commanded ones that it fits."""
-        return [row for row in arm.commanded if cls.fits(arm, row)]
+        """Rows that the effect may have."""
+        return moving_joints(arm) if cls.passive else [r for r in arm.commanded if cls.fits(arm, r)]
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
@@ -83,6 +86,14 @@ class JointTerm(Effect):
                 twists[posture.bearing(row)] = (0.0, 0.0, 0.0, 0.0, 0.0, moved)
         return twists
 
+    def slides(self, arm: Arm) -> bool:
+        """Whether its joint is a slide."""
+        return arm.joints[self.joint - 1].type == "prismatic"
+
+    def command(self, posture: Posture) -> Scalar:
+        """Commanded position of its joint, rad or m."""
+        return posture.q[posture.arm.commanded.index(self.joint)]
+
     def load(self, posture: Posture) -> Scalar:
         """Its `joint_load`."""
         return joint_load(posture, self.joint)
@@ -99,17 +110,16 @@ class JointTerm(Effect):
                 a quarter of its weight for a slide.
             blend: share of the threshold over which the side changes over.
         """
-        key = ("side", self.joint, gate, blend)
-        return posture.once(key, lambda: self._side(posture, gate, blend))
 
-    def _side(self, posture: Posture, gate: float, blend: float) -> Scalar:
-        load = self.load(posture)
-        force, torque = typical_loads(posture.arm)
-        sliding = posture.arm.joints[self.joint - 1].type == "prismatic"
-        threshold = gate * (force / 4 if sliding else torque)
-        settled = (abs(load) - threshold - _RESTING) / (blend * threshold + 0.1 * _RESTING)
-        share = 0.5 + 0.5 * spatial.tanh(settled)
-        return share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
+        def found() -> Scalar:
+            load = self.load(posture)
+            force, torque = typical_loads(posture.arm)
+            threshold = gate * (force / 4 if self.slides(posture.arm) else torque)
+            settled = (abs(load) - threshold - _RESTING) / (blend * threshold + 0.1 * _RESTING)
+            share = 0.5 + 0.5 * spatial.tanh(settled)
+            return share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
+
+        return posture.once(("side", self.joint, gate, blend), found)
 
     def direction(self, posture: Posture) -> Scalar:
         """Side that the joint arrived from, -1, 0 (unknown) or +1."""
@@ -120,12 +130,12 @@ class JointTerm(Effect):
 
         How far a joint is wound up by its own way: +1 against its upper flank, coming from below.
         """
-        key = ("wound", self.joint, radius)
-        return posture.once(key, lambda: self._wound(posture, radius))
 
-    def _wound(self, posture: Posture, radius: float) -> Scalar:
-        low, high = play(self._history(posture, "legs"), radius)
-        return (low + high) * (0.5 / radius)
+        def found() -> Scalar:
+            low, high = play(self._history(posture, "legs"), radius)
+            return (low + high) * (0.5 / radius)
+
+        return posture.once(("wound", self.joint, radius), found)
 
     def _history(self, posture: Posture, name: str) -> tuple[Scalar, ...]:
         return posture.context.of_joint(name, posture.arm.commanded.index(self.joint))

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 from typing_extensions import Self
 
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Inclinometer
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import Arm, Context, Effect, Parameter, form, parameter, place
+from longarm_comp.core.effects.effect import Effect, Parameter, form, parameter, place
 from longarm_comp.core.effects.sites import frames
 from longarm_comp.core.errors import InputError
 

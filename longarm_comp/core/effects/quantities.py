@@ -54,7 +54,7 @@ class Quantity(ABC):
     """
 
     pattern: ClassVar[str]
-    si = "1"
+    si: ClassVar[str] = "1"
     plain = True
     inputs: ClassVar[tuple[str, ...]] = ()
 
@@ -89,7 +89,9 @@ class OfPosture(Quantity):
 
 
 class _OfJoint(OfPosture):
-    """A quantity of one commanded joint."""
+    """A quantity of one commanded joint; `of_slide`: its unit where that is a slide."""
+
+    of_slide = "1"
 
     @property
     def joint(self) -> int:
@@ -99,38 +101,28 @@ class _OfJoint(OfPosture):
     def exists(self, arm: Arm) -> bool:
         return 0 <= self.joint < arm.n
 
-    def slides(self, arm: Arm) -> bool:
-        """Whether the joint is a slide."""
-        return arm.joints[arm.commanded[self.joint] - 1].type == "prismatic"
+    def unit(self, arm: Arm) -> str:
+        slides = arm.joints[arm.commanded[self.joint] - 1].type == "prismatic"
+        return self.of_slide if slides else self.si
 
 
 class JointPosition(_OfJoint):
-    """Position of a commanded joint."""
-
     pattern = r"q(\d+)"
-
-    def unit(self, arm: Arm) -> str:
-        return "m" if self.slides(arm) else "rad"
+    si, of_slide = "rad", "m"
 
     def read(self, posture: Posture) -> Scalar:
         return posture.q[self.joint]
 
 
 class JointLoad(_OfJoint):
-    """Gravity load of a commanded joint."""
-
     pattern = r"load_(\d+)"
-
-    def unit(self, arm: Arm) -> str:
-        return "N" if self.slides(arm) else "N m"
+    si, of_slide = "N m", "N"
 
     def read(self, posture: Posture) -> Scalar:
         return joint_load(posture, posture.arm.commanded[self.joint])
 
 
 class JointSide(_OfJoint):
-    """Side that a commanded joint arrived from."""
-
     pattern = r"side_(\d+)"
     inputs = ("approach",)
 
@@ -143,8 +135,6 @@ class JointSide(_OfJoint):
 
 
 class LoadSum(OfPosture):
-    """Sum of the absolute torques of the turning commanded joints."""
-
     pattern = r"sum_loads"
     si = "N m"
 
@@ -159,8 +149,6 @@ class LoadSum(OfPosture):
 
 
 class Warmth(OfPosture):
-    """Temperature above the arm's reference."""
-
     pattern = r"warmth"
     si = "K"
     inputs = ("temperature_c",)
@@ -175,36 +163,27 @@ class _OfRow(OfPosture):
     def exists(self, arm: Arm) -> bool:
         return 0 <= self.numbers[0] <= len(arm.joints)
 
-    def station(self, posture: Posture) -> int:
-        """Station of the bearing, or of the base."""
-        return _bearing(posture, self.numbers[0])
-
 
 class Moment(_OfRow):
-    """Moment of all that is carried at a bearing, about one of its axes."""
-
     pattern = r"moment_(\d+)_([xyz])"
     si = "N m"
     plain = False
 
     def read(self, posture: Posture) -> Scalar:
-        return posture.moment(self.station(posture))[self.axis]
+        return posture.moment(_bearing(posture, self.numbers[0]))[self.axis]
 
 
 class Gravity(_OfRow):
-    """Share of gravity along an axis of a row."""
-
     pattern = r"gravity_(\d+)_([xyz])"
     plain = False
 
     def read(self, posture: Posture) -> Scalar:
         size = float(np.linalg.norm(posture.arm.gravity_mps2))
-        return posture.gravity_in(self.station(posture))[self.axis] * (1.0 / max(size, 1e-9))
+        station = _bearing(posture, self.numbers[0])
+        return posture.gravity_in(station)[self.axis] * (1.0 / max(size, 1e-9))
 
 
 class Span(OfPosture):
-    """Distance between two bearings; row 0 is the base."""
-
     pattern = r"distance_(\d+)_(\d+)"
     si = "m"
     resolution = 1e-3  # the tolerance of a row's lengths (`dh_error`)
@@ -222,8 +201,6 @@ class Span(OfPosture):
 
 
 class SeenCoordinate(Quantity):
-    """A coordinate of the seen point in the base frame."""
-
     pattern = r"seen_([xyz])"
     si = "m"
 
@@ -252,15 +229,7 @@ class Recorded(Quantity):
 
 _UNITS = {"t_s": "s", "temperature_c": "K", "payload_kg": "kg"}
 _KINDS: tuple[type[Quantity], ...] = (
-    JointPosition,
-    JointLoad,
-    JointSide,
-    LoadSum,
-    Warmth,
-    Moment,
-    Gravity,
-    Span,
-    SeenCoordinate,
+    *(JointPosition, JointLoad, JointSide, LoadSum, Warmth, Moment, Gravity, Span, SeenCoordinate),
 )
 
 

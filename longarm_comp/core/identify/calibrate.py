@@ -12,10 +12,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.cylinder_pins import CylinderPins
-from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError, JointZero
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.kind_of_arm import KindOfArm

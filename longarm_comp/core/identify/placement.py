@@ -19,13 +19,15 @@ from longarm_comp.core.data.lifted_base import lifted_base, multilaterated
 from longarm_comp.core.data.measurement import errors, posture
 from longarm_comp.core.data.registration import Registration, Sightings, register
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.anchor_place import AnchorPlace
-from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.encoder import Encoder
-from longarm_comp.core.effects.sensor_place import SensorPlace
-from longarm_comp.core.effects.tip_offset import TipOffset
-from longarm_comp.core.effects.tip_orientation import TipOrientation
+from longarm_comp.core.effects.geometry_errors import Encoder
+from longarm_comp.core.effects.placements import (
+    AnchorPlace,
+    BasePose,
+    SensorPlace,
+    TipOffset,
+    TipOrientation,
+)
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.linear import MAD, OUTLIER
 from longarm_comp.core.model.model import Model, slots_of

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from longarm_comp.core.arm.pose import Vec3
+from longarm_comp.core.arm.parts import Vec3
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import solve_many

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+from abc import ABC, abstractmethod
 from collections import ChainMap
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -178,25 +179,31 @@ def _read(s: np.ndarray, kernel: Kernel) -> _Found:
     return q.T, size.T, used[0]
 
 
-class _State:
+class _State(ABC):
     """State of a search, or of several, and the programs on it."""
 
     def __init__(self, programs: _Programs, place: dict[str, range], s: Any) -> None:
         self.programs, self.place, self.s = programs, place, s
 
-    def call(self, name: str) -> None:
-        """Run a program."""
-        self.programs[name](self.s)
+    def run(self, flow: newton.Flow) -> None:
+        """Run programs in their order."""
+        for step in flow:
+            if isinstance(step, str):
+                self.programs[step](self.s)
+            else:
+                self.repeat(self.place[step.row][0], step.body)
+
+    @abstractmethod
+    def repeat(self, at: int, body: newton.Flow) -> None:
+        """Run until a number of the state is 0 everywhere."""
 
 
 class _Column(_State):
     """Of one search, as a list of floats."""
 
-    def repeat(self, row: str, body: newton.Flow) -> None:
-        """Run until the row is 0."""
-        at = self.place[row][0]
+    def repeat(self, at: int, body: newton.Flow) -> None:
         while self.s[at]:
-            newton.run(body, self.call, self.repeat)
+            self.run(body)
 
 
 class _Columns(_State):
@@ -204,15 +211,14 @@ class _Columns(_State):
 
     thin = _THIN
 
-    def repeat(self, row: str, body: newton.Flow) -> None:
-        """Run until the row is 0 everywhere. Finished columns are removed."""
+    def repeat(self, at: int, body: newton.Flow) -> None:
+        """Finished columns are removed."""
         aside: list[tuple[np.ndarray, np.ndarray]] = []
-        at = self.place[row][0]
         while (todo := self.s[at] != 0.0).any():
             if todo.mean() < self.thin:
                 aside.append((self.s, todo))
                 self.s = self.s[:, todo]
-            newton.run(body, self.call, self.repeat)
+            self.run(body)
         for whole, which in reversed(aside):
             whole[:, which] = self.s
             self.s = whole
@@ -221,7 +227,7 @@ class _Columns(_State):
 def _arrays(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
     kernel = kernel_of(model, context.layout)
     columns = _Columns(kernel.arrays, kernel.place, _filled(given, kernel, count))
-    newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
+    columns.run(kernel.flows[f"search{p.m}"])
     return _read(columns.s, kernel)
 
 
@@ -231,7 +237,7 @@ def _python(model: Model, context: Context, p: Problem, given: _Given, count: in
     for s in _filled(given, kernel, count).T.tolist():
         column = _Column(kernel.floats, kernel.place, s)
         try:
-            newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
+            column.run(kernel.flows[f"search{p.m}"])
         except ArithmeticError:  # beyond the range of numbers, where the other engines give NaN
             for at in kernel.place["size"]:
                 s[at] = math.inf
@@ -244,30 +250,40 @@ def _compiled(model: Model, context: Context, p: Problem, given: _Given, count: 
         allowed = "another engine: machine code needs llvmlite (pip install llvmlite)"
         raise InputError("ik", "engine", Engine.COMPILED.name, allowed)
     kernel = kernel_of(model, context.layout)
+    blocks = filled_blocks(kernel, given, count)
+    search = kernel.code.function(f"many_search{p.m}")  # releases Python's lock
+    if p.threads == 1:
+        search(blocks.ctypes.data, len(blocks))
+    else:
+        parts = np.array_split(blocks, p.threads)
+        with ThreadPoolExecutor(p.threads) as pool:
+            list(pool.map(lambda part: search(part.ctypes.data, len(part)), parts))
+    q, size, used = (rows_of(blocks, kernel, name, count) for name in ("q", "size", "used"))
+    return q, size, used[:, 0]
+
+
+def filled_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
+    """States of K searches for machine code, (number, size, width): lanes of `width` columns.
+
+    The last block may be partly used; its other columns are 0.
+    """
     width = kernel.code.width
-    number, rest = -(-count // width), count % width
-    blocks = np.empty((number, kernel.size, width))
-    blocks[-1] = 0.0  # the last block may be partly used
+    full, rest = divmod(count, width)
+    blocks = np.zeros((full + (rest > 0), kernel.size, width))
     for name, values in given.items():
         part = blocks[:, kernel.slice(name)]
         if values.ndim == 1:
             part[:] = values[:, None]
         else:
-            even = values[: count - rest].reshape(count // width, width, part.shape[1])
-            part[: count // width] = even.swapaxes(1, 2)
-            part[count // width :, :, :rest] = values[count - rest :].T
-    search = kernel.code.function(f"many_search{p.m}")  # releases Python's lock
-    if p.threads == 1:
-        search(blocks.ctypes.data, number)
-    else:
-        parts = np.array_split(blocks, p.threads)
-        with ThreadPoolExecutor(p.threads) as pool:
-            list(pool.map(lambda part: search(part.ctypes.data, len(part)), parts))
-    q, size, used = (
-        blocks[:, kernel.slice(name)].swapaxes(1, 2).reshape(number * width, -1)[:count]
-        for name in ("q", "size", "used")
-    )
-    return q, size, used[:, 0]
+            even = values[: count - rest].reshape(full, width, part.shape[1])
+            part[:full] = even.swapaxes(1, 2)
+            part[full:, :, :rest] = values[count - rest :].T
+    return blocks
+
+
+def rows_of(blocks: np.ndarray, kernel: Kernel, name: str, count: int) -> np.ndarray:
+    """(K, k): the quantity of a name in such states."""
+    return blocks[:, kernel.slice(name)].swapaxes(1, 2).reshape(-1, len(kernel.place[name]))[:count]
 
 
 def _model(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
@@ -284,7 +300,7 @@ def _model(model: Model, context: Context, p: Problem, given: _Given, count: int
     s = _filled({**given, "c": np.zeros(0)}, kernel, count)
     columns = _Columns(ChainMap(own, kernel.arrays), kernel.place, s)
     columns.thin = 0.0  # the context is of all columns
-    newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
+    columns.run(kernel.flows[f"search{p.m}"])
     return _read(s, kernel)
 
 

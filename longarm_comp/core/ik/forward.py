@@ -6,7 +6,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.ik.engines import Engine, is_compiled
+from longarm_comp.core.ik.engines import Engine, filled_blocks, is_compiled, rows_of
 from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.ik.newton import LEVELS, evaluation
 from longarm_comp.core.model.model import Model, unstack
@@ -63,16 +63,9 @@ def _arrays(kernel: Kernel, q: np.ndarray, c: np.ndarray, name: str) -> np.ndarr
 
 def _machine(kernel: Kernel, q: np.ndarray, c: np.ndarray, name: str) -> np.ndarray:
     """As `_arrays`."""
-    width = kernel.code.width
-    number = -(-len(q) // width)
-    blocks = np.zeros((number, kernel.size, width))
-    for given, values in (("trial", q), ("c", c)):
-        lanes = np.zeros((number * width, values.shape[1]))
-        lanes[: len(q)] = values
-        blocks[:, kernel.slice(given)] = lanes.reshape(number, width, -1).swapaxes(1, 2)
+    blocks = filled_blocks(kernel, {"trial": q, "c": c}, len(q))
     calls = [kernel.code.function(f"many_{program}") for program in _programs(kernel)]
-    for at in range(0, number, _BLOCKS):
+    for at in range(0, len(blocks), _BLOCKS):
         for call in calls:
-            call(blocks[at:].ctypes.data, min(_BLOCKS, number - at))
-    held = blocks[:, kernel.slice(name)].swapaxes(1, 2)
-    return held.reshape(number * width, -1)[: len(q)]
+            call(blocks[at:].ctypes.data, min(_BLOCKS, len(blocks) - at))
+    return rows_of(blocks, kernel, name, len(q))

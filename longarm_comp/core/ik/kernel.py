@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any
 
@@ -61,37 +61,24 @@ _Work = Callable[[newton.State], newton.Outcome]
 _Program = tuple[Graph, emit.Outputs]
 
 
-class _Traced(Mapping[str, _Program]):
+class _Traced(dict[str, _Program]):
     """Programs by name, each traced on its first use."""
 
     def __init__(self, works: Mapping[str, _Work], place: Mapping[str, range]) -> None:
-        self._works, self._place = works, place
-        self._made: dict[str, _Program] = {}
+        super().__init__()
+        self.works, self._place = works, place
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._works)
-
-    def __len__(self) -> int:
-        return len(self._works)
-
-    def forget(self) -> None:
-        """Free the graphs; they are traced again where they are asked for."""
-        self._made.clear()
-
-    def __getitem__(self, name: str) -> _Program:
-        if name not in self._made:
-            graph = Graph()
-            state = {k: [graph.input(str(i)) for i in r] for k, r in self._place.items()}
-            self._made[name] = (
-                graph,
-                {
-                    self._place[part][k]: value
-                    for part, values in self._works[name](state).items()
-                    for k, value in enumerate(values)
-                    if value is not state[part][k]  # unchanged values need no writing
-                },
-            )
-        return self._made[name]
+    def __missing__(self, name: str) -> _Program:
+        graph = Graph()
+        state = {k: [graph.input(str(i)) for i in r] for k, r in self._place.items()}
+        outputs = {
+            self._place[part][k]: value
+            for part, values in self.works[name](state).items()
+            for k, value in enumerate(values)
+            if value is not state[part][k]  # unchanged values need no writing
+        }
+        self[name] = graph, outputs
+        return self[name]
 
 
 class Kernel:
@@ -189,8 +176,9 @@ class Kernel:
         from longarm_comp.core.ik.codegen import machine_code
 
         width = machine_code.lanes()
-        text = emit_llvm.module(self.programs, self.flows, self.place, width)
-        self.programs.forget()
+        programs = {name: self.programs[name] for name in self.programs.works}
+        text = emit_llvm.module(programs, self.flows, self.place, width)
+        self.programs.clear()  # frees the graphs; they are traced again where they are asked for
         return machine_code.compile_module(text, width)
 
 

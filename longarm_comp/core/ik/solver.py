@@ -18,10 +18,9 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik.box_step import skewness
 from longarm_comp.core.ik.engines import Engine, Problem, restart_points, run, warm_up
 from longarm_comp.core.ik.kernel import characteristic_length
-from longarm_comp.core.ik.newton import ROTATION_TOLERANCE
+from longarm_comp.core.ik.newton import ROTATION_TOLERANCE, skewness
 from longarm_comp.core.ik.single import solve_compiled
 from longarm_comp.core.model.model import Model
 

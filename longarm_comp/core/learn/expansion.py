@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.learn.network import with_ones
-from longarm_comp.core.learn.predictor import Prediction, Predictor
+from longarm_comp.core.learn.predictor import Predictor
 
 LINEAR_M = 5e-6
 """Accuracy of an expansion within its reach, m."""

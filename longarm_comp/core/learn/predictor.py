@@ -23,24 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.inputs import Encoding, check_rows, raw_names
 from longarm_comp.core.learn.network import NetworkShape, output_jacobian, with_ones
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Expected residual at N postures."""
-
-    error: Array  # (N, 3) m, measured - predicted
-    sigma: Array  # (N, 3) m, sd of a measurement around ``error``
-    in_domain: NDArray[np.bool_]  # (N,)
-    reason: list[str]  # (N,) empty where in domain
-    doubt: Array  # (N,) epistemic variance as a share of the largest that is trusted
-    outside: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
-    """(N,) outside the training data: one reason among others not to be in domain."""
 
 
 @dataclass(frozen=True)

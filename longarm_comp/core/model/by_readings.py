@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import parameter
-from longarm_comp.core.effects.encoder import Encoder
+from longarm_comp.core.effects.geometry_errors import Encoder
 from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.model.encoders import sees
 from longarm_comp.core.model.model import Model

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.effects.drive_errors import ServoQuantisation
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.model.model import Model
 
 

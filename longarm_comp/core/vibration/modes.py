@@ -20,7 +20,7 @@ import numpy as np
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.posture import LineLoads, Posture, abs_
+from longarm_comp.core.arm.posture import LineLoads, Lumped, Posture, abs_
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.ik.kernel import geometric
 from longarm_comp.core.model.model import Model, unstack
@@ -29,15 +29,6 @@ MODES = 6
 """Modes that are kept, the slowest first."""
 _PUSH = 0.1
 """Of the arm's weight: well beyond its play, and no large bend."""
-
-
-@dataclass(frozen=True)
-class Mass:
-    """A lumped mass: kg, at a point (m) in the axes of a station; at N postures (N,) of each."""
-
-    station: int
-    at: Vec
-    mass: Scalar
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +75,7 @@ def modes_along(
     fine = replace(model, elements_per_beam=max(each, model.elements_per_beam))
     posture = fine.posture(unstack(joints), context)
     known, tip = len(joints), model.arm.tip
-    points = [*_masses_of(posture), Mass(posture.frame(tip.frame), tip.position_m, 0.0)]
+    points = [*_masses_of(posture), Lumped(posture.frame(tip.frame), 0.0, tip.position_m)]
     mass = np.repeat(np.array([np.broadcast_to(p.mass, known) for p in points]).T, 3, axis=1)
     bends = _flexibility(fine, posture, points, known)
     carried = np.concatenate([_carried(posture, p, known) for p in points], axis=1)
@@ -110,9 +101,9 @@ _STIFF = 1e-4
 """What yields less, compared with the slowest mode, does not ring: it is 100 times as fast."""
 
 
-def _masses_of(posture: Posture) -> list[Mass]:
+def _masses_of(posture: Posture) -> list[Lumped]:
     """All masses of the arm, each at a station; beams at the ends of their elements."""
-    found = [Mass(station, at, mass) for station, held in posture.station_masses().items()
+    found = [Lumped(station, mass, at) for station, held in posture.station_masses().items()
              for mass, at in held]  # fmt: skip
     ends: dict[int, Scalar] = {}
     for station, spread in posture.line_loads.items():
@@ -121,7 +112,7 @@ def _masses_of(posture: Posture) -> list[Mass]:
             near = 0.5 * loaded / length * density * loaded  # share with the same centre
             ends[station] = ends.get(station, 0.0) + density * loaded - near
             ends[station - 1] = ends.get(station - 1, 0.0) + near
-    return found + [Mass(station, spatial.ZERO, mass) for station, mass in ends.items()]
+    return found + [Lumped(station, mass, spatial.ZERO) for station, mass in ends.items()]
 
 
 @dataclass(frozen=True)
@@ -139,7 +130,7 @@ class _Pushed(Posture):
         return {e.station: [] for row in rows for e in (*row.elements_a, *row.elements_d)}
 
 
-def _flexibility(model: Model, posture: Posture, points: list[Mass], postures: int) -> np.ndarray:
+def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures: int) -> np.ndarray:
     """(N, 3 P, 3 P) m/N at N postures: motion of every point by pushes along x, y, z of the base.
 
     All pushes at all postures are one posture of N times 4 times 3 P rows.
@@ -159,7 +150,7 @@ def _flexibility(model: Model, posture: Posture, points: list[Mass], postures: i
     frames = [Frame(*(rows(part) for part in frame)) for frame in posture.frames]
     pushes: dict[int, list[tuple[Scalar, Vec]]] = {}
     for k, p in enumerate(points):
-        pushes.setdefault(p.station, []).append(((which == k).astype(float), rows(p.at)))
+        pushes.setdefault(p.station, []).append(((which == k).astype(float), rows(p.position)))
     x, y, z = (np.where(along == axis, sizes, 0.0) for axis in range(3))
     context = posture.context.take(np.repeat(np.arange(postures), 4 * count))
     pushed = _Pushed(
@@ -168,7 +159,7 @@ def _flexibility(model: Model, posture: Posture, points: list[Mass], postures: i
     )  # fmt: skip
     moved = np.zeros((postures, len(points), 3, count))
     carriers = np.array([p.station for p in points])
-    places = _points([posture.frames[p.station].transform(p.at) for p in points], postures)
+    places = _points([posture.frames[p.station].transform(p.position) for p in points], postures)
     for station, twist in model.twists(pushed).items():
         d, delta = (
             _slope(np.stack([np.broadcast_to(x, 4 * count * postures) for x in turned]), postures)
@@ -196,8 +187,8 @@ def _slope(answers: np.ndarray, postures: int) -> np.ndarray:
     return np.asarray((twice - up) - (back - down))
 
 
-def _carried(posture: Posture, point: Mass, postures: int) -> np.ndarray:
+def _carried(posture: Posture, point: Lumped, postures: int) -> np.ndarray:
     """(N, 3, n): motion of a point by a unit of every joint, the bend held."""
-    place = posture.frames[point.station].transform(point.at)
+    place = posture.frames[point.station].transform(point.position)
     columns = [linear for linear, _ in geometric(posture, place, point.station)]
     return _points(columns, postures).swapaxes(1, 2)

@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import Modes, modes_along
 from longarm_comp.core.vibration.ring import USUAL_DAMPING, amplitudes, sampled
@@ -88,11 +87,7 @@ def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float]
     Raises:
         InputError: names ``where``: a joint of the arm is not among the names.
     """
-    arm = model.arm
-    for name in arm.joint_names:
-        if name not in names:
-            raise InputError(where, f"servo of {name}", "missing", ", ".join(names))
-    order = [names.index(name) for name in arm.joint_names]
+    arm, order = model.arm, model.arm.order(names, where)
     damping = arm.damping or USUAL_DAMPING
 
     def usual(times: np.ndarray) -> np.ndarray:

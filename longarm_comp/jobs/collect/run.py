@@ -26,7 +26,7 @@ from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import entered
+from longarm_comp.core.model.link_frames import entered
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
 from longarm_comp.jobs.collect.visits import Visit, in_words
 from longarm_comp.jobs.graph_client import GraphClient, Reports

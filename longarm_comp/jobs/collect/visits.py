@@ -16,7 +16,7 @@ from longarm_comp.core.data.allowed_poses import FLOOR
 from longarm_comp.core.data.plan import Plan, with_room
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import boxes_entered, entered
+from longarm_comp.core.model.link_frames import boxes_entered, entered
 from longarm_comp.core.model.model import Model
 from longarm_comp.devices.servo_config import ServoConfig
 

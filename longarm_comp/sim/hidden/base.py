@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
 
-from longarm_comp.core.arm.beam import Beam
+from longarm_comp.core.arm.parts import Beam
 from longarm_comp.sim.context import State
 from longarm_comp.sim.rods import Walker
 

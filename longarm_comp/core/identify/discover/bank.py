@@ -19,11 +19,18 @@ from scipy.linalg import cholesky, solve_triangular
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import equations
-from longarm_comp.core.effects.components import components, stations
-from longarm_comp.core.effects.discovered import CAMERA, DISTANCE, Discovered, DiscoveredView, views
+from longarm_comp.core.effects.discovered import (
+    CAMERA,
+    DISTANCE,
+    Discovered,
+    DiscoveredView,
+    components,
+    stations,
+    views,
+)
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
+from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.identify.discover.functions import EACH_JOINT, FunctionGroup, Functions
 from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
 from longarm_comp.core.identify.linear import Marginal

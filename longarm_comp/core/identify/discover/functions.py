@@ -11,12 +11,12 @@ from itertools import combinations
 
 import numpy as np
 
-from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.quantities import Quantity
 from longarm_comp.core.effects.shapes import (
     Above,
     Below,
     Cosine,
+    Function,
     Legendre,
     Linear,
     Shape,

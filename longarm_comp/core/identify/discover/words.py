@@ -6,9 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import floor, log10
 
-from longarm_comp.core.effects.components import (
+from longarm_comp.core.effects.discovered import (
     BASE_PLACE,
+    CAMERA,
     COMPONENTS,
+    Discovered,
+    DiscoveredView,
     Force,
     Give,
     Move,
@@ -16,8 +19,6 @@ from longarm_comp.core.effects.components import (
     Weight,
     Wrench,
 )
-from longarm_comp.core.effects.discovered import CAMERA, Discovered, DiscoveredView
-from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.quantities import (
     Gravity,
     JointLoad,
@@ -30,7 +31,7 @@ from longarm_comp.core.effects.quantities import (
     Span,
     Warmth,
 )
-from longarm_comp.core.effects.shapes import Above, Below, Cosine, Shape, Sine, Switch
+from longarm_comp.core.effects.shapes import Above, Below, Cosine, Function, Shape, Sine, Switch
 
 TIME = "t_s"
 Found = Discovered | DiscoveredView

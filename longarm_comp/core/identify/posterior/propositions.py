@@ -7,10 +7,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from longarm_comp.core.effects.components import COMPONENTS, Move, Turn
-from longarm_comp.core.effects.function import Function
+from longarm_comp.core.effects.discovered import COMPONENTS, Move, Turn
 from longarm_comp.core.effects.quantities import AXES
-from longarm_comp.core.effects.shapes import Shape, Threshold, Wave
+from longarm_comp.core.effects.shapes import Function, Shape, Threshold, Wave
 from longarm_comp.core.identify.discover.bank import (
     CAMERA,
     Bank,

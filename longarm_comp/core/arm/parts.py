@@ -1,15 +1,33 @@
-"""Elastic beams as `arm.yaml` declares them, and the stiffness of their sections."""
+"""What `arm.yaml` declares beside rows: placements, beams, cylinders, boxes; names of places."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from longarm_comp.core.arm.pose import NonNegative, Positive
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.spatial import Frame, Scalar, rpy_frame
 from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared
+
+Vec3 = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Pose(Declared):
+    """A fixed placement: translation (m) and fixed-axis roll, pitch, yaw (deg)."""
+
+    xyz_m: Vec3 = (0.0, 0.0, 0.0)
+    rpy_deg: Vec3 = (0.0, 0.0, 0.0)
+
+    def frame(self) -> Frame:
+        """As a frame in its parent."""
+        return rpy_frame(self.xyz_m, tuple(map(math.radians, self.rpy_deg)))  # type: ignore[arg-type]
 
 
 class Tube(Declared):
@@ -116,3 +134,90 @@ class Beam(Declared):
         shear = self.G_pa if self.G_pa is not None else self.E_pa / (2 * (1 + (self.poisson or 0)))
         first, second, torsion = self.section.second_moments()
         return self.E_pa * first, self.E_pa * second, shear * torsion
+
+
+class Cylinder(Declared):
+    """Where the pins of a revolute joint's cylinder are.
+
+    ``length^2 = near^2 + far^2 - 2 near far cos(angle)``, the law of cosines; the angle at the
+    joint's axis is ``angle_deg`` at joint value 0 and grows (``grows: 1``) or falls (-1) with it.
+    """
+
+    near_m: Positive = Field(description="joint axis to the pin on the part before the joint")
+    far_m: Positive = Field(description="joint axis to the pin on the part that turns")
+    angle_deg: Annotated[float, Field(gt=0, lt=180)] = Field(
+        description="angle between the two at joint value 0"
+    )
+    grows: Literal[1, -1] = 1
+
+    def angle(self, q: Scalar) -> Scalar:
+        """Angle at the joint's axis, rad, at joint value q (rad)."""
+        return math.radians(self.angle_deg) + self.grows * q
+
+    def length(self, q: Scalar) -> Scalar:
+        """From pin to pin, m."""
+        squares = self.near_m**2 + self.far_m**2
+        return spatial.sqrt(squares - 2 * self.near_m * self.far_m * spatial.cos(self.angle(q)))
+
+    def lever(self, q: Scalar) -> Scalar:
+        """Lengthening per turn, m/rad: the distance from the axis, with the sign of `grows`."""
+        area = self.grows * self.near_m * self.far_m * spatial.sin(self.angle(q))
+        return area / self.length(q)
+
+
+class Box(Declared):
+    """A box in the base frame, its sides along the axes."""
+
+    min_m: Vec3
+    max_m: Vec3
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Box:
+        if any(low >= high for low, high in zip(self.min_m, self.max_m, strict=True)):
+            raise Misdeclared("max_m", list(self.max_m), f"above min_m, {list(self.min_m)}")
+        return self
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """(...) bool: which of points (..., 3), m, are in the box."""
+        inside = (points >= np.array(self.min_m)) & (points <= np.array(self.max_m))
+        return np.asarray(inside.all(axis=-1))
+
+    def crossed(self, points: np.ndarray) -> np.ndarray:
+        """(..., k - 1) bool: which segments of polylines (..., k, 3), m, are partly in the box."""
+        begin, way = points[..., :-1, :], np.diff(points, axis=-2)
+        low, high = np.array(self.min_m), np.array(self.max_m)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            near, far = (low - begin) / way, (high - begin) / way
+        inside = (begin >= low) & (begin <= high)
+        still = way == 0.0  # along this axis: all of the segment is between the planes, or none
+        enter = np.where(still, np.where(inside, -np.inf, np.inf), np.minimum(near, far))
+        leave = np.where(still, np.where(inside, np.inf, -np.inf), np.maximum(near, far))
+        first = np.maximum(enter.max(axis=-1), 0.0)
+        last = np.minimum(leave.min(axis=-1), 1.0)
+        return np.asarray(first <= last)
+
+
+_Rows: TypeAlias = Sequence[Any]
+"""`Arm.joints`; arm.py reads this file."""
+
+
+def called(joints: _Rows, commanded: Sequence[int]) -> dict[str, str]:
+    """As `Arm.called`, of rows and the ids of those that are commanded."""
+    made: dict[str, str] = {}
+    numbers = {row: f"q{k}" for k, row in enumerate(commanded, 1)}
+    for joint in joints:
+        row, number = joint.id, numbers.get(joint.id)
+        own = joint.name not in (None, f"joint{row}", f"joint_{row}", number)
+        if own:
+            made |= {f"{kind} {row}": f"{kind} {joint.name}" for kind in ("row", "frame")}
+            made[f"joint {row}"] = f"{joint.name} ({number})" if number else str(joint.name)
+        elif number and number != f"q{row}":
+            made[f"joint {row}"] = f"joint {number}"
+    return made
+
+
+def link_places(joints: _Rows) -> list[tuple[int, str, float]]:
+    """Where links can lie: row, role, length (m, at joint value 0), longest first."""
+    held = [(j.id, role, size) for j in joints if j.type != "fixed"
+            for role, size in (("a", j.a_m), ("d", j.d_m)) if size]  # fmt: skip
+    return sorted(held, key=lambda place: -abs(place[2]))

@@ -1,0 +1,201 @@
+"""What gives way under load: joints, bearings, links, the base."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm, Joint
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.arm.spatial import Scalar
+from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
+from longarm_comp.core.effects.joint_term import (
+    JointTerm,
+    by_drive,
+    reach,
+    typical_loads,
+    with_prior,
+)
+from longarm_comp.core.effects.link_deflection import extra_sag
+from longarm_comp.core.effects.sites import beams, rows
+
+
+@dataclass(frozen=True)
+class JointCompliance(JointTerm):
+    """Linear torsion of gear, shaft and servo: ``dq = compliance * torque`` (Khalil & Besnard).
+
+    A prismatic joint gives way along its axis: m/N.
+    """
+
+    name = "joint_compliance"
+    title = "soft joint"
+    action = "Check keys, clamps and screws of the drive; a stiffer gear or shaft lowers it."
+    actions = by_drive(
+        hydraulic="Bleed cylinder and hoses of air; check hoses, pins and the valve's leakage.",
+        cable="Use stiffer cables or raise their pretension; check their anchors.",
+    )
+    passive = True
+    loaded = True
+    elastic = True
+
+    compliance: float = parameter("rad/(N m)", "torsion per gravity torque", prior=4e-3, lower=0.0)
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior: 20 mrad (2 % of the reach) under the arm's typical load.
+
+        Fitted to real arms with all seats: Justin 43 to 75 mrad, WAM 18 and 24, Pandas up to 11.
+        """
+        force, torque = typical_loads(arm)
+        if self.slides(arm):
+            return with_prior(self.declared(), unit="m/N", prior=0.002 * reach(arm) / force)
+        return with_prior(self.declared(), prior=0.02 / torque)
+
+    def twists(self, posture: Posture) -> Twists:
+        return self.motion(posture, self.compliance * self.load(posture))
+
+
+@dataclass(frozen=True)
+class BearingTilt(JointTerm):
+    """Lateral elasticity of a joint: its seat turns under the moment across its axis.
+
+    The seat belongs to the link before the joint, so the two axes stand still when the joint
+    turns: x is that link's ``x_{i-1}`` (the lateral term of Tenhumberg & Baeuml, HUMANOIDS
+    2021), y is across it.  On their arms axes that turn with the joint leave 3.9 mm, these 3.7.
+    """
+
+    name = "bearing_tilt"
+    title = "soft bearing"
+    action = "Check seat and preload of the bearing; replace it if it rocks by hand."
+    passive = True
+    loaded = True
+    elastic = True
+
+    about_x: float = parameter(
+        "rad/(N m)", "tilt about x_{i-1} per moment", prior=2e-3, lower=0.0, like="seat"
+    )
+    about_y: float = parameter(
+        "rad/(N m)", "tilt about y' per moment", prior=2e-3, lower=0.0, like="seat"
+    )
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior: 10 mrad under the arm's typical torque.
+
+        First seats of real arms, fitted: Justin 11 to 18 mrad, UR5 1, Pandas 0.2 to 4.
+        """
+        return with_prior(self.declared(), prior=0.01 / typical_loads(arm)[1])
+
+    def twists(self, posture: Posture) -> Twists:
+        """Rotation about the seat's lateral axes, seen in the bearing's."""
+        station = posture.bearing(self.joint)
+        x, y, _ = posture.moment(station)
+        joint = posture.arm.joints[self.joint - 1]
+        theta: Scalar = math.radians(joint.theta_offset_deg)
+        if joint.type == "revolute":
+            theta = theta + posture.values[self.joint - 1]
+        c, s = spatial.cos(theta), spatial.sin(theta)
+        tilt_x, tilt_y = self.about_x * (c * x - s * y), self.about_y * (s * x + c * y)
+        return {station: (0.0, 0.0, 0.0, c * tilt_x + s * tilt_y, c * tilt_y - s * tilt_x, 0.0)}
+
+
+_POINT = 1e-6  # m: a link shorter than this has no direction
+
+
+@dataclass(frozen=True)
+class LinkBending(Effect):
+    """The straight way from one frame to the next is a cantilever of unknown stiffness.
+
+    With r from the frame before to this one, of length l, and the force F and moment M at its end,
+    the end turns by ``(l M_across + l/2 r x F) / EI + l M_along / GJ`` and moves by
+    ``(l/2 M x r + l/3 (r x F) x r) / EI`` (Euler-Bernoulli).  A slide is as long as it is out.
+    """
+
+    name = "link_bending"
+    title = "undeclared bending of a link"
+    action = "Declare the link's beam in arm.yaml; check its clamping. A stiffer profile lowers it."
+    loaded = True
+    elastic = True
+
+    row: int = place(rows)
+    bending: float = parameter("1/(N m^2)", "1 / EI of the link", prior=1e-4, lower=0.0)
+    torsion: float = parameter("1/(N m^2)", "1 / GJ of the link", prior=1e-4, lower=0.0)
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        """Every row with a length and without a declared beam."""
+        declared = {beam.row for beam in arm.links}
+        return [{"row": j.id} for j in arm.joints if j.id not in declared and _long(j)]
+
+    def price(self, arm: Arm) -> float:
+        """Any link may bend as likely as any other, those too whose beams are declared."""
+        every = sum(map(_long, arm.joints))
+        return math.log(every / len(self.sites(arm)))
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior: 10 mrad over a quarter of the reach under the arm's typical torque.
+
+        A short bracket of that section turns by little, as the arm's own beams would.
+        """
+        return with_prior(self.declared(), prior=0.01 / (typical_loads(arm)[1] * reach(arm) / 4))
+
+    def twists(self, posture: Posture) -> Twists:
+        start, station = posture.frame(self.row - 1), posture.frame(self.row)
+        end = posture.frames[station]
+        r = end.unrotate(spatial.sub(end.p, posture.frames[start].p))
+        length: Scalar = spatial.sqrt(spatial.dot(r, r) + _POINT**2)
+        force, moment = posture.force(station), posture.moment(station)
+        lever = spatial.cross(r, force)
+        along = spatial.scale(spatial.dot(r, moment) / length, r)
+        across = spatial.sub(spatial.scale(length, moment), along)
+        turn = spatial.scale(self.bending, spatial.add(across, spatial.scale(0.5 * length, lever)))
+        turn = spatial.add(turn, spatial.scale(self.torsion, along))
+        bow = spatial.add(spatial.scale(length / 2, moment), spatial.scale(length / 3, lever))
+        return {station: (*spatial.cross(spatial.scale(self.bending, bow), r), *turn)}
+
+
+def _long(joint: Joint) -> bool:
+    return joint.pose is not None or joint.type == "prismatic" or joint.a_m != 0 or joint.d_m != 0
+
+
+@dataclass(frozen=True)
+class BaseCompliance(Effect):
+    """Soft ground, floor or carrier: tilt about x and y per moment about them.
+
+    A carrier is rarely as soft along as across, so that each axis has its own compliance.  With
+    both, it equals a bearing tilt of the first joint where the two have the same pivot.
+    """
+
+    name = "base_compliance"
+    title = "soft base"
+    whole = "base"
+    action = "Tighten the bolts of the base, brace its stand, or put it on firm ground."
+    loaded = True
+
+    about_x: float = parameter("rad/(N m)", "tilt about x per moment", prior=2e-3, lower=0.0)
+    about_y: float = parameter("rad/(N m)", "tilt about y per moment", prior=2e-3, lower=0.0)
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior: 10 mrad under the arm's typical torque."""
+        return with_prior(self.declared(), prior=0.01 / typical_loads(arm)[1])
+
+    def twists(self, posture: Posture) -> Twists:
+        x, y, _ = posture.moment(0)
+        return {0: (0.0, 0.0, 0.0, self.about_x * x, self.about_y * y, 0.0)}
+
+
+@dataclass(frozen=True)
+class LinkStiffness(Effect):
+    """Wrong E or section: the beam bends by ``1 + softness`` times what is declared."""
+
+    name = "link_stiffness"
+    title = "beam stiffness"
+    action = "Compare section and material with arm.yaml; look for cracks and loose clamps."
+    loaded = True
+
+    beam: str = place(beams)
+    softness: float = parameter(
+        "1", "extra deflection over the declared one (EI true = EI / (1 + softness))", 0.5, -0.9
+    )
+
+    def twists(self, posture: Posture) -> Twists:
+        return extra_sag(posture, self.softness, self.beam)

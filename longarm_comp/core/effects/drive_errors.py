@@ -1,0 +1,250 @@
+"""How far a joint goes for its command: ratio, pitch, eccentric parts, guides, servos."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from typing_extensions import Self
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.effects.effect import Parameter, form, parameter
+from longarm_comp.core.effects.joint_term import (
+    BLEND,
+    GATES,
+    JointTerm,
+    by_drive,
+    typical_loads,
+    with_prior,
+)
+from longarm_comp.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class JointGain(JointTerm):
+    """A revolute joint turns ``(1 + gain) q``; its offset at q = 0 is `joint_zero`."""
+
+    name = "joint_gain"
+    title = "scale error of the joint"
+    action = "Check the gear ratio and the counts per turn in the servo's settings."
+    actions = by_drive(
+        motor="Check the gear ratio and the encoder's counts per turn in the drive's settings.",
+        hydraulic="Calibrate the joint's angle or length sensor again, at both ends of its travel.",
+        cable="Measure the drum's diameter with the cable on it and set the ratio.",
+    )
+    free_levels = 2
+
+    gain: float = parameter("1", "extra motion per commanded motion", prior=0.05)
+
+    def twists(self, posture: Posture) -> Twists:
+        q = self.command(posture)
+        return self.motion(posture, self.gain * q)
+
+
+@dataclass(frozen=True)
+class PrismaticPitch(JointGain):
+    """A prismatic joint travels ``(1 + gain) q``."""
+
+    name = "prismatic_pitch"
+    title = "pitch error of the slide"
+    types = ("prismatic",)
+    action = "Check the pitch of the spindle or belt in the servo's settings."
+    actions = by_drive(
+        hydraulic="Calibrate the cylinder's length sensor again, at both ends of its travel.",
+        cable="Measure the drum's diameter with the cable on it and set the ratio.",
+    )
+    free_levels = 0
+
+    gain: float = parameter("1", "extra travel per commanded travel", prior=0.02)
+
+
+@dataclass(frozen=True)
+class GearEccentricity(JointTerm):
+    """``cosine cos(order q) + sine sin(order q)``, with so many periods per turn of the joint."""
+
+    name = "gear_eccentricity"
+    title = "eccentric gear"
+    action = "Seat the gear wheel or encoder disc again, or replace it."
+    actions = by_drive(
+        hydraulic="Check the linkage's pins and the seat of the angle sensor.",
+        cable="Seat the drum or sheave again, or replace it.",
+    )
+    free_levels = 3
+
+    order: int = form(1, tried=(1, 2))
+    cosine: float = parameter("rad", "cosine amplitude", prior=2e-3)
+    sine: float = parameter("rad", "sine amplitude", prior=2e-3)
+
+    @property
+    def place(self) -> str:
+        """Each order of a joint on its own: real gears have several."""
+        return f"{self.where}, order {self.order}"
+
+    def twists(self, posture: Posture) -> Twists:
+        angle = float(self.order) * self.command(posture)
+        amount = self.cosine * spatial.cos(angle) + self.sine * spatial.sin(angle)
+        return self.motion(posture, amount)
+
+
+@dataclass(frozen=True)
+class GuideCurvature(JointTerm):
+    """Constant curvature: the slide turns by ``curvature * q`` and moves by its integral.
+
+    These are the pitch and yaw of a linear axis in ISO 230-1, to first order in its travel.
+    """
+
+    name = "guide_curvature"
+    title = "curved guide"
+    types = ("prismatic",)
+    action = "Align the guide rail or replace it."
+
+    about_x: float = parameter("rad/m", "turn about x per travel", prior=5e-3)
+    about_y: float = parameter("rad/m", "turn about y per travel", prior=5e-3)
+
+    def twists(self, posture: Posture) -> Twists:
+        q = self.command(posture)
+        x, y = self.about_x * q, self.about_y * q
+        return {posture.frame(self.joint): (0.5 * q * y, -0.5 * q * x, 0.0, x, y, 0.0)}
+
+
+@dataclass(frozen=True)
+class ServoDroop(JointTerm):
+    """Proportional sag plus deadband: ``sag * torque + deadband * side``.
+
+    With no deadband only a reading of the joint tells it from `joint_compliance`.
+
+    Attributes:
+        gate: load under which friction decides the side of the deadband (`JointTerm.side`);
+            0 where the load always does.
+        blend: share of that load over which the two change over.
+    """
+
+    name = "servo_droop"
+    title = "servo that yields to its load"
+    acts = "servo"
+    action = "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
+    actions = by_drive(
+        hydraulic=(
+            "Add integral action to the valve's controller, or check it for leakage and deadband."
+        ),
+        motor="Raise the gain of the position controller, or add integral action.",
+        cable="Raise the gain of the position controller, or measure the angle at the joint.",
+    )
+    loaded = True
+    aliases = ("joint_compliance",)  # a sag is a compliance
+    limit_aliases = ("backlash",)  # without sag
+
+    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
+    blend: float = form(BLEND, lower=0.01, upper=0.5)
+    sag: float = parameter("rad/(N m)", "proportional droop per torque", prior=4e-3, lower=0.0)
+    deadband: float = parameter("rad", "half-width of the deadband", prior=5e-3, lower=0.0)
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior of the sag: 20 mrad under the arm's typical torque."""
+        sag, deadband = self.declared()
+        return (*with_prior((sag,), prior=0.02 / typical_loads(arm)[1]), deadband)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The side, where friction decides: with a gate, or on an axis without load."""
+        return ("approach",)
+
+    def require(self, context: Context) -> None:
+        if self.gate > 0 and not context.has("approach"):
+            raise InputError(self.name, "approach", "missing", "a recorded column of the session")
+
+    def twists(self, posture: Posture) -> Twists:
+        resting = self.deadband * self.side(posture, self.gate, self.blend)
+        return self.motion(posture, self.sag * self.load(posture) + resting)
+
+
+_STEPS_PER_TURN = (
+    *(180, 200, 256, 300, 360, 400, 500, 512, 600, 720, 800, 900, 1000, 1024, 1080),
+    *(1200, 1440, 1800, 2000, 2048, 3600, 4096),
+)
+
+
+@dataclass(frozen=True)
+class ServoQuantisation(JointTerm):
+    """The joint stands at the nearest step: ``round(q/step) step - q``.
+
+    Nothing is fitted: a servo either rounds so or it does not.  (With a free amplitude a
+    coarse pose grid lets it imitate any function of the joint, and it then errs off the grid.)
+
+    Attributes:
+        steps_per_turn: steps of the servo in one turn; 0: as `step_deg` or `step_m` declares. A
+            listed number of steps (`_STEPS_PER_TURN`), or what a scan found (`step_scan`).
+        step_m: step of a slide that declares none, m.
+    """
+
+    name = "servo_quantisation"
+    title = "servo steps"
+    types = ("revolute", "prismatic")
+    acts = "servo"
+    action = "Nothing to repair: declare the steps in arm.yaml; finer ones need another servo."
+    continuous = False
+    stepped = True
+    free_levels = 3  # of steps of an unknown size
+
+    steps_per_turn: float = form(1000)
+    step_m: float = form(0.0)
+
+    @classmethod
+    def of_step(cls, arm: Arm, row: int, step: float) -> Self:
+        """Of a step (rad or m) that nobody declared."""
+        if arm.joints[row - 1].type == "prismatic":
+            return cls(row, steps_per_turn=0, step_m=step)
+        return cls(row, steps_per_turn=2 * math.pi / step)
+
+    def price(self, arm: Arm) -> float:
+        """A step that is neither declared nor listed is one of many: a quarter of a step at the
+        end of the range sets two of them apart."""
+        if not self.step_m and self.steps_per_turn in (0, *_STEPS_PER_TURN):
+            return 0.0
+        number = arm.commanded.index(self.joint)
+        return math.log(4.0 * float(arm.upper[number] - arm.lower[number]) / self._step(arm))
+
+    def _step(self, arm: Arm) -> float:
+        """The step, rad or m; 0 where there is none."""
+        if self.steps_per_turn:
+            return 2 * math.pi / self.steps_per_turn
+        return self.step_m or arm.joints[self.joint - 1].step
+
+    @classmethod
+    def as_declared(cls, arm: Arm) -> tuple[Self, ...]:
+        """Of the joints whose steps the arm declares."""
+        rows = [row for row in arm.commanded if arm.joints[row - 1].step > 0]
+        return tuple(cls(joint=row, steps_per_turn=0) for row in rows)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """The joints without a declared step, with one kind of servo, by its steps.
+
+        All joints, where the arm declares every step: then the model holds them already.
+        """
+        revolute = [row for row in arm.commanded if JointTerm.fits(arm, row)]
+        rows = [row for row in revolute if arm.joints[row - 1].step == 0] or revolute
+        return [
+            tuple(cls(joint=row, steps_per_turn=steps) for row in rows)
+            for steps in _STEPS_PER_TURN
+            if rows
+        ]
+
+    @property
+    def reading(self) -> str:
+        if self.step_m:
+            return f"steps of {1e3 * self.step_m:.4g} mm"
+        if not self.steps_per_turn:
+            return "in the steps that the arm declares"
+        return f"{self.steps_per_turn:.6g} steps a turn, {360 / self.steps_per_turn:.3g}° each"
+
+    def twists(self, posture: Posture) -> Twists:
+        step = self._step(posture.arm)
+        if not step:
+            return {}
+        q = self.command(posture)
+        rounded = step * spatial.floor(q / step + 0.5)
+        return self.motion(posture, rounded - q)

@@ -1,0 +1,205 @@
+"""How the arm is made and read: rows, zeros, pins and encoders."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.arm.spatial import Scalar, Twist, Vec
+from longarm_comp.core.effects.effect import Bias, Effect, Parameter, Sites, form, parameter, place
+from longarm_comp.core.effects.joint_term import JointTerm, by_drive, reach, with_prior
+from longarm_comp.core.effects.sites import moving_joints, rows
+from longarm_comp.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class JointZero(JointTerm):
+    """The joint stands at ``q + offset``: the encoder's or servo horn's zero is off."""
+
+    name = "joint_zero"
+    title = "zero offset"
+    types = ("revolute", "prismatic")
+    action = "Set the zero of the servo or encoder again."
+    actions = by_drive(
+        hydraulic="Set the zero of the joint's angle or length sensor again.",
+        motor="Reference the axis again, or set the encoder's zero.",
+        cable="Reference the joint again; look for a cable that slipped or stretched.",
+    )
+    geometry = True
+    displaces_joint = True
+
+    offset: float = parameter("rad", "joint value at command zero", prior=4e-3)
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior from the row's tolerance, else 4 mrad or 1 mm."""
+        joint = arm.joints[self.joint - 1]
+        if joint.type == "prismatic":
+            return with_prior(self.declared(), unit="m", prior=joint.tolerance.d_m or 1e-3)
+        declared = joint.tolerance.theta_deg
+        return with_prior(self.declared(), prior=math.radians(declared) if declared else 4e-3)
+
+    def twists(self, posture: Posture) -> Twists:
+        return self.motion(posture, self.offset)
+
+
+_MOST_OF_REACH = 0.25
+"""A length that is wrong by more, as a share of the arm's reach, is of another arm: calibration
+refuses rows that see the arm as far off."""
+
+
+@dataclass(frozen=True)
+class DhError(Effect):
+    """Manufacturing and assembly errors of one row.
+
+    ``a`` and ``alpha`` act along and about ``x_{i-1}``, ``b`` and ``beta`` along and about
+    ``y_{i-1}`` (``beta`` is Hayati's parameter, which parallel axes need; ``b`` is the length of a
+    link that a fixed transform lays along y), ``d`` and ``theta`` along and about ``z_i``.
+    The set is redundant on purpose; priors hold it.  What is the joint's own zero
+    (`joint_zero`) is held here.
+    """
+
+    name = "dh_error"
+    title = "geometry error"
+    action = "Nothing to repair: parts differ from the drawing; calibrate after every assembly."
+    geometry = True
+
+    row: int = place(rows)
+    a: float = parameter("m", "link length error along x_{i-1}", prior=1e-3)
+    b: float = parameter("m", "link offset error along y_{i-1}", prior=1e-3)
+    alpha: float = parameter("rad", "twist error about x_{i-1}", prior=4e-3)
+    beta: float = parameter("rad", "tilt error about y_{i-1}", prior=4e-3)
+    d: float = parameter("m", "offset error along z_i", prior=1e-3)
+    theta: float = parameter("rad", "angle error about z_i", prior=4e-3)
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Priors from the row's tolerances; the joint variable itself is held at zero."""
+        joint = arm.joints[self.row - 1]
+        held = joint.tolerance
+        a, d = held.a_m or 1e-3, held.d_m or 1e-3
+        alpha, theta = (math.radians(v) if v else 4e-3 for v in (held.alpha_deg, held.theta_deg))
+        priors = {"a": a, "b": a, "alpha": alpha, "beta": alpha, "d": d, "theta": theta}
+        if joint.commanded:
+            priors["theta" if joint.type == "revolute" else "d"] = 0.0
+        return tuple(dataclasses.replace(p, prior=priors[p.name]) for p in self.declared())
+
+    def check(self, arm: Arm, where: str) -> None:
+        """No length is wrong by a quarter of the arm's reach."""
+        most = _MOST_OF_REACH * reach(arm)
+        for p in self.declared():
+            value = getattr(self, p.name)
+            if p.unit == "m" and abs(value) > most:
+                allowed = f"within +-{most:.3g} m, a quarter of the arm's reach"
+                raise InputError(where, f"{self.name}.{p.name} at {self.where}", value, allowed)
+
+    def twists(self, posture: Posture) -> Twists:
+        """``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i."""
+        return {
+            posture.frame(self.row - 1): (self.a, self.b, 0.0, self.alpha, self.beta, 0.0),
+            posture.frame(self.row): (0.0, 0.0, self.d, 0.0, 0.0, self.theta),
+        }
+
+
+@dataclass(frozen=True)
+class CylinderPins(JointTerm):
+    """The joint that the declared length of its cylinder stands at, with other pins.
+
+    The law of cosines at a fixed length, to first order in the pins' places.  A scale error of the
+    cylinder's length sensor is the same as both distances wrong by its share.
+    """
+
+    name = "cylinder_pins"
+    title = "places of the cylinder's pins"
+    action = (
+        "Measure the distances from the joint's axis to both pins; set the length sensor's scale."
+    )
+    geometry = True
+
+    near: float = parameter("m", "distance of the pin before the joint", prior=2e-3)
+    far: float = parameter("m", "distance of the pin on the part that turns", prior=2e-3)
+    length: float = parameter("m", "length at which the sensor reads zero", prior=2e-3)
+
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        return arm.joints[row - 1].cylinder is not None
+
+    def twists(self, posture: Posture) -> Twists:
+        """``(length L - near (a - b cos) - far (b - a cos)) / (L lever)``."""
+        cylinder = posture.arm.joints[self.joint - 1].cylinder
+        assert cylinder is not None
+        q = self.command(posture)
+        a, b, cosine = cylinder.near_m, cylinder.far_m, spatial.cos(cylinder.angle(q))
+        pins = self.near * (a - b * cosine) + self.far * (b - a * cosine)
+        missing = self.length - pins / cylinder.length(q)
+        return self.motion(posture, missing / cylinder.lever(q))
+
+
+@dataclass(frozen=True)
+class Encoder(Bias):
+    """An encoder reads ``zero + (1 + scale) q``.
+
+    A potentiometer's scale is right to a hundredth; where an encoder's zero is nobody knows.
+    """
+
+    name = "encoder"
+    title = "encoder"
+    action = "Nothing to repair; set its zero if it matters."
+    geometry = True
+    sees = frozenset({"joint"})
+
+    joint: int = place(moving_joints)
+    zero: float = parameter("rad", "reading where the joint is at 0", 4e-3, unknown=True)
+    scale: float = parameter("1", "extra reading per motion", 0.01)
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        return [{"joint": row} for row in arm.commanded]
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        zero, scale = self.declared()
+        if arm.joints[self.joint - 1].type == "prismatic":
+            return (*with_prior((zero,), unit="m", prior=1e-3), scale)
+        return zero, scale
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        return point
+
+    def read(self, value: Scalar, row: int) -> Scalar:
+        return self.zero + (1.0 + self.scale) * value if row == self.joint else value
+
+
+@dataclass(frozen=True)
+class KindDirection(Effect):
+    """What other arms of the kind share: errors that come together, with one free amount.
+
+    It is fitted in the place of a correlated prior (`core/identify/kind_of_arm.py`) and then
+    folded into the errors that it is made of.  No model.yaml holds it.
+    """
+
+    name = "kind_direction"
+    title = "usual difference between arms of this kind"
+    geometry = True
+    passing = True
+    searched = False
+
+    number: int = place()
+    terms: tuple[Effect, ...] = form(())  # type: ignore[arg-type]
+    amount: float = parameter("", "amount, in standard deviations among the arms", 1.0)
+
+    @property
+    def loaded(self) -> bool:  # type: ignore[override]
+        return any(term.loaded for term in self.terms)
+
+    def twists(self, posture: Posture) -> Twists:
+        """The twists of its parts, which are linear in their values, times the amount."""
+        made: dict[int, Twist] = {}
+        for term in self.terms:
+            for station, twist in term.twists(posture).items():
+                grown: Twist = tuple(self.amount * v for v in twist)  # type: ignore[assignment]
+                held = made.get(station)
+                made[station] = grown if held is None else spatial.add_twists(held, grown)
+        return made

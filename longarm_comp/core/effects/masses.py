@@ -1,0 +1,94 @@
+"""Weight that is not as declared: its size, its place, its direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Lumped, Posture, Twists
+from longarm_comp.core.arm.spatial import ZERO, Vec, add, cross
+from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
+from longarm_comp.core.effects.joint_term import typical_loads, with_prior
+from longarm_comp.core.effects.sites import rows
+
+
+@dataclass(frozen=True)
+class _Weight(Effect):
+    """It has no twist of its own: it acts through every elastic effect of the model."""
+
+    loaded = True
+
+    def twists(self, posture: Posture) -> Twists:
+        return {}
+
+
+@dataclass(frozen=True)
+class TipPayload(_Weight):
+    """The tip carries more (or less) than declared."""
+
+    name = "tip_payload"
+    title = "load at the tip"
+    whole = "tip"
+    action = "Weigh what the tip carries and declare it in arm.yaml."
+
+    mass: float = parameter("kg", "mass beyond the declared payload", prior=0.1)
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior: a tenth of the arm's weight; the carried mass cannot become negative."""
+        weight = typical_loads(arm)[0] / 9.81
+        held = arm.payload.mass_kg if arm.payload else 0.0
+        return with_prior(self.declared(), prior=max(0.1 * weight, 1e-6), lower=-held)
+
+    def masses(self, posture: Posture) -> tuple[Lumped, ...]:
+        at = posture.arm.payload or posture.arm.tip
+        return (Lumped(posture.frame(at.frame), self.mass, at.position_m),)
+
+
+@dataclass(frozen=True)
+class LinkMass(_Weight):
+    """The arm is heavier (or lighter) at a row than declared: links, drives, cables, hoses.
+
+    The mass is lumped at the frame's origin.  One between two frames is a part at each.
+    """
+
+    name = "link_mass"
+    title = "mass along the arm"
+    action = (
+        "Weigh the links with all that they carry (drives, cables, hoses) and correct arm.yaml."
+    )
+
+    frame: int = place(rows)
+    mass: float = parameter("kg", "mass beyond the declared ones", prior=0.1)
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        """Each frame that beams carry, but for the one where `tip_payload` is."""
+        first = min((beam.row for beam in arm.links), default=len(arm.joints))
+        tip = (arm.payload or arm.tip).frame
+        return [{"frame": row} for row in rows(arm) if first < row and row != tip]
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior: a tenth of the arm's weight."""
+        return with_prior(self.declared(), prior=max(0.1 * typical_loads(arm)[0] / 9.81, 1e-6))
+
+    def masses(self, posture: Posture) -> tuple[Lumped, ...]:
+        return (Lumped(posture.frame(self.frame), self.mass, ZERO),)
+
+
+@dataclass(frozen=True)
+class GravityDirection(_Weight):
+    """Gravity turned by two small angles about the base's x and y.
+
+    Who levels a base by eye or by a bubble leaves some 5 mrad, which is no finding.
+    """
+
+    name = "gravity_direction"
+    title = "base out of level"
+    whole = "base"
+    action = "Level the base, or declare the direction of gravity."
+
+    about_x: float = parameter("rad", "lean of gravity about base x", prior=0.03, usual=5e-3)
+    about_y: float = parameter("rad", "lean of gravity about base y", prior=0.03, usual=5e-3)
+
+    def gravity(self, gravity: Vec) -> Vec:
+        return add(gravity, cross((self.about_x, self.about_y, 0.0), gravity))

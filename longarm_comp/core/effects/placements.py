@@ -1,0 +1,226 @@
+"""Where base, tip, markers, sensors and anchors are: what every calibration solves for."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.measuring import three
+from longarm_comp.core.arm.posture import PLACEMENT, Posture, Twists
+from longarm_comp.core.arm.spatial import Frame, Twist, Vec, exp_large
+from longarm_comp.core.effects.effect import Bias, Effect, Parameter, Sites, parameter, place
+from longarm_comp.core.effects.sites import markers
+
+
+@dataclass(frozen=True)
+class BasePose(Effect):
+    """Placement of the base beyond the declared one; one per `group` where the base was moved.
+
+    It says where the tracker's frame lies, so gravity turns with it and keeps its declared
+    direction in the arm's base; a base that leans against gravity is `gravity_direction`.
+    The base may stand anywhere, unless arm.yaml gives a tolerance.
+    """
+
+    name = "base_pose"
+    title = "base placement"
+    action = "Fix the base so that it cannot shift; calibrate after every move of it."
+    geometry = True
+    seen_only = True
+
+    group: str = place(default="")
+    x: float = parameter("m", "base position error", prior=0.05, unknown=True)
+    y: float = parameter("m", "base position error", prior=0.05, unknown=True)
+    z: float = parameter("m", "base position error", prior=0.05, unknown=True)
+    rx: float = parameter("rad", "base orientation error", prior=0.05, unknown=True)
+    ry: float = parameter("rad", "base orientation error", prior=0.05, unknown=True)
+    rz: float = parameter("rad", "base orientation error", prior=0.05, unknown=True)
+
+    @property
+    def where(self) -> str:
+        return f"base of group {self.group}" if self.group else "base"
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        """One placement; groups are of a session."""
+        return [{}]
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        known = arm.tolerance.base
+        if known is None:
+            return self.declared()
+        turn = (math.radians(v) for v in three(known.rpy_deg))
+        priors = (*three(known.xyz_m), *turn)
+        pairs = zip(self.declared(), priors, strict=True)
+        return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
+
+    def base(self, arm: Arm) -> Frame:
+        moved = exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
+        return arm.base.frame() @ moved
+
+    def twists(self, posture: Posture) -> Twists:
+        twist: Twist = (self.x, self.y, self.z, self.rx, self.ry, self.rz)
+        if self.group:
+            mine = posture.context.is_label("group", self.group)
+            twist = tuple(mine * t for t in twist)  # type: ignore[assignment]
+        return {PLACEMENT: twist}
+
+
+@dataclass(frozen=True)
+class TipOffset(Effect):
+    """Position error of the tip (of one marker, where a session has several) in its frame.
+
+    The tip may be anywhere in its frame, unless arm.yaml gives a tolerance.
+    """
+
+    name = "tip_offset"
+    title = "marker offset"
+    action = "Check the mount of the marker or tool."
+    geometry = True
+
+    marker: str = place(markers, default="")
+    x: float = parameter("m", "tip position error along x", prior=3e-3, unknown=True)
+    y: float = parameter("m", "tip position error along y", prior=3e-3, unknown=True)
+    z: float = parameter("m", "tip position error along z", prior=3e-3, unknown=True)
+
+    @property
+    def where(self) -> str:
+        return f"marker {self.marker}" if self.marker else "tip"
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        return [{"marker": name} for name in arm.markers or [""]]
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        tolerance = arm.tolerance
+        known = tolerance.markers.get(self.marker) if self.marker else tolerance.tip
+        if known is None:
+            return self.declared()
+        pairs = zip(self.declared(), three(known.xyz_m), strict=True)
+        return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
+
+    def twists(self, posture: Posture) -> Twists:
+        """Translation in the carrying frame, of the marker alone: what hangs there stays."""
+        spot = posture.spot(self.marker)
+        if not self.marker:
+            return {spot: (self.x, self.y, self.z, 0.0, 0.0, 0.0)}
+        mine = posture.context.is_label("marker", self.marker)
+        return {spot: (mine * self.x, mine * self.y, mine * self.z, 0.0, 0.0, 0.0)}
+
+
+@dataclass(frozen=True)
+class TipOrientation(Bias):
+    """The axes of a tracked body (of one marker, to one sensor) are turned against the tip's.
+
+    A tracker gives its bodies axes of their own, so the prior leaves any turn free.
+    """
+
+    name = "tip_orientation"
+    title = "marker orientation"
+    action = "Check the mount of the marker or tool."
+    geometry = True
+    sees = frozenset({"orientation"})
+
+    marker: str = place(markers, default="")
+    sensor: str = place(default="")
+    rx: float = parameter("rad", "turn of the measured axes about the tip's", 0.05, unknown=True)
+    ry: float = parameter("rad", "turn of the measured axes about the tip's", 0.05, unknown=True)
+    rz: float = parameter("rad", "turn of the measured axes about the tip's", 0.05, unknown=True)
+
+    @property
+    def where(self) -> str:
+        what = f"marker {self.marker}" if self.marker else "tip"
+        return f"{what} seen by {self.sensor}" if self.sensor else what
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        return [{"marker": name} for name in arm.markers or [""]]
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        return point
+
+    def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
+        mine = 1.0
+        for label, value in (("marker", self.marker), ("sensor", self.sensor)):
+            mine = mine * context.is_label(label, value) if value else mine
+        turn = spatial.exp_large((0.0, 0.0, 0.0, mine * self.rx, mine * self.ry, mine * self.rz))
+        n, o, a = (tip.rotate(axis) for axis in turn[:3])
+        return Frame(n, o, a, tip.p)
+
+
+@dataclass(frozen=True)
+class AnchorPlace(Bias):
+    """A draw-wire's or distance meter's fixed point is not where it was declared.
+
+    One that was not declared is solved from the origin, with any place equally likely.
+    """
+
+    name = "anchor_place"
+    title = "anchor placement"
+    action = "Measure where the anchor stands and declare it."
+    geometry = True
+    sees = frozenset({"distance"})
+
+    anchor: str = place(default="")
+    x: float = parameter("m", "place of the anchor", 0.05, unknown=True)
+    y: float = parameter("m", "place of the anchor", 0.05, unknown=True)
+    z: float = parameter("m", "place of the anchor", 0.05, unknown=True)
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        return [{"anchor": k} for k, v in arm.anchors.items() if v.xyz_m is None]
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        """The tip moved against the anchor, for the rows that measure to it."""
+        mine = context.is_label("anchor", self.anchor)
+        return spatial.sub(point, spatial.scale(mine, (self.x, self.y, self.z)))
+
+
+@dataclass(frozen=True)
+class SensorPlace(Bias):
+    """A further sensor reports in a frame of its own, anywhere against that of the first one."""
+
+    name = "sensor_place"
+    title = "sensor placement"
+    action = "Fix the sensor's stand; calibrate after every move of it."
+    geometry = True
+
+    sensor: str = place(default="")
+    x: float = parameter("m", "shift of the points that it sees", 0.05, unknown=True)
+    y: float = parameter("m", "shift of the points that it sees", 0.05, unknown=True)
+    z: float = parameter("m", "shift of the points that it sees", 0.05, unknown=True)
+    rx: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
+    ry: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
+    rz: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        mine = context.is_label("sensor", self.sensor)
+        twist = (self.x, self.y, self.z, self.rx, self.ry, self.rz)
+        return spatial.exp_large(tuple(mine * t for t in twist)).transform(point)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class CameraPose(Bias):
+    """The camera's pose in the base frame is not what was declared.
+
+    Position data cannot tell it from `base_pose`; a calibration fits one of the two.
+    """
+
+    name = "camera_pose"
+    title = "camera pose"
+    action = "Fix the camera's mount; repeat the hand-eye calibration after every move of it."
+    geometry = True
+
+    x: float = parameter("m", "shift of the seen points", prior=0.05)
+    y: float = parameter("m", "shift of the seen points", prior=0.05)
+    z: float = parameter("m", "shift of the seen points", prior=0.05)
+    rx: float = parameter("rad", "turn of the seen points", prior=0.05)
+    ry: float = parameter("rad", "turn of the seen points", prior=0.05)
+    rz: float = parameter("rad", "turn of the seen points", prior=0.05)
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        motion = spatial.exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
+        return motion.transform(point)

@@ -1,0 +1,226 @@
+"""What has play or friction: it rests on the side that a load or a motion pushed it to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.history import SLIDE
+from longarm_comp.core.arm.parts import Beam
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.effects.effect import Parameter, form, parameter
+from longarm_comp.core.effects.joint_term import (
+    BLEND,
+    GATES,
+    JointTerm,
+    by_drive,
+    typical_loads,
+    with_prior,
+)
+
+
+@dataclass(frozen=True)
+class Backlash(JointTerm):
+    """``+-width/2`` to the side of the gravity torque where that exceeds a threshold.
+
+    Below the threshold friction holds the joint on the side it came from (`JointTerm.side`).
+
+    Attributes:
+        gate: load under which the approach direction decides, as a share of the arm's
+            typical torque (`typical_loads`), or of a quarter of its weight for a slide.
+        blend: share of that load over which the two change over.
+    """
+
+    name = "backlash"
+    title = "play"
+    types = ("revolute", "prismatic")
+    action = "Tighten or replace the gear, coupling or clamp of the joint."
+    actions = by_drive(
+        hydraulic="Renew worn pins and bushes of the cylinder and the joint.",
+        cable="Raise the cables' pretension; look for worn sheaves.",
+    )
+    needs = ("approach",)
+    loaded = True
+    limit_aliases = ("friction_hysteresis",)  # load decides nowhere
+
+    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
+    blend: float = form(BLEND, lower=0.01, upper=0.5)
+    width: float = parameter("rad", "full width of the play", prior=0.02, lower=0.0)
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior 20 mrad, or 0.5 mm for a slide."""
+        if self.slides(arm):
+            return with_prior(self.declared(), unit="m", prior=5e-4)
+        return self.declared()
+
+    def twists(self, posture: Posture) -> Twists:
+        return self.motion(posture, (0.5 * self.width) * self.side(posture, self.gate, self.blend))
+
+
+@dataclass(frozen=True)
+class CylinderPlay(JointTerm):
+    """As `Backlash`, but worn pins shift the cylinder: the joint turns by play over lever."""
+
+    name = "cylinder_play"
+    title = "play in the cylinder's pins"
+    action = "Renew the pins and bushes of the cylinder."
+    needs = ("approach",)
+    loaded = True
+
+    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
+    blend: float = form(BLEND, lower=0.01, upper=0.5)
+    width: float = parameter("m", "play of both pins along the cylinder", prior=1e-3, lower=0.0)
+
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        return arm.joints[row - 1].cylinder is not None
+
+    def twists(self, posture: Posture) -> Twists:
+        cylinder = posture.arm.joints[self.joint - 1].cylinder
+        assert cylinder is not None
+        lever = spatial.absolute(cylinder.lever(self.command(posture)))
+        side = self.side(posture, self.gate, self.blend)
+        return self.motion(posture, 0.5 * self.width / lever * side)
+
+
+@dataclass(frozen=True)
+class FrictionHysteresis(JointTerm):
+    """A joint stops short of its goal, on the side that it came from: a sum of play operators.
+
+    A joint with friction and wind-up lags behind its motion (Prandtl-Ishlinskii): in part by its
+    side of arrival at once, in part as it winds through twice a radius, so that a short move turns
+    that part only a little and the rest remembers the moves before.  The data fix the sum, `width`,
+    much better than its parts.
+
+    Attributes:
+        near, far: radii (rad; a tenth as many m for a slide) of the two operators that remember.
+        run_up: length (as the radii) that run-ups of unrecorded length were taken to have in the
+            session that it was fitted to; 0: there were none.
+    """
+
+    name = "friction_hysteresis"
+    title = "friction"
+    types = ("revolute", "prismatic")
+    action = "Clean and grease the joint; look for dragging seals and cables."
+    actions = by_drive(
+        hydraulic="Check the cylinder's seals and guides, and the valve's deadband.",
+        cable="Clean and grease sheaves and conduits; look for cables that rub.",
+    )
+    needs = ("approach",)
+    remembers = True
+
+    near: float = form(0.04, lower=0.01, upper=0.6)
+    far: float = form(0.15, lower=0.01, upper=0.6)
+    run_up: float = form(0.0)
+    width: float = parameter("rad", "full width, from side to side", prior=0.01, lower=0.0)
+    inner: float = parameter("rad", "part that winds up over `near`", prior=3e-3, lower=0.0)
+    outer: float = parameter("rad", "part that winds up over `far`", prior=3e-3, lower=0.0)
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Priors 10, 3 and 3 mrad, or 0.3, 0.1 and 0.1 mm for a slide."""
+        if not self.slides(arm):
+            return self.declared()
+        width, *parts = with_prior(self.declared(), unit="m", prior=1e-4)
+        return *with_prior((width,), prior=3e-4), *parts
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        return ("approach", "legs")
+
+    def twists(self, posture: Posture) -> Twists:
+        scale = SLIDE if self.slides(posture.arm) else 1.0
+        side = self.direction(posture)
+        lag = self.width * side
+        for part, radius in ((self.inner, self.near), (self.outer, self.far)):
+            lag = lag + part * (self.wound(posture, scale * radius) - side)
+        return self.motion(posture, -0.5 * lag)
+
+
+@dataclass(frozen=True)
+class TelescopeClearance(JointTerm):
+    """Tilt ``clearance / overlap + give * moment / overlap^2`` towards the moment at the guide.
+
+    The overlap is what is left of the sliding body inside the beam before it; the tilt
+    acts at the mouth of that beam.  For the clearance a moment decides only the direction.
+    The pads at both ends of the overlap also give under load: forces of moment / overlap,
+    each with an arm of the overlap.
+    """
+
+    name = "telescope_clearance"
+    title = "clearance in the telescope"
+    action = "Adjust or replace the guide pads; a longer overlap lowers it."
+    loaded = True
+
+    clearance: float = parameter("m", "play of the body in its guide", prior=3e-4, lower=0.0)
+    give: float = parameter("m/N", "compression of both pads together per force", 1e-5, lower=0.0)
+
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        """Prismatic joints with a beam of length rest that slides in another."""
+        return arm.joints[row - 1].type == "prismatic" and _slider(arm, row) is not None
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior of the give: 3 mrad under the arm's typical torque at half the body's length."""
+        slider = _slider(arm, self.joint)
+        body = slider.body_length_m if slider and slider.body_length_m else 1.0
+        clearance, give = self.declared()
+        (give,) = with_prior((give,), prior=3e-3 * (body / 2) ** 2 / typical_loads(arm)[1])
+        return clearance, give
+
+    def twists(self, posture: Posture) -> Twists:
+        """Rotation about the lateral moment's direction at the mouth of the outer beam."""
+        slider = _slider(posture.arm, self.joint)
+        assert slider is not None and slider.body_length_m is not None
+        elements = posture.chain.rows[self.joint - 1].elements_d
+        mouth = posture.bearing(self.joint)
+        out: spatial.Scalar = 0.0
+        for e in elements:
+            if e.beam is slider:
+                out = out + posture.lengths[e.station]
+            else:
+                mouth = e.station
+        overlap = slider.body_length_m - out
+        x, y, _ = posture.moment(mouth)
+        size = spatial.sqrt(x * x + y * y + 1e-12)
+        tilt = self.clearance / (overlap * size) + self.give / (overlap * overlap)
+        return {mouth: (0.0, 0.0, 0.0, tilt * x, tilt * y, 0.0)}
+
+
+def _slider(arm: Arm, row: int) -> Beam | None:
+    """The sliding beam of a row: of length rest, with a body long enough to overlap always."""
+    beams = [b for b in arm.links if b.row == row and b.role == "d"]
+    joint = arm.joints[row - 1]
+    for beam in beams[1:]:
+        if beam.length_m == "rest" and beam.body_length_m is not None:
+            fixed = sum(b.length_m for b in beams if b.length_m != "rest")
+            if beam.body_length_m > joint.d_m + joint.limits[1] - fixed:
+                return beam
+    return None
+
+
+@dataclass(frozen=True)
+class SlidePlay(JointTerm):
+    """A carriage of constant length tilts by ``tilt`` in the direction of the moment it carries.
+
+    Where the body that slides and its guide are declared, the overlap changes with the
+    extension, and `TelescopeClearance` applies.
+    """
+
+    name = "slide_play"
+    title = "tilting carriage"
+    action = "Adjust the preload of the carriage or replace its rollers."
+    loaded = True
+
+    tilt: float = parameter("rad", "half of the carriage's free angle", 3e-3, lower=0.0)
+
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        prismatic = arm.joints[row - 1].type == "prismatic"
+        return prismatic and not TelescopeClearance.fits(arm, row)
+
+    def twists(self, posture: Posture) -> Twists:
+        station = posture.frame(self.joint)
+        x, y, _ = posture.moment(station)
+        tilt = self.tilt / spatial.sqrt(x * x + y * y + 1e-12)
+        return {station: (0.0, 0.0, 0.0, tilt * x, tilt * y, 0.0)}

@@ -1,0 +1,100 @@
+"""What changes with time and temperature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.posture import Posture, Twists
+from longarm_comp.core.arm.spatial import Twist, add_twists
+from longarm_comp.core.effects.effect import Effect, form, parameter
+from longarm_comp.core.effects.link_deflection import extra_sag
+
+
+@dataclass(frozen=True)
+class ThermalGrowth(Effect):
+    """All lengths grow by ``expansion (T - T_ref)``."""
+
+    name = "thermal_growth"
+    title = "thermal growth"
+    action = "Keep the temperature steady, or measure it while the arm works."
+    needs = ("temperature_c",)
+
+    expansion: float = parameter("1/K", "expansion coefficient of the links", prior=1e-4)
+
+    def twists(self, posture: Posture) -> Twists:
+        """Translation along every row's a and d, in proportion to their length."""
+        warm = posture.context.column("temperature_c", posture.arm.reference_temperature_c)
+        rise = self.expansion * (warm - posture.arm.reference_temperature_c)
+        growth: dict[int, Twist] = {}
+        for joint, value in zip(posture.arm.joints, posture.values, strict=True):
+            d = joint.d_m + value if joint.type == "prismatic" else joint.d_m
+            before, here = posture.frame(joint.id - 1), posture.frame(joint.id)
+            growth[here] = (0.0, 0.0, rise * d, 0.0, 0.0, 0.0)
+            along_x: Twist = (rise * joint.a_m, 0.0, 0.0, 0.0, 0.0, 0.0)
+            growth[before] = add_twists(growth[before], along_x) if before in growth else along_x
+        return growth
+
+
+@dataclass(frozen=True)
+class BaseSettling(Effect):
+    """The base sinks and leans at a constant rate.
+
+    It moves the arm, so it is compensated.  A camera that drifts only seems to move it
+    (`CameraDrift`): sinking alone cannot be told from that, leaning can.
+    """
+
+    name = "base_settling"
+    title = "settling base"
+    whole = "base"
+    action = "Brace the stand; measure again after it has settled."
+    needs = ("t_s",)
+
+    sink: float = parameter("m/h", "motion along z of the base frame", prior=1e-3)
+    about_x: float = parameter("rad/h", "lean about x of the base frame", prior=2e-3)
+    about_y: float = parameter("rad/h", "lean about y of the base frame", prior=2e-3)
+
+    def twists(self, posture: Posture) -> Twists:
+        hours = posture.context.column("t_s", 0.0) / 3600.0
+        sunk, x, y = self.sink * hours, self.about_x * hours, self.about_y * hours
+        return {0: (0.0, 0.0, sunk, x, y, 0.0)}
+
+
+@dataclass(frozen=True)
+class ThermalSoftening(Effect):
+    """The declared sag grows by ``softening (T - T_ref)``."""
+
+    name = "thermal_softening"
+    title = "softening by heat"
+    action = "Keep the temperature steady, or measure it while the arm works."
+    needs = ("temperature_c",)
+    part = "links"
+    loaded = True
+
+    softening: float = parameter("1/K", "extra sag over the declared one, per kelvin", prior=0.01)
+
+    def twists(self, posture: Posture) -> Twists:
+        reference = posture.arm.reference_temperature_c
+        share = self.softening * (posture.context.column("temperature_c", reference) - reference)
+        return extra_sag(posture, share)
+
+
+@dataclass(frozen=True)
+class Creep(Effect):
+    """The declared sag grows by ``amount (1 - exp(-t/time))`` (one Kelvin-Voigt element); the
+    time constant (s) counts from the start of the session."""
+
+    name = "creep"
+    title = "creep"
+    action = "Take the load off between jobs; replace plastic parts that carry load."
+    needs = ("t_s",)
+    part = "links"
+    loaded = True
+
+    time: float = form(3600.0, lower=100.0, upper=1e5, tried=(900.0, 3600.0, 14400.0))
+    amount: float = parameter("1", "final extra sag over the elastic one", prior=0.3, lower=0.0)
+
+    def twists(self, posture: Posture) -> Twists:
+        grown = self.amount * (1.0 - np.exp(-posture.context.column("t_s", 0.0) / self.time))
+        return extra_sag(posture, grown)
