@@ -21,8 +21,7 @@ from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Method, Status
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
-from longarm_comp.core.learn.expansion import Expansion, Nearby
-from longarm_comp.core.learn.predictor import Prediction
+from longarm_comp.core.learn.predictor import Expansion, Nearby, Prediction
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.compensate import Commands

@@ -18,9 +18,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.sessions.joint_states import JointStates
 from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer
-from longarm_comp.sessions.message_types import message_types
+from longarm_comp.sessions.message_types import JointStates, message_types
 from longarm_comp.sessions.rows import Rows
 
 

@@ -20,9 +20,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
+from longarm_comp.core.data.rest import Sighting
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import moment
-from longarm_comp.sessions.settled import Sighting
 
 TYPES = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",

@@ -10,11 +10,11 @@ import numpy as np
 
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.data.kinds import KINDS
+from longarm_comp.core.data.rest import Sighting, nowhere, settled, stood
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_buffer import MessageBuffer, SessionRow
 from longarm_comp.sessions.message_types import CLOCKS_APART
-from longarm_comp.sessions.settled import Sighting, nowhere, settled, stood
 
 
 class _Row(NamedTuple):

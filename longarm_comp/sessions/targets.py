@@ -13,8 +13,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.target_frame import FRAMES
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import UNITS, XYZ, read_approach, recorded_besides
-from longarm_comp.sessions.names import check_header, check_unknown
-from longarm_comp.sessions.table import FARTHEST, Table, read_table
+from longarm_comp.sessions.table import FARTHEST, Table, check_header, check_unknown, read_table
 
 QUATERNION = ("qx", "qy", "qz", "qw")
 _UNIT_LENGTH = 1e-3  # a quaternion printed with few digits is this far from length 1

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.arm_truth import TrueArm, Walk
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import THETA, A, D, Place
-from longarm_comp.sim.rod_chain import Walk
 from longarm_comp.sim.rods import Walker, rpy_matrix
 
 Array = np.ndarray

@@ -10,10 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.found import Limits, found_corners
-from longarm_comp.devices.stereo.marker_pose import MarkerPose, marker_pose
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Target
-from longarm_comp.devices.stereo.triangulate import PixelNoise, epipolar_px, triangulate
+from longarm_comp.devices.stereo.triangulate import (
+    MarkerPose,
+    PixelNoise,
+    epipolar_px,
+    marker_pose,
+    triangulate,
+)
 
 _KEPT = 1.0 - 1.0 / 200.0  # of the residuals of sightings: the last 200 count, some 10 s
 

@@ -12,12 +12,12 @@ from sensor_msgs.msg import CameraInfo
 
 from longarm_comp.arm_folder.visible import Lens, View
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.rest import NO_REST
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.collect.preview import in_words
 from longarm_comp.jobs.graph_client import GraphClient, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.stereo_bridge import MARKER_LOST
-from longarm_comp.sessions.settled import NO_REST
 
 _LEVELS = {"ended": DiagnosticStatus.ERROR, "waiting": DiagnosticStatus.WARN}
 
