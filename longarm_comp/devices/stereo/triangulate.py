@@ -161,10 +161,9 @@ def marker_pose(
     size_tolerance: float,
     noise: PixelNoise,
 ) -> MarkerPose:
-    """Least squares on all corners in both images: the pose and, because printers stretch paper, one
-    scale with a prior around 1.
+    """Least squares on all corners in both images: the pose, and a scale with a prior around 1.
 
-    Without the scale, a print 0.5 % too large would change every depth by up to 0.5 %. With it,
+    Printers stretch paper. Without the scale, a print 0.5 % too large would change every depth by up to 0.5 %. With it,
     both sources of depth, baseline and size, are weighed by their uncertainty.
 
     Args:
