@@ -163,8 +163,8 @@ def marker_pose(
 ) -> MarkerPose:
     """Least squares on all corners in both images: the pose, and a scale with a prior around 1.
 
-    Printers stretch paper. Without the scale, a print 0.5 % too large would change every depth by up to 0.5 %. With it,
-    both sources of depth, baseline and size, are weighed by their uncertainty.
+    Printers stretch paper. Without the scale, a print 0.5 % too large would change every depth by
+    up to 0.5 %. With it, both sources of depth, baseline and size, are weighed by uncertainty.
 
     Args:
         corners: (N, 3) m declared corners of the board, marker frame, N >= 3.
