@@ -19,16 +19,12 @@ from longarm_comp.sessions.table import read_table
 
 @dataclass(frozen=True, eq=False)
 class _RecordedRing:
-    """What was seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m.
-
-    Attributes:
-        at: (n,) joints that were commanded; None: the file does not say.
-    """
+    """What was seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m."""
 
     times: np.ndarray
     seen: np.ndarray
     of_joints: bool
-    at: np.ndarray | None = None
+    at: np.ndarray | None = None  # (n,) joints that were commanded; None: the file does not say
 
 
 def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:

@@ -21,25 +21,17 @@ _UNIT_LENGTH = 1e-3  # a quaternion printed with few digits is this far from len
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """N points or poses to reach.
-
-    Attributes:
-        xyz: (N, 3), m.
-        quaternion: (N, 4) x, y, z, w of unit length; NaN rows leave the orientation free.
-        approach: (N,) side that all joints are to arrive from, 0 for any.
-        columns: further numbers by name, (N,) each, as in `Session.columns`.
-        labels: text by name, (N,) each.
-        frame: (N,) ``base`` or ``measured``; blank where it is not said.
-    """
+    """N points or poses to reach."""
 
     index: np.ndarray
-    xyz: np.ndarray
-    quaternion: np.ndarray
-    approach: np.ndarray
+    xyz: np.ndarray  # (N, 3), m
+    quaternion: np.ndarray  # (N, 4) x, y, z, w of unit length; NaN rows leave the orientation free
+    approach: np.ndarray  # (N,) side that all joints are to arrive from, 0 for any
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
-    labels: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """further numbers by name, (N,) each, as in `Session.columns`."""
+    labels: Mapping[str, np.ndarray] = field(default_factory=dict)  # text by name, (N,) each
     source: str = "targets"
-    frame: tuple[str, ...] = ()
+    frame: tuple[str, ...] = ()  # (N,) ``base`` or ``measured``; blank where it is not said
 
     def __len__(self) -> int:
         """Number of targets."""

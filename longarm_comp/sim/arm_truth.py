@@ -20,16 +20,11 @@ _AXIS = {"a": 0, "d": 2}
 
 @dataclass(frozen=True)
 class Settled:
-    """The arm at rest, N postures.
+    """The arm at rest, N postures."""
 
-    Attributes:
-        pose: tip in the base frame, (N, 4, 4).
-        torques: moment of the weight about each motor's axis (N m), along it if it slides
-            (N), (N, n).
-    """
-
-    pose: Array
+    pose: Array  # tip in the base frame, (N, 4, 4)
     torques: Array
+    """moment of the weight about each motor's axis (N m), along it if it slides (N), (N, n)."""
 
 
 class Walk:

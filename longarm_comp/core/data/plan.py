@@ -28,20 +28,15 @@ _PAPER_STROKES = np.array(
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Poses to measure, in the order to drive them.
+    """Poses to measure, in the order to drive them."""
 
-    Attributes:
-        q: (N, n) commanded joints, rad and m.
-        approach: (N, n) side each joint arrives from: +1 from below, -1 from above, 0 from
-            wherever it is; (N,) where one side holds for all joints.
-        payload_kg: (N,) mass to carry, or None for as it is.
-        touch: (N,) name of the point that the tip touches, or None where it touches none.
-    """
-
-    q: np.ndarray
+    q: np.ndarray  # (N, n) commanded joints, rad and m
     approach: np.ndarray
-    payload_kg: np.ndarray | None = None
+    """(N, n) side each joint arrives from: +1 from below, -1 from above, 0 from wherever it is;
+    (N,) where one side holds for all joints."""
+    payload_kg: np.ndarray | None = None  # (N,) mass to carry, or None for as it is
     touch: np.ndarray | None = None
+    """(N,) name of the point that the tip touches, or None where it touches none."""
 
     def __post_init__(self) -> None:
         sides = np.asarray(self.approach, dtype=np.int8)

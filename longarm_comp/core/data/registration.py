@@ -30,21 +30,13 @@ _MIN_ROWS = 3
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """What is registered.
+    """What is registered."""
 
-    Attributes:
-        point: (N, 3) declared place of the row's marker, m, in the base frame.
-        axes: (N, 3, 3) axes of the frame that carries it, in columns, in the base frame.
-        seen: (N, 3) m.
-        group: (N,) number of the base placement, 0..G-1.
-        marker: (N,) number of the marker, 0..K-1.
-    """
-
-    point: np.ndarray
-    axes: np.ndarray
-    seen: np.ndarray
-    group: np.ndarray
-    marker: np.ndarray
+    point: np.ndarray  # (N, 3) declared place of the row's marker, m, in the base frame
+    axes: np.ndarray  # (N, 3, 3) axes of the frame that carries it, in columns, in the base frame
+    seen: np.ndarray  # (N, 3) m
+    group: np.ndarray  # (N,) number of the base placement, 0..G-1
+    marker: np.ndarray  # (N,) number of the marker, 0..K-1
 
     @classmethod
     def of(
@@ -86,19 +78,12 @@ def _numbers(labels: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where everything is.
+    """Where everything is."""
 
-    Attributes:
-        rotation: (G, 3, 3) of each base in the frame of the measurements.
-        offset: (G, 3) m.
-        tip: (K, 3) m beyond each marker's declared place, in the frame that carries it.
-        residual: (N, 3) seen - registered, m.
-    """
-
-    rotation: np.ndarray
-    offset: np.ndarray
-    tip: np.ndarray
-    residual: np.ndarray
+    rotation: np.ndarray  # (G, 3, 3) of each base in the frame of the measurements
+    offset: np.ndarray  # (G, 3) m
+    tip: np.ndarray  # (K, 3) m beyond each marker's declared place, in the frame that carries it
+    residual: np.ndarray  # (N, 3) seen - registered, m
 
     @property
     def misfit(self) -> float:

@@ -40,28 +40,18 @@ class ServoState:
 
 @dataclass(frozen=True, slots=True)
 class ServoModel:
-    """A kind of servo, from its data sheet.
+    """A kind of servo, from its data sheet."""
 
-    Attributes:
-        name: as written in the configuration.
-        protocol: name of the wire protocol.
-        model_number: what it answers to a ping.
-        ticks_per_turn: encoder ticks in one turn of the horn.
-        single_turn: lowest and highest goal in ordinary position mode, ticks.
-        multi_turn: the same when it may turn more than once.
-        full_load: present-load (or present-current) reading at full effort.
-        friction: share of full effort that turns it free: its current then over that at a stall;
-            None: its data sheet does not say. It bounds what its load tells of a payload.
-    """
-
-    name: str
-    protocol: str
-    model_number: int
-    ticks_per_turn: int
-    single_turn: tuple[int, int]
-    multi_turn: tuple[int, int]
-    full_load: float
+    name: str  # as written in the configuration
+    protocol: str  # name of the wire protocol
+    model_number: int  # what it answers to a ping
+    ticks_per_turn: int  # encoder ticks in one turn of the horn
+    single_turn: tuple[int, int]  # lowest and highest goal in ordinary position mode, ticks
+    multi_turn: tuple[int, int]  # the same when it may turn more than once
+    full_load: float  # present-load (or present-current) reading at full effort
     friction: float | None = None
+    """share of full effort that turns it free: its current then over that at a stall; None: its
+    data sheet does not say. It bounds what its load tells of a payload."""
 
 
 if TYPE_CHECKING:

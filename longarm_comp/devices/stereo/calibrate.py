@@ -94,20 +94,14 @@ _HELD_OUT_EVERY = 4
 
 @dataclass(frozen=True)
 class BoardCalibration:
-    """A calibration and what it is worth.
+    """A calibration and what it is worth."""
 
-    Attributes:
-        fit: of all views.
-        held_out_mm: rms distance of the board's corners, triangulated with a calibration of the
-            other views, from a board of the declared size.
-        held_out: number of views left out for it.
-        distances_m: nearest and farthest board, as calibrated.
-    """
-
-    fit: StereoCalibration
+    fit: StereoCalibration  # of all views
     held_out_mm: float
-    held_out: int
-    distances_m: tuple[float, float]
+    """rms distance of the board's corners, triangulated with a calibration of the other views,
+    from a board of the declared size."""
+    held_out: int  # number of views left out for it
+    distances_m: tuple[float, float]  # nearest and farthest board, as calibrated
 
 
 def calibrated(

@@ -54,20 +54,16 @@ class StereoSighting:
 
 @dataclass
 class StereoEye:
-    """Measures the tip with a stereo rig.
-
-    Args:
-        camera_in_base: (4, 4) pose of the left optical frame in the base frame (hand-eye).
-        tip_in_marker: (3,) m, the tip in the marker frame.
-        noise: assumed noise of a corner, corrected by the residuals of sightings.
-    """
+    """Measures the tip with a stereo rig."""
 
     rig: StereoRig
     target: Target
     camera_in_base: ArrayLike = field(default_factory=lambda: np.eye(4))
-    tip_in_marker: ArrayLike = (0.0, 0.0, 0.0)
+    """(4, 4) pose of the left optical frame in the base frame (hand-eye)."""
+    tip_in_marker: ArrayLike = (0.0, 0.0, 0.0)  # (3,) m, the tip in the marker frame
     limits: Limits = field(default_factory=Limits)
     noise: PixelNoise = field(default_factory=PixelNoise)
+    """assumed noise of a corner, corrected by the residuals of sightings."""
     _square_px2: float = field(default=0.0, repr=False)
     _freedom: float = field(default=0.0, repr=False)
 
