@@ -62,5 +62,5 @@ class Step:
     state: FollowerState  # after the step
     goals: dict[int, int] | None  # ticks by servo id to send now; None: send nothing
     set_points: dict[str, float]
-    """commanded joint values, rad or m; empty when nothing is commanded."""
+    """Commanded joint values, rad or m; empty when nothing is commanded."""
     events: tuple[Event, ...]  # in the order in which they happened

@@ -40,7 +40,7 @@ class Cycle:
 
     step: Step  # step of the follower
     joints: dict[str, ServoReading]
-    """all joints by name; empty unless every servo answered in this cycle."""
+    """All joints by name; empty unless every servo answered in this cycle."""
     states: Mapping[int, ServoState]  # read-back by servo id, of the servos that answered
     trouble: str  # message of a bus error; empty without one
 

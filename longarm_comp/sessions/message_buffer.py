@@ -85,13 +85,13 @@ class MessageBuffer:
     where: str  # name of the bag for error messages
     start_ns: int
     every_command: bool
-    """whether a repeated command counts. Otherwise it is the same command while the arm is at it
+    """Whether a repeated command counts. Otherwise it is the same command while the arm is at it
     or on its way."""
     commands: deque[tuple[float, np.ndarray]] = field(default_factory=deque)
-    """time and points (k, n), oldest first."""
+    """Time and points (k, n), oldest first."""
     sightings: list[Sighting] = field(default_factory=list)  # by the time they were taken
     rows: list[tuple[float, SessionRow]] = field(default_factory=list)
-    """contents of `session_row` messages, by time."""
+    """Contents of `session_row` messages, by time."""
     columns: dict[str, _Held] = field(default_factory=dict)  # temperature, payload, inclinations
     frames: set[str] = field(default_factory=set)  # of the sightings
     commanded: bool = False

@@ -28,7 +28,7 @@ class Targets:
     quaternion: np.ndarray  # (N, 4) x, y, z, w of unit length; NaN rows leave the orientation free
     approach: np.ndarray  # (N,) side that all joints are to arrive from, 0 for any
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """further numbers by name, (N,) each, as in `Session.columns`."""
+    """Further numbers by name, (N,) each, as in `Session.columns`."""
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)  # text by name, (N,) each
     source: str = "targets"
     frame: tuple[str, ...] = ()  # (N,) ``base`` or ``measured``; blank where it is not said

@@ -24,7 +24,7 @@ class Settled:
 
     pose: Array  # tip in the base frame, (N, 4, 4)
     torques: Array
-    """moment of the weight about each motor's axis (N m), along it if it slides (N), (N, n)."""
+    """Moment of the weight about each motor's axis (N m), along it if it slides (N), (N, n)."""
 
 
 class Walk:

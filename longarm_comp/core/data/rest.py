@@ -29,19 +29,14 @@ AFTER_S = 0.05
 
 @dataclass(frozen=True)
 class RestPose:
-    """The arm at rest at a commanded pose, and the mean sighting of the tip.
+    """The arm at rest at a commanded pose, and the mean sighting of the tip."""
 
-    Attributes:
-        q, history: (n,) commanded joints, rad and m, and how they came there.
-        tip, variance: (3,) m; (3,) m^2 of the mean, from the variances of the sightings.
-        command: number of the command, counted from 1.
-    """
-
-    q: np.ndarray
+    q: np.ndarray  # q, history: (n,) commanded joints, rad and m, and how they came there
     history: History
     tip: np.ndarray
+    """tip, variance: (3,) m; (3,) m^2 of the mean, from the variances of the sightings."""
     variance: np.ndarray
-    command: int
+    command: int  # number of the command, counted from 1
 
 
 @dataclass

@@ -41,10 +41,10 @@ class Session(MeasuredRows):
     repeat_id: np.ndarray  # (N,) rows with the same number revisit one pose; -1 for none
     sigma: np.ndarray | None = None  # (N, 3) standard deviation of the measurement in m, or None
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """further numbers by name, (N,) each, finite: `t_s`, `temperature_c`, `payload_kg`,
+    """Further numbers by name, (N,) each, finite: `t_s`, `temperature_c`, `payload_kg`,
     `incl_<frame>_x`, any other quantity that was recorded."""
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """text by name, (N,) each: `group`, `marker`, `role`, any other."""
+    """Text by name, (N,) each: `group`, `marker`, `role`, any other."""
     source: str = "session"  # file or bag from which it was read, for messages
     legs: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """(N, n, LEGS) signed ways of each joint from turn to turn, rad and m, the latest first
@@ -53,16 +53,16 @@ class Session(MeasuredRows):
     """(N, n) of +-1 if only the side of arrival was recorded, with a run-up of unknown length,
     else 0."""
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """what else was measured, by kind (`core/data/kinds.py`), (N, c) each; a row of NaN was not.
+    """What else was measured, by kind (`core/data/kinds.py`), (N, c) each; a row of NaN was not.
     `orientation`: x, y, z, w; `distance`: m, to the row's `anchor`."""
     sigmas: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """standard deviations of these, by kind, (N,) each in m or rad."""
+    """Standard deviations of these, by kind, (N,) each in m or rad."""
     touch_distances: tuple[KnownDistance, ...] = ()
-    """known distances between touched points (`core/data/touched.py`)."""
+    """Known distances between touched points (`core/data/touched.py`)."""
     blocks: tuple[ChannelBlock, ...] = ()
-    """the channels of the equations; a part of a session keeps those of the whole."""
+    """The channels of the equations; a part of a session keeps those of the whole."""
     lost: Mapping[int, str] = field(default_factory=dict)
-    """why rows of the recording hold no measurement, by index, if known; a part of a session keeps
+    """Why rows of the recording hold no measurement, by index, if known; a part of a session keeps
     those of the whole."""
 
     def __post_init__(self) -> None:

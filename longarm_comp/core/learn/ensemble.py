@@ -136,18 +136,12 @@ def train(
 
 @dataclass(frozen=True)
 class _Rows:
-    """What networks are trained on, and how.
+    """What networks are trained on, and how."""
 
-    Attributes:
-        x, target: (N, d) inputs and (N, 3) residual, standardised.
-        weights: (N,) precision factors.
-        init, seed, search: as `train` has them.
-    """
-
-    x: Array
+    x: Array  # x, target: (N, d) inputs and (N, 3) residual, standardised
     target: Array
-    weights: Array
-    init: str
+    weights: Array  # (N,) precision factors
+    init: str  # init, seed, search: as `train` has them
     seed: int
     search: SparrowSearch
 

@@ -50,7 +50,7 @@ class ServoModel:
     multi_turn: tuple[int, int]  # the same when it may turn more than once
     full_load: float  # present-load (or present-current) reading at full effort
     friction: float | None = None
-    """share of full effort that turns it free: its current then over that at a stall; None: its
+    """Share of full effort that turns it free: its current then over that at a stall; None: its
     data sheet does not say. It bounds what its load tells of a payload."""
 
 

@@ -98,7 +98,7 @@ class BoardCalibration:
 
     fit: StereoCalibration  # of all views
     held_out_mm: float
-    """rms distance of the board's corners, triangulated with a calibration of the other views,
+    """Rms distance of the board's corners, triangulated with a calibration of the other views,
     from a board of the declared size."""
     held_out: int  # number of views left out for it
     distances_m: tuple[float, float]  # nearest and farthest board, as calibrated

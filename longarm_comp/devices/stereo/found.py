@@ -18,13 +18,13 @@ class Limits:
     """Limits beyond which a pair is refused."""
 
     seen_share: float = 0.5
-    """share of the target's corners that both cameras must see (four at least)."""
+    """Share of the target's corners that both cameras must see (four at least)."""
     epipolar_px: float = 1.5  # largest median distance from the epipolar lines
     rms_px: float = 0.8  # largest root mean square reprojection error of the whole board
     edge_px: float = 2.5  # largest blur (Gaussian sigma of the sharpest edges), px
     size: float = 0.05  # largest relative difference of the seen from the declared marker size
     size_tolerance: float = 0.005
-    """tolerance of the printed size (1 sigma, relative). It weighs the depth from the size against
+    """Tolerance of the printed size (1 sigma, relative). It weighs the depth from the size against
     the depth from the baseline."""
 
     def tolerance(self, pixels: Array) -> float:

@@ -33,13 +33,13 @@ class Cells:
 
     where: str
     names: tuple[str, ...]
-    """columns; header lines are joined, a line of units is put behind the names."""
+    """Columns; header lines are joined, a line of units is put behind the names."""
     rows: tuple[tuple[int, tuple[str, ...]], ...]  # (line in the file, cells) of each row
     separator: str  # between cells; empty for a sheet
     decimal: str  # the sign before decimals
     header_lines: tuple[int, ...]  # lines in the file that the names were made of
     index: tuple[int, ...] = ()
-    """number of each row in the session, where the rows do not simply follow each other."""
+    """Number of each row in the session, where the rows do not simply follow each other."""
 
     def column(self, place: int) -> list[str]:
         """The texts of one column."""

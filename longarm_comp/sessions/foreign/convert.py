@@ -96,7 +96,7 @@ class _Imported:
 
     cells: Cells
     columns: Mapping[str, np.ndarray]
-    """session columns by name, (N,) numbers or texts; `sources`: how each was read."""
+    """Session columns by name, (N,) numbers or texts; `sources`: how each was read."""
     sources: tuple[Column, ...]
     left_out: tuple[str, ...]  # columns of the file that were not read
     assumed: tuple[str, ...]  # joints that were taken to turn, as no arm says it

@@ -24,15 +24,15 @@ class MotorSpec:
     max_speed_ticks_s: float = 3000.0  # no-load speed (STS3215 at 7.4 V: about 3,000)
     lag_s: float = 0.03  # time constant of the position loop near the goal
     dead_band_ticks: float = 0.0
-    """error that the controller leaves alone; beyond it the effort grows."""
+    """Error that the controller leaves alone; beyond it the effort grows."""
     hold_share: float = 0.0
-    """share of full effort by which friction holds the gear wherever it stopped; so much more than
+    """Share of full effort by which friction holds the gear wherever it stopped; so much more than
     the load does a drive give that came from below, so much less from above."""
     wind_up_ticks: float = 650.0
-    """travel that winds the gear train up from slack to one side; turning round, it takes twice as
+    """Travel that winds the gear train up from slack to one side; turning round, it takes twice as
     much to wind it up to the other."""
     droop_ticks: float = 0.0
-    """error at which the proportional controller gives its full effort: so far does a load as
+    """Error at which the proportional controller gives its full effort: so far does a load as
     large push the horn off its goal."""
     encoder_zero_ticks: float = 0.0  # what the encoder says too much
     stiff_ticks: float = 200.0  # position error at which a jammed drive gives its full effort
