@@ -123,7 +123,7 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
     """
     from longarm_comp.cli.dialogue import Dialogue
     from longarm_comp.cli.output import note
-    from longarm_comp.devices.servo_bus.scan import renumber
+    from longarm_comp.devices.servo_bus.registry import renumber
 
     found = scanned(asked_port(Dialogue("servo set-id"), port, None), **line)
     old = renumber(found, servo_id)

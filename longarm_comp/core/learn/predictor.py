@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,34 +106,25 @@ class Predictor:
     gain: LearnedGain = field(default_factory=LearnedGain)
     provenance: Provenance = field(default_factory=Provenance)
 
-    def __post_init__(self) -> None:
-        shape = NetworkShape(len(self.encoding.kept), self.hidden, len(self.offset))
-        object.__setattr__(self, "_shape", shape)
-        v, w, b = shape.split(self.weights)
-        object.__setattr__(self, "_members", tuple(map(np.ascontiguousarray, (v, w, b[:, None]))))
+    @cached_property
+    def shape(self) -> NetworkShape:
+        return NetworkShape(len(self.encoding.kept), self.hidden, len(self.offset))
+
+    @cached_property
+    def members(self) -> tuple[Array, Array, Array]:
+        """Weights of the ensemble: hidden (M, d+1, H), output (M, H, 3) and its bias (M, 1, 3)."""
+        v, w, b = self.shape.split(self.weights)
+        return np.ascontiguousarray(v), np.ascontiguousarray(w), np.ascontiguousarray(b[:, None])
+
+    @cached_property
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper (columns,) of the training region, margins included."""
         # of a context column's training range; it has less influence, and drifts
         margin = np.full(len(self.lower), 0.5)
         # of a joint's training range
         margin[: self.encoding.joints] = 0.02
         width = margin * (self.upper - self.lower) + 1e-6
-        object.__setattr__(self, "_box", (self.lower - width, self.upper + width))
-
-    @property
-    def shape(self) -> NetworkShape:
-        shape: NetworkShape = self._shape  # type: ignore[attr-defined]
-        return shape
-
-    @property
-    def members(self) -> tuple[Array, Array, Array]:
-        """Weights of the ensemble: hidden (M, d+1, H), output (M, H, 3) and its bias (M, 1, 3)."""
-        members: tuple[Array, Array, Array] = self._members  # type: ignore[attr-defined]
-        return members
-
-    @property
-    def box(self) -> tuple[Array, Array]:
-        """Lower and upper (columns,) of the training region, margins included."""
-        box: tuple[Array, Array] = self._box  # type: ignore[attr-defined]
-        return box
+        return self.lower - width, self.upper + width
 
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
         """Expected residual at joints (N, n), rad and m.
