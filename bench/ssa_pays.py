@@ -10,7 +10,7 @@ from scipy.optimize import Bounds, differential_evolution
 
 from bench.smooth import SmoothSet, rms_mm, smooth_set
 from bench.sparrow_as_printed import RULES
-from longarm_comp.core.learn.ensemble import train
+from longarm_comp.core.learn.ensemble import back_propagate, train
 from longarm_comp.core.learn.network import (
     SPARROW_BOUND,
     NetworkShape,
@@ -22,7 +22,6 @@ from longarm_comp.core.learn.network import (
     xavier_start,
 )
 from longarm_comp.core.learn.sparrow import SparrowResult, SparrowSearch
-from longarm_comp.core.learn.training import back_propagate
 from studies.peers import train_gaussian_process, train_mlp
 
 Array = NDArray[np.float64]

@@ -17,74 +17,6 @@ Names are imported when they are first used (PEP 562): importing this package im
 
 from longarm_comp.version import __version__ as __version__
 
-__all__ = [
-    "Arm",
-    "Context",
-    "InputError",
-    "JobError",
-    "LongarmError",
-    "Model",
-    "Monitor",
-    "Session",
-    "calibrate",
-    "compensate",
-    "compensate_path",
-    "declared_model",
-    "diagnose",
-    "effects",
-    "evaluate",
-    "import_table",
-    "load_model",
-    "load_predictor",
-    "plan",
-    "read_session",
-    "read_targets",
-    "train",
-    "write_poses",
-]
-
-TYPE_CHECKING = False  # as in `typing`, which costs more than the rest of this file
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.arm.context import Context
-    from longarm_comp.core.compensation.drift import Monitor
-    from longarm_comp.core.data.session import Session
-    from longarm_comp.core.effects import catalogue as effects
-    from longarm_comp.core.errors import InputError, JobError, LongarmError
-    from longarm_comp.core.model.declared_model import declared_model
-    from longarm_comp.core.model.model import Model
-    from longarm_comp.core.model.model_file import load_model
-    from longarm_comp.sessions.poses import write_poses
-    from longarm_comp.sessions.read import read_session
-    from longarm_comp.sessions.targets import read_targets
-    from longarm_comp.workflows.calibrate import calibrate
-    from longarm_comp.workflows.compensate import compensate
-    from longarm_comp.workflows.compensate_path import compensate_path
-    from longarm_comp.workflows.diagnose import diagnose
-    from longarm_comp.workflows.evaluate import evaluate
-    from longarm_comp.workflows.import_table import import_table
-    from longarm_comp.workflows.inputs import load_predictor
-    from longarm_comp.workflows.plan import plan
-    from longarm_comp.workflows.train import train
-else:
-
-    def __getattr__(name):
-        """Import a name of the list when it is first used."""
-        if name not in _MODULE_OF:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        from importlib import import_module
-
-        module = import_module(f"{__name__}.{_MODULE_OF[name]}")
-        found = module if name == "effects" else getattr(module, name)
-        globals()[name] = found
-        return found
-
-
-def __dir__() -> list[str]:
-    """What the package has, whether it was used or not."""
-    return sorted({*globals(), *__all__})
-
-
 _MODULE_OF = {
     "Arm": "core.arm.arm",
     "Context": "core.arm.context",
@@ -110,3 +42,47 @@ _MODULE_OF = {
     "train": "workflows.train",
     "write_poses": "sessions.poses",
 }
+__all__ = sorted(_MODULE_OF)
+
+TYPE_CHECKING = False  # as in `typing`, which costs more than the rest of this file
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm as Arm
+    from longarm_comp.core.arm.context import Context as Context
+    from longarm_comp.core.compensation.drift import Monitor as Monitor
+    from longarm_comp.core.data.session import Session as Session
+    from longarm_comp.core.effects import catalogue as effects  # noqa: F401
+    from longarm_comp.core.errors import InputError as InputError
+    from longarm_comp.core.errors import JobError as JobError
+    from longarm_comp.core.errors import LongarmError as LongarmError
+    from longarm_comp.core.model.declared_model import declared_model as declared_model
+    from longarm_comp.core.model.model import Model as Model
+    from longarm_comp.core.model.model_file import load_model as load_model
+    from longarm_comp.sessions.poses import write_poses as write_poses
+    from longarm_comp.sessions.read import read_session as read_session
+    from longarm_comp.sessions.targets import read_targets as read_targets
+    from longarm_comp.workflows.calibrate import calibrate as calibrate
+    from longarm_comp.workflows.compensate import compensate as compensate
+    from longarm_comp.workflows.compensate_path import compensate_path as compensate_path
+    from longarm_comp.workflows.diagnose import diagnose as diagnose
+    from longarm_comp.workflows.evaluate import evaluate as evaluate
+    from longarm_comp.workflows.import_table import import_table as import_table
+    from longarm_comp.workflows.inputs import load_predictor as load_predictor
+    from longarm_comp.workflows.plan import plan as plan
+    from longarm_comp.workflows.train import train as train
+else:
+
+    def __getattr__(name):
+        """Import a name of the list when it is first used."""
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
+        module = import_module(f"{__name__}.{_MODULE_OF[name]}")
+        found = module if name == "effects" else getattr(module, name)
+        globals()[name] = found
+        return found
+
+
+def __dir__() -> list[str]:
+    """What the package has, whether it was used or not."""
+    return sorted({*globals(), *__all__})

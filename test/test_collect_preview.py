@@ -18,8 +18,7 @@ from longarm_comp.arm_folder.visible import Lens, View, view_beside
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Box
-from longarm_comp.core.data.allowed_poses import above
-from longarm_comp.core.data.plan import Plan, sobol
+from longarm_comp.core.data.plan import Plan, above, sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline

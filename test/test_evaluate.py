@@ -11,8 +11,7 @@ from hidden_arm import at, session, tip
 from small_arm import ARM
 
 import longarm_comp as la
-from longarm_comp.core.data.allowed_poses import above, outside_boxes
-from longarm_comp.core.data.plan import Plan
+from longarm_comp.core.data.plan import Plan, above, outside_boxes
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.sessions.csv import write_csv

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bench.smooth import smooth_set
+from longarm_comp.core.learn.ensemble import back_propagate
 from longarm_comp.core.learn.network import (
     NetworkShape,
     forward,
@@ -19,7 +20,6 @@ from longarm_comp.core.learn.network import (
     xavier_start,
 )
 from longarm_comp.core.learn.sparrow import SparrowSearch
-from longarm_comp.core.learn.training import back_propagate
 
 SHAPE = NetworkShape(4, 5, 3)
 

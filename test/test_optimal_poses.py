@@ -15,8 +15,7 @@ from small_arm import ARM
 import longarm_comp as la
 from longarm_comp.cli.plan import command
 from longarm_comp.core.arm.moves import run_up_lengths
-from longarm_comp.core.data.allowed_poses import outside_boxes
-from longarm_comp.core.data.plan import Plan, random_joints, sobol
+from longarm_comp.core.data.plan import Plan, outside_boxes, random_joints, sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import geometry

@@ -15,12 +15,12 @@ from session_bag import write_bag
 from small_arm import ARM, measured
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.rest import Sighting, settled
 from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.bag import bag_info, read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.read import read_session
-from longarm_comp.sessions.settled import Sighting, settled
 
 # ------------------------------------------------------------------ round trips
 

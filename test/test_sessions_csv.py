@@ -18,7 +18,7 @@ from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv, write_csv
-from longarm_comp.sessions.names import nearest
+from longarm_comp.sessions.table import nearest
 from longarm_comp.sessions.targets import Targets, read_targets
 from studies.real_sessions import declared
 
@@ -120,14 +120,6 @@ def test_covariance_becomes_sigma(tmp_path: Path) -> None:
     assert session.sigma is not None
     assert np.allclose(session.sigma, [[1e-3, 2e-3, 3e-3]])
     assert session.columns["cov_xy"].tolist() == [1e-7]
-
-
-def test_one_branch_of_a_larger_robot(tmp_path: Path) -> None:
-    header = "q1,q2,q3,q4,q5,q6,x,y,z"
-    path = written(tmp_path / "s.csv", header, "1,2,3,4,5,6,0,0,0")
-    session = read_csv(path, ARM, joint_columns=("q1", "q2", "q5", "q6"))
-    assert session.q.tolist() == [[1, 2, 5, 6]]
-    assert {k: v.tolist() for k, v in session.columns.items()} == {"q3": [3], "q4": [4]}
 
 
 def test_bom_blank_lines_and_spaces_do_no_harm(tmp_path: Path) -> None:

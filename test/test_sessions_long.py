@@ -14,8 +14,7 @@ from small_arm import ARM
 
 from bench.synthetic_bag import PERIOD_S, recording, write_raw
 from longarm_comp.sessions.bag import read_bag
-from longarm_comp.sessions.joint_states import KIND, JointStates
-from longarm_comp.sessions.message_types import message_types
+from longarm_comp.sessions.message_types import KIND, JointStates, message_types
 
 
 def peak_of_reading(path: Path) -> tuple[int, int]:

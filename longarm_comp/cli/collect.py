@@ -69,8 +69,7 @@ def command(
     """
     from longarm_comp.arm_folder.visible import view_beside
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.data.allowed_poses import above
-    from longarm_comp.core.data.plan import from_both_sides, with_random_sides
+    from longarm_comp.core.data.plan import above, from_both_sides, with_random_sides
     from longarm_comp.core.model.declared_model import declared_model
     from longarm_comp.jobs.collect.visits import plan_checks, refuse_blocked, servos_beside, visits
     from longarm_comp.sessions.poses import read_poses

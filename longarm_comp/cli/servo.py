@@ -124,7 +124,8 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
     Example:
       longarm servo set-id 3 --port /dev/ttyUSB0
     """
-    from longarm_comp.devices.servo_bus.scan import renumber
+    from longarm_comp.cli.output import note
+    from longarm_comp.devices.servo_bus.registry import renumber
 
     found = scanned(asked_port("servo set-id", port, None), **line)
     old = renumber(found, servo_id)

@@ -7,19 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """What a stereo pair needs of a sensor_msgs/CameraInfo.
+    """What a stereo pair needs of a sensor_msgs/CameraInfo."""
 
-    Attributes:
-        width, height: of the image, px.
-        distortion_model: such as ``plumb_bob``.
-        d: coefficients of it, in OpenCV's order.
-        k, r, p: intrinsic (9), rectification (9) and projection (12) matrix, row by row.
-    """
-
-    width: int
+    width: int  # width, height: of the image, px
     height: int
-    distortion_model: str
-    d: tuple[float, ...]
+    distortion_model: str  # such as ``plumb_bob``
+    d: tuple[float, ...]  # coefficients of it, in OpenCV's order
     k: tuple[float, ...]
+    """k, r, p: intrinsic (9), rectification (9) and projection (12) matrix, row by row."""
     r: tuple[float, ...]
     p: tuple[float, ...]

@@ -46,33 +46,21 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A trajectory as it was taken up.
-
-    Attributes:
-        start: (n,) set-point that it starts from, in the order of the configuration (rad, m).
-        points: (k, n) its way-points, also of the joints that it does not name.
-        times: (k,) s from now at which they are passed.
-        replaces: whether another one was under way.
-    """
+    """A trajectory as it was taken up."""
 
     start: np.ndarray
-    points: np.ndarray
-    times: np.ndarray
-    replaces: bool
+    """(n,) set-point that it starts from, in the order of the configuration (rad, m)."""
+    points: np.ndarray  # (k, n) its way-points, also of the joints that it does not name
+    times: np.ndarray  # (k,) s from now at which they are passed
+    replaces: bool  # whether another one was under way
 
 
 @dataclass(frozen=True)
 class Step:
-    """The outcome of one step.
+    """The outcome of one step."""
 
-    Attributes:
-        state: after the step.
-        goals: ticks by servo id to send now; None: send nothing.
-        set_points: commanded joint values, rad or m; empty when nothing is commanded.
-        events: in the order in which they happened.
-    """
-
-    state: FollowerState
-    goals: dict[int, int] | None
+    state: FollowerState  # after the step
+    goals: dict[int, int] | None  # ticks by servo id to send now; None: send nothing
     set_points: dict[str, float]
-    events: tuple[Event, ...]
+    """Commanded joint values, rad or m; empty when nothing is commanded."""
+    events: tuple[Event, ...]  # in the order in which they happened

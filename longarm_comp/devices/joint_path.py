@@ -113,19 +113,14 @@ class TakenOver:
     """A path taken up in the middle of a motion: at first it is blended with braking.
 
     Both lie within the joint box, so their blend does; position and velocity are continuous.
-
-    Attributes:
-        path: what is followed after the blend.
-        start, speed: (n,) set-point and its velocity at the take-over; rad or m, and a second.
-        blend_s: duration of the blend, s.
-        lower, upper: (n,) the joint box.
     """
 
-    path: CubicPath
+    path: CubicPath  # what is followed after the blend
     start: Array
+    """start, speed: (n,) set-point and its velocity at the take-over; rad or m, and a second."""
     speed: Array
-    blend_s: float
-    lower: Array
+    blend_s: float  # duration of the blend, s
+    lower: Array  # lower, upper: (n,) the joint box
     upper: Array
 
     def at(self, time_s: npt.ArrayLike) -> Array:

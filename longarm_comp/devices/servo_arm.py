@@ -36,19 +36,13 @@ class ServoReading:
 
 @dataclass(frozen=True)
 class Cycle:
-    """The outcome of one cycle.
+    """The outcome of one cycle."""
 
-    Attributes:
-        step: step of the follower.
-        joints: all joints by name; empty unless every servo answered in this cycle.
-        states: read-back by servo id, of the servos that answered.
-        trouble: message of a bus error; empty without one.
-    """
-
-    step: Step
+    step: Step  # step of the follower
     joints: dict[str, ServoReading]
-    states: Mapping[int, ServoState]
-    trouble: str
+    """All joints by name; empty unless every servo answered in this cycle."""
+    states: Mapping[int, ServoState]  # read-back by servo id, of the servos that answered
+    trouble: str  # message of a bus error; empty without one
 
 
 class ServoArm:

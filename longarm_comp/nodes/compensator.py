@@ -20,7 +20,7 @@ from longarm_comp.core.compensation.result import CompensationOptions
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.codegen import Compiled
-from longarm_comp.core.learn.expansion import Nearby
+from longarm_comp.core.learn.predictor import Nearby
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import entered
 from longarm_comp.nodes.arm_state import ArmState

@@ -12,8 +12,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import LongarmError
-from longarm_comp.core.learn.expansion import Expander
-from longarm_comp.core.learn.predictor import Predictor
+from longarm_comp.core.learn.predictor import Expander, Predictor
 from longarm_comp.core.learn.predictor_file import belongs, load
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import prefix_of

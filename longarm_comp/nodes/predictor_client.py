@@ -11,7 +11,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.learn.expansion import Expansion
+from longarm_comp.core.learn.predictor import Expansion
 from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.worker import ServiceCaller
 from longarm_interfaces.srv import PredictError

@@ -33,7 +33,7 @@ from longarm_comp.core.compensation.result import CompensationOptions
 from longarm_comp.core.compensation.retime import MotionLimits
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
-from longarm_comp.core.learn.expansion import Nearby
+from longarm_comp.core.learn.predictor import Nearby
 from longarm_comp.nodes import arm_state
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState

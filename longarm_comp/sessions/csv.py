@@ -12,16 +12,24 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
-from longarm_comp.core.data.kinds import KINDS, Kind
+from longarm_comp.core.arm.measuring import KnownDistance, Touches, known_distances
+from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.yaml_file import range_of
-from longarm_comp.sessions.names import check_header, check_unknown, nearest
-from longarm_comp.sessions.table import Table, read_table, write_table
-from longarm_comp.sessions.touches import write_touches
+from longarm_comp.core.files import atomic_path
+from longarm_comp.core.yaml_file import parse_declared, range_of, read_yaml
+from longarm_comp.sessions.table import (
+    Table,
+    check_header,
+    check_unknown,
+    nearest,
+    read_table,
+    write_table,
+)
 
 XYZ = KINDS["position"].cells
 _FURTHER = tuple(kind for name, kind in KINDS.items() if name != "position")
@@ -47,8 +55,8 @@ def _read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.nd
     readings, sigmas = {}, {}
     joints = (KINDS[name] for name in table.header if re.fullmatch(r"read_q[1-9]\d*", name))
     for kind in (*_FURTHER, *joints):
-        if any(name in table.cells for name in kind.cells):  # none of a kind that a text measures
-            readings[kind.name] = _read(table, kind)
+        if table.has(kind.cells):  # none of a kind that a text measures
+            readings[kind.name] = table.block(kind.cells, kind.unit, True)
             if kind.sigma in table.cells:
                 unit = f"{kind.unit}, above 0"
                 sigmas[kind.name] = table.numbers(kind.sigma, unit, True, lambda v: v > 0)
@@ -68,25 +76,6 @@ def _written_readings(session: Session) -> dict[str, Sequence[object] | np.ndarr
     return made
 
 
-def _read(table: Table, kind: Kind) -> np.ndarray:
-    check_header(table.where, table.header, kind.cells)
-    blank = np.stack([table.blank(name) for name in kind.cells], axis=-1)
-    for row in np.flatnonzero(blank.any(axis=1) & ~blank.all(axis=1)):
-        column = kind.cells[int(np.argmax(blank[row]))]
-        raise table.error(row, column, f"a number; {', '.join(kind.cells)} all blank where none")
-    values = np.stack([table.numbers(name, kind.unit, True) for name in kind.cells], axis=-1)
-    wrong, allowed = kind.wrong(values)
-    for row in np.flatnonzero(wrong & ~blank.any(axis=1)):
-        field = f"line {table.lines[row]}, {', '.join(kind.cells)}"
-        said = ", ".join(table.cells[name][row] for name in kind.cells)
-        raise InputError(table.where, field, said, allowed)
-    if kind.label:
-        for row in np.flatnonzero(~blank.any(axis=1) & table.blank(kind.label)):
-            field = f"line {table.lines[row]}, {kind.label}"
-            raise InputError(table.where, field, "blank", f"a name beside {kind.cells[0]}")
-    return values
-
-
 SIGMA = ("sigma_x", "sigma_y", "sigma_z")
 _VARIANCE = ("cov_xx", "cov_yy", "cov_zz")
 UNITS = {"t_s": "s", "temperature_c": "degrees Celsius", "payload_kg": "kg"}
@@ -95,38 +84,32 @@ _INDEX = ("index", "approach", "repeat_id")
 _COVARIANCE = (*_VARIANCE, "cov_xy", "cov_xz", "cov_yz")
 
 
-def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = None) -> Session:
-    """Read a session.
-
-    Args:
-        joint_columns: names of the joint columns when they are not ``q1..qn`` (an arm that is
-            one branch of a larger robot); other ``q`` columns are then kept as context.
-    """
+def read_csv(path: str | Path, arm: Arm) -> Session:
+    """Read a session."""
     table = read_table(path)
-    joints = tuple(joint_columns or joint_names(arm.n))
+    joints = joint_names(arm.n)
     per_joint = (f"{w}_{q}" for w in ("approach", "run_up", "read") for q in joint_names(arm.n))
     other = (*READ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS)
     known = (*joints, *XYZ, *other, *per_joint)
-    # Names that follow a pattern and so are never misspelt ones
-    free = re.compile(rf"{INCLINATION.pattern}{'' if joint_columns is None else '|q[0-9]+$'}")
     check_header(table.where, table.header, joints)
     _check_measured(table)
-    if joint_columns is None:
-        for name in table.header:
-            if re.fullmatch(r"[qQ]_?\d+", name) and name not in joints:
-                allowed = f"q1..q{arm.n} of arm {arm.name}"
-                raise InputError(table.where, f"column {name}", "unknown", allowed)
-    check_unknown(table.where, table.header, known, kept=set(filter(free.match, table.header)))
+    for name in table.header:
+        if re.fullmatch(r"[qQ]_?\d+", name) and name not in joints:
+            allowed = f"q1..q{arm.n} of arm {arm.name}"
+            raise InputError(table.where, f"column {name}", "unknown", allowed)
+    kept = set(filter(INCLINATION.match, table.header))
+    check_unknown(table.where, table.header, known, kept)
     columns, labels = recorded_besides(table, set(known))
     readings, sigmas = _read_readings(table)
     blank = np.full(len(table), np.nan)
     xyz = [table.lengths(k, blanks=True) if k in table.cells else blank for k in XYZ]
+    q = table.block(joints, "rad or m")
     return Session.record(
         q=np.stack([table.lengths(name, "rad or m") for name in joints], axis=-1),
         xyz=np.stack(xyz, axis=-1),
         index=table.integers("index") if "index" in table.cells else None,
         approach=read_approach(table, arm.n),
-        run_up=_run_up(table, arm.n),
+        run_up=_run_up(table, q),
         repeat_id=table.integers("repeat_id", -1) if "repeat_id" in table.cells else None,
         sigma=_sigma(table),
         columns=columns,
@@ -203,52 +186,38 @@ def read_approach(table: Table, n: int) -> np.ndarray | None:
     per_joint = approach_names(n)
     if "approach" in table.cells:
         common = table.numbers("approach", "+1 from below, -1 from above", True, side)
-        if not any(name in table.cells for name in per_joint):
+        if not table.has(per_joint):
             return common
         raise InputError(table.where, "column approach", "beside approach_q1", "one of the two")
-    if not any(name in table.cells for name in per_joint):
+    if not table.has(per_joint):
         return None
-    check_header(table.where, table.header, per_joint)
-    units = "+1 from below, -1 from above, 0 unknown"
-    made = [table.numbers(name, units, False, side) for name in per_joint]
-    return np.stack(made, axis=-1)
+    return table.block(per_joint, "+1 from below, -1 from above, 0 unknown", False, side)
 
 
 def _sigma(table: Table) -> np.ndarray | None:
     for names, power in ((SIGMA, 1.0), (_VARIANCE, 0.5)):
-        if any(name in table.cells for name in names):
-            check_header(table.where, table.header, names)
+        if table.has(names):
             unit = "m, above 0" if power == 1.0 else "m^2, above 0"
-            made = [table.numbers(name, unit, True, lambda v: v > 0) for name in names]
-            return np.stack(made, axis=-1) ** power
+            return table.block(names, unit, True, lambda v: v > 0) ** power
     return None
 
 
-def _run_up(table: Table, n: int) -> np.ndarray | None:
+def _run_up(table: Table, q: np.ndarray) -> np.ndarray | None:
+    """Where the last approaches began; a side of arrival that contradicts one is refused."""
+    n = q.shape[1]
     names = [f"run_up_{name}" for name in joint_names(n)]
-    if not any(name in table.cells for name in names):
+    if not table.has(names):
         return None
-    check_header(table.where, table.header, names)
-    made = np.stack([table.numbers(name, "rad or m", True) for name in names], axis=-1)
-    _check_sides(table, made)
-    return made
-
-
-def _check_sides(table: Table, run_up: np.ndarray) -> None:
-    """Refuse a side of arrival that the run-up beside it contradicts."""
-    n = run_up.shape[1]
+    made = table.block(names, "rad or m", True)
     sides = read_approach(table, n)
     if sides is None:
-        return
+        return made
     told = np.nan_to_num(sides if sides.ndim == 2 else np.repeat(sides[:, None], n, axis=1))
-    q = np.stack([table.numbers(name, "rad or m") for name in joint_names(n)], axis=-1)
-    wrong = (q - run_up) * told < SAME_POSE
-    wrong &= (told != 0) & ~np.isnan(run_up)
+    wrong = ((q - made) * told < SAME_POSE) & (told != 0) & ~np.isnan(made)
     for row, joint in np.argwhere(wrong):
         side = "below" if told[row, joint] > 0 else "above"
-        raise table.error(
-            row, f"run_up_q{joint + 1}", f"a place {side} q{joint + 1}, as approach says"
-        )
+        raise table.error(row, names[joint], f"a place {side} q{joint + 1}, as approach says")
+    return made
 
 
 def written_approach(sides: np.ndarray) -> dict[str, Sequence[object] | np.ndarray]:
@@ -256,3 +225,31 @@ def written_approach(sides: np.ndarray) -> dict[str, Sequence[object] | np.ndarr
     if (sides == sides[:, :1]).all():
         return {"approach": [None if side == 0 else int(side) for side in sides[:, 0]]}
     return dict(zip(approach_names(sides.shape[1]), sides.T, strict=True))
+
+
+# ------------------------------------------------------------------ touched points
+
+_TOUCHES = "touches.yaml"
+"""Known distances between the points that the session beside it touched."""
+
+
+def read_touches(session: Path) -> tuple[KnownDistance, ...]:
+    """What the file in a bag's folder, or beside a session, says; nothing where there is none."""
+    for folder in (session, session.parent):
+        path = folder / _TOUCHES
+        if path.is_file():
+            declared = parse_declared(Touches, read_yaml(path), str(path))
+            return known_distances(declared.touch_distances)
+    return ()
+
+
+def write_touches(distances: tuple[KnownDistance, ...], folder: Path) -> None:
+    """Write the file, where there are distances."""
+    path = folder / _TOUCHES
+    if not distances:
+        return
+    if path.is_file() and read_touches(path) != distances:
+        raise InputError(str(path), "touch_distances", "other ones", "another folder")
+    with atomic_path(path) as partial:
+        known = yaml.safe_dump({"touch_distances": [list(d) for d in distances]}, sort_keys=False)
+        partial.write_text(known, encoding="utf-8")

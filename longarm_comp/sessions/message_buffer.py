@@ -20,9 +20,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
+from longarm_comp.core.data.rest import Sighting
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import moment
-from longarm_comp.sessions.settled import Sighting
 
 TYPES = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
@@ -79,27 +79,21 @@ class MessageBuffer:
     """The messages that may still be needed. All times are in s from `start_ns` (`moment`).
 
     `take` stores a message of a topic in `TYPES`, or raises `InputError`.
-
-    Attributes:
-        where: name of the bag for error messages.
-        every_command: whether a repeated command counts. Otherwise it is the same command while
-            the arm is at it or on its way.
-        commands: time and points (k, n), oldest first.
-        sightings: by the time they were taken.
-        rows: contents of `session_row` messages, by time.
-        columns: temperature, payload, inclinations.
-        frames: of the sightings.
     """
 
     arm: Arm
-    where: str
+    where: str  # name of the bag for error messages
     start_ns: int
     every_command: bool
+    """Whether a repeated command counts. Otherwise it is the same command while the arm is at it
+    or on its way."""
     commands: deque[tuple[float, np.ndarray]] = field(default_factory=deque)
-    sightings: list[Sighting] = field(default_factory=list)
+    """Time and points (k, n), oldest first."""
+    sightings: list[Sighting] = field(default_factory=list)  # by the time they were taken
     rows: list[tuple[float, SessionRow]] = field(default_factory=list)
-    columns: dict[str, _Held] = field(default_factory=dict)
-    frames: set[str] = field(default_factory=set)
+    """Contents of `session_row` messages, by time."""
+    columns: dict[str, _Held] = field(default_factory=dict)  # temperature, payload, inclinations
+    frames: set[str] = field(default_factory=set)  # of the sightings
     commanded: bool = False
     sighted: bool = False
 

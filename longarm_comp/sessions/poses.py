@@ -14,8 +14,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import approach_names, joint_names, read_approach, written_approach
-from longarm_comp.sessions.names import check_header
-from longarm_comp.sessions.table import WriteTable, read_table, write_table
+from longarm_comp.sessions.table import WriteTable, check_header, read_table, write_table
 
 FILE = "next_poses.csv"
 
@@ -28,8 +27,7 @@ def read_next_poses(folder: str | Path, arm: Arm, n: int) -> Plan:
     plan = read_poses(path, arm)
     if not 1 <= n <= len(plan):
         raise InputError("plan", "n", n, f"1 to {len(plan)} (poses of the diagnosis)")
-    payload = None if plan.payload_kg is None else plan.payload_kg[:n]
-    return Plan(plan.q[:n], plan.approach[:n], payload)
+    return plan.take(np.arange(n))
 
 
 _SLACK = 1e-6  # printed digits of a joint that stands on its limit
@@ -58,7 +56,7 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
     for name in table.header:
         if name not in known:
             raise InputError(table.where, f"column {name}", "unknown", " ".join(known))
-    q = np.stack([table.numbers(name, "rad or m") for name in joints], axis=-1)
+    q = table.block(joints, "rad or m")
     outside = (q < arm.lower - _SLACK) | (q > arm.upper + _SLACK)
     for row, j in zip(*np.nonzero(outside & inside), strict=True):
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} (limits of {arm.joint_names[j]})"

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
-from longarm_comp.sessions.csv import read_csv
-from longarm_comp.sessions.touches import read_touches
+from longarm_comp.sessions.csv import read_csv, read_touches
 
 
 def read_session(path: str | Path, arm: Arm) -> Session:

@@ -14,22 +14,17 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.vibration.seen import LEAST
-from longarm_comp.sessions.names import check_header
 from longarm_comp.sessions.table import read_table
 
 
 @dataclass(frozen=True, eq=False)
 class _RecordedRing:
-    """What was seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m.
-
-    Attributes:
-        at: (n,) joints that were commanded; None: the file does not say.
-    """
+    """What was seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m."""
 
     times: np.ndarray
     seen: np.ndarray
     of_joints: bool
-    at: np.ndarray | None = None
+    at: np.ndarray | None = None  # (n,) joints that were commanded; None: the file does not say
 
 
 def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:
@@ -41,17 +36,15 @@ def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:
     readings = [f"read_q{joint}" for joint in range(1, arm.n + 1)]
     of_joints = bool(set(readings) & set(table.header))
     names = readings if of_joints else list("xyz")
-    check_header(table.where, table.header, ("t_s", *names))
-    times = table.numbers("t_s", "s")
-    unit = "rad or m" if of_joints else "m"
-    seen = np.stack([table.numbers(name, unit, blanks=True) for name in names], axis=-1)
+    (times,) = table.block(("t_s",), "s").T
+    seen = table.block(names, "rad or m" if of_joints else "m", True)
     kept = np.isfinite(seen).all(axis=1)
     return _RecordedRing(times[kept], seen[kept], of_joints)
 
 
 def _of_bag(path: Path, arm: Arm) -> _RecordedRing:
+    from longarm_comp.core.data.rest import still_since
     from longarm_comp.sessions.bag import read_last  # a CSV needs none of its libraries
-    from longarm_comp.sessions.settled import still_since
 
     buffer = read_last(path, arm)
     begin, points = buffer.commands[0]

@@ -13,8 +13,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.target_frame import FRAMES
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import UNITS, XYZ, read_approach, recorded_besides
-from longarm_comp.sessions.names import check_header, check_unknown
-from longarm_comp.sessions.table import FARTHEST, Table, read_table
+from longarm_comp.sessions.table import FARTHEST, Table, check_header, check_unknown, read_table
 
 QUATERNION = ("qx", "qy", "qz", "qw")
 _UNIT_LENGTH = 1e-3  # a quaternion printed with few digits is this far from length 1
@@ -22,25 +21,17 @@ _UNIT_LENGTH = 1e-3  # a quaternion printed with few digits is this far from len
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """N points or poses to reach.
-
-    Attributes:
-        xyz: (N, 3), m.
-        quaternion: (N, 4) x, y, z, w of unit length; NaN rows leave the orientation free.
-        approach: (N,) side that all joints are to arrive from, 0 for any.
-        columns: further numbers by name, (N,) each, as in `Session.columns`.
-        labels: text by name, (N,) each.
-        frame: (N,) ``base`` or ``measured``; blank where it is not said.
-    """
+    """N points or poses to reach."""
 
     index: np.ndarray
-    xyz: np.ndarray
-    quaternion: np.ndarray
-    approach: np.ndarray
+    xyz: np.ndarray  # (N, 3), m
+    quaternion: np.ndarray  # (N, 4) x, y, z, w of unit length; NaN rows leave the orientation free
+    approach: np.ndarray  # (N,) side that all joints are to arrive from, 0 for any
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
-    labels: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Further numbers by name, (N,) each, as in `Session.columns`."""
+    labels: Mapping[str, np.ndarray] = field(default_factory=dict)  # text by name, (N,) each
     source: str = "targets"
-    frame: tuple[str, ...] = ()
+    frame: tuple[str, ...] = ()  # (N,) ``base`` or ``measured``; blank where it is not said
 
     def __len__(self) -> int:
         """Number of targets."""

@@ -86,24 +86,20 @@ _FINE = 6  # fine pixels along the side of an image pixel
 
 @dataclass(frozen=True)
 class CameraPair:
-    """Two equal cameras. The defaults look along +y of the base from 1.7 m beside the arm.
-
-    Args:
-        position_m: left camera's centre in the base frame.
-        optical_axis: viewing direction of the left camera, base frame.
-        baseline_m: right camera's centre along the left camera's x.
-        focal_px, size: of both cameras; the principal point is the middle of the image.
-        d: plumb-bob distortion k1 k2 p1 p2 k3 of both.
-        right_turn_rad: rotation vector (3,) of the right camera against the left.
-    """
+    """Two equal cameras. The defaults look along +y of the base from 1.7 m beside the arm."""
 
     position_m: tuple[float, float, float] = (0.75, -1.7, 0.3)
+    """Left camera's centre in the base frame."""
     optical_axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
-    baseline_m: float = 0.3
+    """Viewing direction of the left camera, base frame."""
+    baseline_m: float = 0.3  # right camera's centre along the left camera's x
     focal_px: float = 800.0
+    """focal_px, size: of both cameras; the principal point is the middle of the image."""
     size: tuple[int, int] = (640, 480)
     d: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """Plumb-bob distortion k1 k2 p1 p2 k3 of both."""
     right_turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Rotation vector (3,) of the right camera against the left."""
 
     @property
     def k(self) -> Array:
@@ -160,24 +156,18 @@ class CameraPair:
 
 @dataclass(frozen=True)
 class Conditions:
-    """Light, lens and obstacles.
+    """Light, lens and obstacles."""
 
-    Args:
-        exposure: grey level = exposure * reflected light, then clipped at 255.
-        read_noise, shot_noise: grey levels; variance = read^2 + shot^2 * level / 255.
-        blur_px: Gaussian sigma of the lens, left and right alike.
-        motion_px: (right, down) path of the marker on the sensor during the exposure.
-        covered: hidden share of the plate's width in the left and in the right image.
-        background: seed of the background.
-    """
-
-    exposure: float = 0.75
+    exposure: float = 0.75  # grey level = exposure * reflected light, then clipped at 255
     read_noise: float = 1.5
+    """read_noise, shot_noise: grey levels; variance = read^2 + shot^2 * level / 255."""
     shot_noise: float = 3.0
-    blur_px: float = 0.6
+    blur_px: float = 0.6  # Gaussian sigma of the lens, left and right alike
     motion_px: tuple[float, float] = (0.0, 0.0)
+    """(right, down) path of the marker on the sensor during the exposure."""
     covered: tuple[float, float] = (0.0, 0.0)
-    background: int = 0
+    """Hidden share of the plate's width in the left and in the right image."""
+    background: int = 0  # seed of the background
 
 
 def render(

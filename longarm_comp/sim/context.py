@@ -14,25 +14,19 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class TrueContext:
-    """Circumstances of N postures. None means as declared, or unknown.
-
-    Attributes:
-        approach: side each joint arrived from, (N, n) or (n,) of -1, 0, +1: from below is +1.
-        temperature_c: (N,) or one number, degrees Celsius.
-        payload_kg: carried mass, (N,) or one number.
-        t_s: time since the session began, (N,) or one number.
-        behind: how far each joint stands behind its command by its own past, (N, n) or (n,), rad
-            or m (a stack of sliders).
-        wound: how far each joint's gear train is wound up, (N, n) or (n,), -1 to +1: fully by
-            motion downwards or upwards.
-    """
+    """Circumstances of N postures. None means as declared, or unknown."""
 
     approach: Array | None = None
-    temperature_c: Array | float | None = None
-    payload_kg: Array | float | None = None
-    t_s: Array | float | None = None
+    """Side each joint arrived from, (N, n) or (n,) of -1, 0, +1: from below is +1."""
+    temperature_c: Array | float | None = None  # (N,) or one number, degrees Celsius
+    payload_kg: Array | float | None = None  # carried mass, (N,) or one number
+    t_s: Array | float | None = None  # time since the session began, (N,) or one number
     behind: Array | None = None
+    """How far each joint stands behind its command by its own past, (N, n) or (n,), rad or m (a
+    stack of sliders)."""
     wound: Array | None = None
+    """How far each joint's gear train is wound up, (N, n) or (n,), -1 to +1: fully by motion
+    downwards or upwards."""
 
 
 @dataclass(frozen=True)

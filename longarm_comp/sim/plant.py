@@ -66,27 +66,22 @@ def _with_play(hidden: tuple[HiddenEffect, ...], more: Array) -> tuple[HiddenEff
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """Parts of the plant and its conditions.
-
-    Attributes:
-        cameras, plate, plate_on_tip: cameras, marker and the marker's pose (4, 4) on the tip.
-        spec: mechanics of the servos.
-        temperature_c: temperature at the start, and its rise over hours (K).
-        damping: share of critical damping that the arm rings with; 0: it does not.
-        sockets: places (m, base frame) of conical sockets by name.
-    """
+    """Parts of the plant and its conditions."""
 
     arm: Arm
     servos: EmulatedArm
     cameras: CameraPair
+    """cameras, plate, plate_on_tip: cameras, marker and the marker's pose (4, 4) on the tip."""
     plate: Plate
     plate_on_tip: Array
     hidden: tuple[HiddenEffect, ...] = ()
-    spec: MotorSpec = field(default_factory=MotorSpec)
+    spec: MotorSpec = field(default_factory=MotorSpec)  # mechanics of the servos
     temperature_c: tuple[float, float] = (22.0, 0.0)
+    """Temperature at the start, and its rise over hours (K)."""
     payload_kg: float = 0.0
-    damping: float = 0.0
+    damping: float = 0.0  # share of critical damping that the arm rings with; 0: it does not
     sockets: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """Places (m, base frame) of conical sockets by name."""
 
 
 class Plant:

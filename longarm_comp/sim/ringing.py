@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.arm_truth import TrueArm, Walk
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import THETA, A, D, Place
-from longarm_comp.sim.rod_chain import Walk
 from longarm_comp.sim.rods import Walker, rpy_matrix
 
 Array = np.ndarray
@@ -28,22 +27,15 @@ MODES = 8
 
 @dataclass(frozen=True, eq=False)
 class _Vibration:
-    """Modes about one posture, scaled to a modal mass of 1 kg.
+    """Modes about one posture, scaled to a modal mass of 1 kg."""
 
-    Attributes:
-        omega: (k,) rad/s. shape: (3 P, k) of all masses. mass: (3 P,) kg. tip: (3, k).
-        carried: (3 P, n) motion of all masses by a unit of each joint, the springs held.
-        driven: (k, n) by a unit of each joint's acceleration.
-        turned: (n, k) what gives at each joint's own bearing: an encoder behind it sees that.
-    """
-
-    omega: Array
+    omega: Array  # (k,) rad/s. shape: (3 P, k) of all masses. mass: (3 P,) kg. tip: (3, k).
     shape: Array
     mass: Array
     tip: Array
-    carried: Array
-    driven: Array
-    turned: Array
+    carried: Array  # (3 P, n) motion of all masses by a unit of each joint, the springs held
+    driven: Array  # (k, n) by a unit of each joint's acceleration
+    turned: Array  # (n, k) what gives at each joint's own bearing: an encoder behind it sees that
 
 
 class _Build:

@@ -11,8 +11,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Vec3
-from longarm_comp.core.data.allowed_poses import above, filled, outside_boxes
-from longarm_comp.core.data.plan import Plan, grid, paper_grid, sobol
+from longarm_comp.core.data.plan import Plan, above, filled, grid, outside_boxes, paper_grid, sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.optimal_poses import POOL, Measure, Uncertainty, optimal_poses
 from longarm_comp.core.identify.touch_poses import touch_pool

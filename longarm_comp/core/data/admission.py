@@ -16,12 +16,13 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
-from longarm_comp.core.data.belonging import MOST_STRAYS, believe
-from longarm_comp.core.data.registration import Alignment, align, best_axes, best_rotation
+from longarm_comp.core.data.belonging import MOST_STRAYS, believe, mistakes
+from longarm_comp.core.data.registration import median_distance
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.data.touched import check_touches
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
+from longarm_comp.math.points import kabsch
 
 FEW_POSES = 4
 """Distinct poses, at least: three points place a frame, one more contradicts."""
@@ -190,7 +191,7 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
         within = (scaled > arm.lower[j] - slack) & (scaled < arm.upper[j] + slack)
         # times a joint's largest value, and more, are another unit
         many = abs(q[row, j]) > 5.0 * max(abs(arm.lower[j]), abs(arm.upper[j]))
-        if other := _exchanged(arm, q, int(j)):
+        if other := _exchanged(arm, case.session):
             limits = f"{limits} ({other})"
         elif many and within.mean() > 0.95:
             # Joints that all stay within it may well be in radians
@@ -205,22 +206,13 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
         yield AdmissionFinding("limits", f"q{j + 1}", text)
 
 
-def _exchanged(arm: Arm, q: np.ndarray, j: int) -> str:
-    """What brings joint j, beyond its limits, and every other within them; else empty."""
+def _exchanged(arm: Arm, session: Session) -> str:
+    """The sign or order of joints that brings all of them within their limits; else empty."""
     slack = 0.05 * (arm.upper - arm.lower)
-
-    def within(changed: np.ndarray) -> bool:
-        return bool(((changed > arm.lower - slack) & (changed < arm.upper + slack)).all())
-
-    negated = q.copy()
-    negated[:, j] *= -1
-    if within(negated):
-        return f"q{j + 1} looks negated"
-    for k in range(arm.n):
-        order = np.arange(arm.n)
-        order[[j, k]] = k, j
-        if within(q[:, order]):
-            return f"q{min(j, k) + 1} and q{max(j, k) + 1} look swapped"
+    for what, undone in mistakes(arm, session):
+        inside = (undone.q > arm.lower - slack) & (undone.q < arm.upper + slack)
+        if what.endswith(("negated", "swapped")) and inside.all():
+            return what
     return ""
 
 
@@ -310,22 +302,31 @@ def _frame_of(
     case: _Case, predicted: np.ndarray, measured: np.ndarray, group: str
 ) -> Iterator[AdmissionFinding]:
     field = "x, y, z" + (f" of group {group}" if group else "")
-    straight = align(predicted, measured, np.eye(3))
-    turned = best_rotation(predicted, measured)
-    axes, name = best_axes(predicted, measured)
-    clear = 0.3 * straight.misfit
-    if axes.mirrored and axes.misfit < min(clear, 0.5 * turned.misfit):
-        raise case.refuse(field, f"axes like {name}", "a right-handed x,y,z in the base frame")
-    away = np.linalg.norm(straight.offset)
-    if turned.misfit < clear and turned.angle > np.radians(20.0):
-        like = f", axes like {name}" if axes.misfit < clear else ""
-        text = f"turned by {np.degrees(turned.angle):.0f} deg against the declared arm{like}"
-        yield AdmissionFinding("frame", field, f"{text}; as {_base(case.arm, turned)}")
+
+    def left(turn: np.ndarray) -> float:
+        rest = measured - predicted @ turn.T
+        return median_distance(rest - np.median(rest, axis=0))
+
+    clear = 0.3 * left(np.eye(3))
+    turn, offset = _trimmed(predicted, measured)
+    residual = measured - predicted @ turn.T - offset
+    misfit, (axes, name) = median_distance(residual), _axes(turn)
+    flip = np.diag([1.0, 1.0, -1.0])
+    mirror, mirrored = _axes(flip @ _trimmed(predicted, measured @ flip)[0])
+    if left(mirror) < min(clear, 0.5 * misfit):
+        allowed = "a right-handed x,y,z in the base frame"
+        raise case.refuse(field, f"axes like {mirrored}", allowed)
+    angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
+    away = np.linalg.norm(np.median(measured - predicted, axis=0))
+    if misfit < clear and angle > np.radians(20.0):
+        like = f", axes like {name}" if left(axes) < clear else ""
+        text = f"turned by {np.degrees(angle):.0f} deg against the declared arm{like}"
+        yield AdmissionFinding("frame", field, f"{text}; as {_base(case.arm, turn, offset)}")
     elif away > 0.3 * _spread(predicted):
         yield AdmissionFinding("frame", field, f"{away:.3f} m away from where the declared arm is")
-    distance = np.linalg.norm(measured - predicted @ turned.rotation.T - turned.offset, axis=1)
+    distance = np.linalg.norm(residual, axis=1)
     # robust standard deviations, before any fit
-    far = distance > max(8.0 * 1.4826 * turned.misfit, 1e-9)
+    far = distance > max(8.0 * 1.4826 * misfit, 1e-9)
     if far.any():
         worst = 1e3 * distance.max()
         text = f"{far.sum()} gross outliers ({far.mean():.1%}), the worst {worst:.0f} mm"
@@ -354,10 +355,28 @@ def _belongs(case: _Case, judge: bool) -> Iterator[AdmissionFinding]:
     yield AdmissionFinding("belonging", field, value)
 
 
-def _base(arm: Arm, turned: Alignment) -> str:
+def _trimmed(predicted: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `kabsch`, repeated without the worst points."""
+    kept = np.ones(len(predicted))
+    for _ in range(4):
+        rotation, offset = kabsch(predicted, measured, kept)
+        distance = np.linalg.norm(measured - predicted @ rotation.T - offset, axis=1)
+        kept = (distance <= max(4 * np.median(distance), 1e-12)).astype(float)
+    return rotation, offset
+
+
+def _axes(turn: np.ndarray) -> tuple[np.ndarray, str]:
+    """The exchange of axes, with signs, nearest to a rotation or mirror (3, 3); its name."""
+    place = np.abs(turn).argmax(axis=1)
+    signs = np.sign(turn[range(3), place])
+    names = ("-" * bool(v < 0) + "xyz"[k] for k, v in zip(place, signs, strict=True))
+    return signs[:, None] * np.eye(3)[place], ",".join(names)
+
+
+def _base(arm: Arm, turn: np.ndarray, offset: np.ndarray) -> str:
     """The `base` entry of arm.yaml that would explain a turned frame."""
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = turned.rotation, turned.offset
+    matrix[:3, :3], matrix[:3, 3] = turn, offset
     frame = matrix @ arm.base.frame().matrix()
     rpy = np.degrees(roll_pitch_yaw(frame[:3, :3]))
     xyz = ", ".join(f"{v:.3f}" for v in frame[:3, 3])

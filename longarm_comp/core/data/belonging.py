@@ -35,24 +35,18 @@ this share of them may: the median of the others still fits."""
 
 @dataclass(frozen=True)
 class _Belief:
-    """Whether rows fit the arm, its placement apart.
-
-    Attributes:
-        misfit, spread: median distance (m) of the rows as they are; of the sightings from their
-            middle.
-        stray: share of the rows far beyond where the closest quarter is.
-        mistake: what explains much more of them, if anything does.
-        undone: median distance without that mistake, m.
-        signs: joints whose sign cannot be told, with the RMS distance (m) by which the tip moves
-            when they are negated and base and tip are placed anew.
-    """
+    """Whether rows fit the arm, its placement apart."""
 
     misfit: float
+    """misfit, spread: median distance (m) of the rows as they are; of the sightings from their
+    middle."""
     spread: float
-    stray: float
-    mistake: str = ""
-    undone: float = 0.0
+    stray: float  # share of the rows far beyond where the closest quarter is
+    mistake: str = ""  # what explains much more of them, if anything does
+    undone: float = 0.0  # median distance without that mistake, m
     signs: tuple[tuple[int, float], ...] = ()
+    """Joints whose sign cannot be told, with the RMS distance (m) by which the tip moves when they
+    are negated and base and tip are placed anew."""
 
     @property
     def belong(self) -> bool:

@@ -22,48 +22,32 @@ _Labels = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Equations:
-    """N rows of k scalar equations; what was not measured is 0 in all of them.
+    """N rows of k scalar equations; what was not measured is 0 in all of them."""
 
-    Attributes:
-        residual: (N, k) measured - predicted, m or rad.
-        columns, pull: (N, k, p), (N, k, 3) derivative of the prediction by every parameter, and by
-            the position of the tip.
-    """
-
-    residual: np.ndarray
+    residual: np.ndarray  # (N, k) measured - predicted, m or rad
     columns: np.ndarray
+    """columns, pull: (N, k, p), (N, k, 3) derivative of the prediction by every parameter, and by
+    the position of the tip."""
     pull: np.ndarray
 
 
 class Kind(ABC):
-    """One kind of measurement.
+    """One kind of measurement."""
 
-    Attributes:
-        name: in messages, and in `Bias.sees`.
-        cells: the numbers of a reading, as columns of a file.
-        scalars: names of its k equations.
-        unit: of the equations, ``m`` or ``rad``.
-        turns: whether the prediction depends on the tip's axes.
-        label: text column that every reading needs, or empty. Where there are no cells, a row
-            with a text measures that the tip was there.
-        takes: rows that it takes to solve what a text names, where there are no cells.
-        sigma: column of its standard deviation in a file, or empty.
-        outside: whether it measures from outside the arm.
-        of_joint: whether it measures a joint and not the tip.
-        number: of that joint, from 1.
-    """
-
-    name: ClassVar[str]
-    cells: ClassVar[tuple[str, ...]]
-    scalars: ClassVar[tuple[str, ...]]
-    unit: ClassVar[str] = "m"
-    turns: ClassVar[bool] = False
+    name: ClassVar[str]  # in messages, and in `Bias.sees`
+    cells: ClassVar[tuple[str, ...]]  # the numbers of a reading, as columns of a file
+    scalars: ClassVar[tuple[str, ...]]  # names of its k equations
+    unit: ClassVar[str] = "m"  # of the equations, ``m`` or ``rad``
+    turns: ClassVar[bool] = False  # whether the prediction depends on the tip's axes
     label: ClassVar[str] = ""
+    """Text column that every reading needs, or empty. Where there are no cells, a row with a text
+    measures that the tip was there."""
     takes: ClassVar[int] = 0
-    sigma: ClassVar[str] = ""
-    outside: ClassVar[bool] = True
-    of_joint: ClassVar[bool] = False
-    number: int = 0
+    """Rows that it takes to solve what a text names, where there are no cells."""
+    sigma: ClassVar[str] = ""  # column of its standard deviation in a file, or empty
+    outside: ClassVar[bool] = True  # whether it measures from outside the arm
+    of_joint: ClassVar[bool] = False  # whether it measures a joint and not the tip
+    number: int = 0  # of that joint, from 1
 
     def measured(self, values: np.ndarray) -> np.ndarray:
         """(N, k) which equations readings (N, c) hold; NaN is not measured."""

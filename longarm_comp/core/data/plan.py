@@ -1,4 +1,4 @@
-"""Which poses to measure: the paper's grid, space-filling points, random targets.
+"""Which poses to measure: the paper's grid, space-filling points, random targets; which may be.
 
 A plan is an array of commanded joints (N, n) inside the joint box, and the side from which each
 joint shall arrive.  Poses that separate two effects are planned by the diagnosis.
@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.arm.parts import Box
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.model.link_frames import boxes_entered
 from longarm_comp.core.model.model import Model
 
 _PAPER_STROKES = np.array(
@@ -25,20 +28,15 @@ _PAPER_STROKES = np.array(
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Poses to measure, in the order to drive them.
+    """Poses to measure, in the order to drive them."""
 
-    Attributes:
-        q: (N, n) commanded joints, rad and m.
-        approach: (N, n) side each joint arrives from: +1 from below, -1 from above, 0 from
-            wherever it is; (N,) where one side holds for all joints.
-        payload_kg: (N,) mass to carry, or None for as it is.
-        touch: (N,) name of the point that the tip touches, or None where it touches none.
-    """
-
-    q: np.ndarray
+    q: np.ndarray  # (N, n) commanded joints, rad and m
     approach: np.ndarray
-    payload_kg: np.ndarray | None = None
+    """(N, n) side each joint arrives from: +1 from below, -1 from above, 0 from wherever it is;
+    (N,) where one side holds for all joints."""
+    payload_kg: np.ndarray | None = None  # (N,) mass to carry, or None for as it is
     touch: np.ndarray | None = None
+    """(N,) name of the point that the tip touches, or None where it touches none."""
 
     def __post_init__(self) -> None:
         sides = np.asarray(self.approach, dtype=np.int8)
@@ -162,3 +160,48 @@ def _with_sides(arm: Arm, q: np.ndarray, rng: np.random.Generator) -> Plan:
     """A side for every joint; what the caller draws next does not depend on how many there are."""
     common = Plan(q, rng.choice(np.array([-1, 1]), size=len(q)))
     return with_random_sides(arm, common, rng.spawn(1)[0])
+
+
+FLOOR = "floor"
+"""Name of the keep-out box that is everything below a height."""
+_FAR = 1e3
+_TIMES = (4, 16, 64)
+"""Poses that are drawn for each one that is wanted, where fewer do not give enough."""
+
+Allowed = Callable[[Plan], np.ndarray]
+"""(M,) bool: which of M poses may be taken."""
+
+
+def above(arm: Arm, height_m: float) -> Arm:
+    """The arm with a floor at a height (m, base frame) among its keep-out boxes.
+
+    A floor above the arm's foot is a safety height: the arm rises above it once and stays there.
+    """
+    if not -_FAR < height_m < _FAR:
+        raise InputError("floor", "--floor", height_m, f"a height, {-_FAR:g} to {_FAR:g} m")
+    floor = Box(min_m=(-_FAR, -_FAR, -_FAR), max_m=(_FAR, _FAR, height_m))
+    return arm.model_copy(update={"keep_out": {**arm.keep_out, FLOOR: floor}})
+
+
+def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
+    """(M,) whether the arm stays out of its keep-out boxes, at each pose and where it runs up."""
+    if not model.arm.keep_out:
+        return np.ones(len(plan), dtype=bool)
+    start = plan.q - plan.approach * run_up_lengths(model.arm)
+    begun = np.clip(start, model.arm.lower, model.arm.upper)
+    pairs = zip(boxes_entered(model, plan.q), boxes_entered(model, begun), strict=True)
+    return np.array([not any(pair) for pair in pairs])
+
+
+def filled(
+    make: Callable[[Arm, int, int], Plan], arm: Arm, n: int, seed: int, allowed: Allowed, most: int
+) -> Plan:
+    """The first n poses that are allowed, of a kind of plan that fills the joint box."""
+    free, tried = np.zeros(0, dtype=int), 0
+    for count in sorted({n, *(min(times * n, most) for times in _TIMES)}):
+        plan = make(arm, count, seed)
+        free, tried = np.flatnonzero(allowed(plan))[:n], count
+        if len(free) == n:
+            return plan if count == n else plan.take(free)
+    why = "keep-out boxes, floor and cameras allow no more"
+    raise JobError(f"only {len(free)} of {tried} poses are allowed: {why}", asked=n)

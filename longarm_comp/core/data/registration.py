@@ -6,7 +6,6 @@ in the frame that carries it, o its declared place and B that frame's axes, both
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,61 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model, unstack
-from longarm_comp.math.points import kabsch, nearest_rotation, robust_kabsch, robust_weights
+from longarm_comp.math.points import nearest_rotation, robust_kabsch, robust_weights
 
 
-@dataclass(frozen=True, eq=False)
-class Alignment:
-    """``measured ~ rotation @ predicted + offset``, (3, 3) and (3,) m; of a mirror ``det`` is -1.
-
-    `misfit` is the median remaining distance, m.
-    """
-
-    rotation: np.ndarray
-    offset: np.ndarray
-    misfit: float
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether it includes a reflection."""
-        return bool(np.linalg.det(self.rotation) < 0)
-
-    @property
-    def angle(self) -> float:
-        """Angle of the rotation, rad."""
-        return float(np.arccos(np.clip((np.trace(self.rotation) - 1) / 2, -1, 1)))
-
-
-def align(predicted: np.ndarray, measured: np.ndarray, rotation: np.ndarray) -> Alignment:
-    """The given rotation with its best (median) offset."""
-    turned = predicted @ rotation.T
-    offset = np.median(measured - turned, axis=0)
-    return Alignment(rotation, offset, _misfit(measured - turned - offset))
-
-
-def best_rotation(predicted: np.ndarray, measured: np.ndarray) -> Alignment:
-    """Least squares over rotations, repeated without the worst points."""
-    kept = np.ones(len(predicted), dtype=bool)
-    for _ in range(4):
-        rotation, offset = kabsch(predicted[kept], measured[kept], np.ones(int(kept.sum())))
-        distance = np.linalg.norm(measured - predicted @ rotation.T - offset, axis=1)
-        kept = distance <= max(4 * np.median(distance), 1e-12)
-    return Alignment(rotation, offset, _misfit(measured - predicted @ rotation.T - offset))
-
-
-def best_axes(predicted: np.ndarray, measured: np.ndarray) -> tuple[Alignment, str]:
-    """Best of the 48 permutations and reflections of the axes, and its name like ``x,-z,y``."""
-    fits = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            rotation = np.zeros((3, 3))
-            rotation[range(3), order] = signs
-            axes = ("-" * (s < 0) + "xyz"[k] for k, s in zip(order, signs, strict=True))
-            fits.append((align(predicted, measured, rotation), ",".join(axes)))
-    return min(fits, key=lambda pair: pair[0].misfit)
-
-
-def _misfit(residual: np.ndarray) -> float:
+def median_distance(residual: np.ndarray) -> float:
+    """Of (N, 3) residuals, m."""
     return float(np.median(np.linalg.norm(residual, axis=1)))
 
 
@@ -81,21 +30,13 @@ _MIN_ROWS = 3
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """What is registered.
+    """What is registered."""
 
-    Attributes:
-        point: (N, 3) declared place of the row's marker, m, in the base frame.
-        axes: (N, 3, 3) axes of the frame that carries it, in columns, in the base frame.
-        seen: (N, 3) m.
-        group: (N,) number of the base placement, 0..G-1.
-        marker: (N,) number of the marker, 0..K-1.
-    """
-
-    point: np.ndarray
-    axes: np.ndarray
-    seen: np.ndarray
-    group: np.ndarray
-    marker: np.ndarray
+    point: np.ndarray  # (N, 3) declared place of the row's marker, m, in the base frame
+    axes: np.ndarray  # (N, 3, 3) axes of the frame that carries it, in columns, in the base frame
+    seen: np.ndarray  # (N, 3) m
+    group: np.ndarray  # (N,) number of the base placement, 0..G-1
+    marker: np.ndarray  # (N,) number of the marker, 0..K-1
 
     @classmethod
     def of(
@@ -137,24 +78,17 @@ def _numbers(labels: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where everything is.
+    """Where everything is."""
 
-    Attributes:
-        rotation: (G, 3, 3) of each base in the frame of the measurements.
-        offset: (G, 3) m.
-        tip: (K, 3) m beyond each marker's declared place, in the frame that carries it.
-        residual: (N, 3) seen - registered, m.
-    """
-
-    rotation: np.ndarray
-    offset: np.ndarray
-    tip: np.ndarray
-    residual: np.ndarray
+    rotation: np.ndarray  # (G, 3, 3) of each base in the frame of the measurements
+    offset: np.ndarray  # (G, 3) m
+    tip: np.ndarray  # (K, 3) m beyond each marker's declared place, in the frame that carries it
+    residual: np.ndarray  # (N, 3) seen - registered, m
 
     @property
     def misfit(self) -> float:
         """Median distance of a row, m."""
-        return _misfit(self.residual)
+        return median_distance(self.residual)
 
 
 def register(rows: Sightings, tips: bool = True) -> Registration:

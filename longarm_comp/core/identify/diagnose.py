@@ -32,10 +32,11 @@ from longarm_comp.core.identify.plausible import check_fits, check_noise
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.offers import tolerances
 from longarm_comp.core.identify.practical import expected_commanded, least
-from longarm_comp.core.identify.proof import LearnedCorrection, prove
+from longarm_comp.core.identify.proof import prove
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import examine, with_unseen
 from longarm_comp.core.identify.wind_up import as_fitted, run_up, taken, with_run_ups
+from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 
 POSES_TO_SPLIT = 12
@@ -43,7 +44,7 @@ POSES_TO_SPLIT = 12
 MOST_ROWS = 2000
 """Rows that are fitted at most. A hundred parameters are then known to a few percent of the noise;
 further rows cost time and change nothing."""
-Train = Callable[[Model, Session], LearnedCorrection]
+Train = Callable[[Model, Session], Predictor]
 
 
 def diagnose(

@@ -21,8 +21,9 @@ from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.practical import Gain
-from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof
+from longarm_comp.core.identify.proof import NETWORK, Proof
 from longarm_comp.core.identify.structure import Structure
+from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 
 CALIBRATED, WITH_EFFECTS, WITH_FUNCTIONS = "calibrated", "with_effects", "with_functions"
@@ -67,7 +68,7 @@ class Diagnosis:
     structure: Structure
     models: Mapping[str, Model]
     proof: Proof
-    network: LearnedCorrection | None
+    network: Predictor | None
     split_by: tuple[NextPoses, ...]
     doubts: tuple[str, ...]
     next_q: np.ndarray

@@ -4,45 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 
 NETWORK = "with_network"
 """Name of the stage with a learned correction on top of the model."""
-
-
-class LearnedError(Protocol):
-    """What a learned correction expects: (N, 3) errors in m, and where it may be trusted."""
-
-    @property
-    def error(self) -> np.ndarray: ...
-
-    @property
-    def in_domain(self) -> np.ndarray: ...
-
-
-class Shown(Protocol):
-    """What a learned correction brought on rows left out of its training."""
-
-    @property
-    def helps(self) -> bool: ...
-
-
-class LearnedCorrection(Protocol):
-    """A learned correction of what a model leaves, as `core.learn` makes one."""
-
-    @property
-    def gain(self) -> Shown: ...
-
-    def predict(self, q: np.ndarray, context: Context | None = None) -> LearnedError: ...
 
 
 @dataclass(frozen=True)
@@ -67,7 +40,7 @@ class Proof:
 
 
 def prove(
-    models: Mapping[str, Model], network: tuple[Model, LearnedCorrection] | None, rows: Session
+    models: Mapping[str, Model], network: tuple[Model, Predictor] | None, rows: Session
 ) -> Proof:
     """Errors of every model on the hold-out.
 

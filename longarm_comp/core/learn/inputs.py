@@ -128,21 +128,14 @@ def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Co
         raise InputError(where, f"q{joint + 1} of row {row}", q[row, joint], "a finite number")
     if context is None:
         return q, Context.empty()
-    for name in INPUT_KINDS["context"]:
-        if not context.has(name):
-            continue
-        value = np.asarray(
-            getattr(context, name) if name in PER_JOINT else context.columns[name], float
-        )
-        lead = q.shape[1:] if name in PER_JOINT else ()
-        _check_values(where, name, value, (lead, (*lead, len(q))))
+    for name in filter(context.has, INPUT_KINDS["context"]):
+        per_joint = name in PER_JOINT
+        value = np.asarray(getattr(context, name) if per_joint else context.columns[name], float)
+        lead = q.shape[1:] if per_joint else ()
+        if value.shape not in (lead, (*lead, len(q))):
+            raise InputError(where, name, f"shape {value.shape}", f"{lead} or {(*lead, len(q))}")
+        if np.isinf(value).any():
+            raise InputError(where, name, "infinite", "finite, or NaN where not known")
+        if name == "approach" and (np.abs(value) > 1.0).any():
+            raise InputError(where, name, float(np.nanmax(np.abs(value))), "-1, 0 or +1")
     return q, context
-
-
-def _check_values(where: str, name: str, value: Array, shapes: tuple[object, ...]) -> None:
-    if value.shape not in shapes:
-        raise InputError(where, name, f"shape {value.shape}", f"one of {shapes}")
-    if np.isinf(value).any():
-        raise InputError(where, name, "infinite", "finite, or NaN where not known")
-    if name == "approach" and (np.abs(value) > 1.0).any():
-        raise InputError(where, name, float(np.nanmax(np.abs(value))), "-1, 0 or +1")

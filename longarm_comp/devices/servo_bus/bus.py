@@ -8,15 +8,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
-from longarm_comp.devices.servo_bus.errors import (
+from longarm_comp.devices.servo_bus.port import SerialPort
+from longarm_comp.devices.servo_bus.state import (
     IncompleteReply,
+    ServoAlarm,
     ServoChecksum,
     ServoFault,
+    ServoModel,
     ServoRejected,
+    ServoState,
     ServoTimeout,
 )
-from longarm_comp.devices.servo_bus.port import SerialPort
-from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 
 @dataclass(slots=True)

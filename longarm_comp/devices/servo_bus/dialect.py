@@ -36,42 +36,28 @@ class Block:
 
 
 class Dialect(ABC):
-    """Encoding and decoding of one protocol; stateless.
+    """Encoding and decoding of one protocol; stateless."""
 
-    Attributes:
-        name: as written in the configuration.
-        models: the servos that speak it.
-        header: bytes that every status frame begins with.
-        overhead: bytes of a status frame besides its data.
-        alarm_bits: alarm of each bit of the servo's alarm byte; any other bit is OTHER.
-        model: the servo's model number.
-        firmware: its version.
-        baudrates: rates that servos of this protocol are used at, the factory's first.
-        state: everything a ``ServoState`` needs, in one read.
-        goal: goal position with its speed.
-        torque: one byte, 0 free, 1 driven.
-        turns: what decides between one turn and many, kept by the servo when unpowered.
-        turns_lock: write 0 here before and 1 after changing ``turns`` or ``identity``; None: no
-            lock.
-        identity: the id itself; None: it is set with the maker's tool.
-        alarm: register of the alarms, for when the status byte only flags that there is one.
-    """
-
-    name: ClassVar[str]
-    models: ClassVar[tuple[ServoModel, ...]]
-    header: ClassVar[bytes]
-    overhead: ClassVar[int]
+    name: ClassVar[str]  # as written in the configuration
+    models: ClassVar[tuple[ServoModel, ...]]  # the servos that speak it
+    header: ClassVar[bytes]  # bytes that every status frame begins with
+    overhead: ClassVar[int]  # bytes of a status frame besides its data
     alarm_bits: ClassVar[Mapping[int, ServoAlarm]]
-    model: ClassVar[Block]
-    firmware: ClassVar[Block]
+    """Alarm of each bit of the servo's alarm byte; any other bit is OTHER."""
+    model: ClassVar[Block]  # the servo's model number
+    firmware: ClassVar[Block]  # its version
     baudrates: ClassVar[tuple[int, ...]]
-    state: ClassVar[Block]
-    goal: ClassVar[Block]
-    torque: ClassVar[Block]
+    """Rates that servos of this protocol are used at, the factory's first."""
+    state: ClassVar[Block]  # everything a ``ServoState`` needs, in one read
+    goal: ClassVar[Block]  # goal position with its speed
+    torque: ClassVar[Block]  # one byte, 0 free, 1 driven
     turns: ClassVar[Block]
+    """What decides between one turn and many, kept by the servo when unpowered."""
     turns_lock: ClassVar[Block | None] = None
-    identity: ClassVar[Block | None] = None
+    """Write 0 here before and 1 after changing ``turns`` or ``identity``; None: no lock."""
+    identity: ClassVar[Block | None] = None  # the id itself; None: it is set with the maker's tool
     alarm: ClassVar[Block | None] = None
+    """Register of the alarms, for when the status byte only flags that there is one."""
 
     def decode(self, buffer: bytearray, final: bool) -> list[Reply]:
         """Take every status frame off the front of ``buffer``; ``final``: no more bytes come.

@@ -11,7 +11,7 @@ import time
 import serial
 from serial.tools import list_ports
 
-from longarm_comp.devices.servo_bus.errors import BusUnplugged
+from longarm_comp.devices.servo_bus.state import BusUnplugged
 
 
 class SerialPort:

@@ -1,12 +1,14 @@
-"""The protocols and servo models: of this package, and of entry points of the group `GROUP`."""
+"""The protocols and servo models, of this package and of others; which servos are on a line."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
 from functools import cache
 
 from longarm_comp.core.entry_points import protocols_of_other_packages
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.dialect import Dialect
 from longarm_comp.devices.servo_bus.dynamixel import DynamixelX
@@ -60,3 +62,137 @@ def open_bus(
             )
     line = SerialPort(port, baudrate, reply_timeout_s)
     return SerialServoBus(line, protocols()[protocol](), servos, retries)
+
+
+_ALL_IDS = range(253)
+_LOOKS, _DAMAGED = 5, 2
+"""States read of a servo that answers, and damaged ones among them that are no accident."""
+
+Tell = Callable[[str, float], None]
+"""Told what is being asked and the share done, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundServo:
+    """One id that answered."""
+
+    servo_id: int
+    model_number: int
+    model: str  # its name; empty where the model number is unknown here
+    firmware: str  # version, numbers with points
+    clash: bool  # its answers are damaged or doubled, as when two servos have the same id
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """Servos on a line that speak one protocol at one rate."""
+
+    port: str
+    protocol: str
+    baudrate: int
+    servos: tuple[FoundServo, ...]
+
+    @property
+    def clashes(self) -> tuple[int, ...]:
+        """Ids that more than one servo seems to have."""
+        return tuple(servo.servo_id for servo in self.servos if servo.clash)
+
+
+def scan_line(
+    port: str,
+    protocol: str | None = None,
+    baudrate: int | None = None,
+    ids: Iterable[int] = _ALL_IDS,
+    reply_timeout_s: float = 0.02,
+    tell: Tell = lambda text, share: None,
+) -> Scan | None:
+    """The first protocol and rate at which a servo answers, with all servos that answer then.
+
+    Args:
+        protocol, baudrate: only this one; None: all that are known, one after the other.
+
+    Returns:
+        None where nothing answered.
+
+    Raises:
+        BusUnplugged: the port cannot be opened, or does not have the rate.
+    """
+    if protocol is not None and protocol not in protocols():
+        raise InputError("servo bus", "protocol", protocol, ", ".join(protocols()))
+    asked = list(ids)
+    tries = [
+        (name, rate)
+        for name in ([protocol] if protocol else protocols())
+        for rate in ([baudrate] if baudrate else protocols()[name].baudrates)
+    ]
+    for k, (name, rate) in enumerate(tries):
+        with closing(SerialPort(port, rate, reply_timeout_s)) as line:
+            servos = []
+            for n, servo_id in enumerate(asked):
+                tell(f"{name}, {rate} bit/s, id {servo_id}", (k + n / len(asked)) / len(tries))
+                servo = look(line, protocols()[name](), servo_id)
+                servos += [servo] if servo else []
+        if servos:
+            return Scan(port, name, rate, tuple(servos))
+    return None
+
+
+def usable_ports() -> list[tuple[str, str]]:
+    """Serial ports of this machine that may lead to a bus: device and description."""
+    from serial.tools import list_ports
+
+    found = sorted(list_ports.comports(), key=lambda port: port.device)
+    return [(p.device, p.description or "") for p in found if p.vid is not None]
+
+
+def look(line: SerialPort, dialect: Dialect, servo_id: int) -> FoundServo | None:
+    """One id. A twin's model number is the same and its state is not, so both are read."""
+    bus = SerialServoBus(line, dialect, {}, retries=1)
+    first = bus.ask([servo_id], dialect.model)
+    if first.silent:
+        return None
+    states = [bus.ask([servo_id], dialect.state, retries=0) for _ in range(_LOOKS)]
+    damaged = sum(servo_id not in answers.replies for answers in [first, *states])
+    counters = bus.counters
+    doubled = counters.stray_frames + counters.stale_bytes > 0 and not counters.timeouts
+    reply = first.replies.get(servo_id)
+    number = int.from_bytes(reply.data, "little") if reply else 0
+    version = bus.ask([servo_id], dialect.firmware).replies.get(servo_id)
+    return FoundServo(
+        servo_id,
+        number,
+        next((model.name for model in dialect.models if model.model_number == number), ""),
+        ".".join(map(str, version.data)) if version else "",
+        damaged >= _DAMAGED or doubled,
+    )
+
+
+def renumber(found: Scan, servo_id: int) -> int:
+    """Write an id into the memory of the only servo of a scan; its torque goes off.
+
+    Returns:
+        The id that it had.
+
+    Raises:
+        InputError: no id of a servo.
+        JobError: several servos are on the line, or it does not answer to its new id.
+    """
+    if servo_id not in _ALL_IDS:
+        raise InputError("servo set-id", "ID", servo_id, f"0 to {_ALL_IDS[-1]}")
+    ids = [servo.servo_id for servo in found.servos]
+    if len(ids) != 1 or found.clashes:
+        raise JobError("connect one servo alone, or several get the same id", ids=ids)
+    dialect, old = protocols()[found.protocol](), ids[0]
+    if dialect.identity is None:
+        raise JobError(f"ids of {found.protocol} are set with its maker's tool")
+    with closing(SerialPort(found.port, found.baudrate, reply_timeout_s=0.05)) as line:
+        line.send(dialect.sync_write(dialect.torque, {old: b"\0"}))
+        if dialect.turns_lock is not None:
+            line.send(dialect.sync_write(dialect.turns_lock, {old: b"\0"}))
+        line.send(dialect.sync_write(dialect.identity, {old: bytes((servo_id,))}))
+        if dialect.turns_lock is not None:
+            line.send(dialect.sync_write(dialect.turns_lock, {servo_id: b"\1"}))
+        for _ in range(3):
+            if look(line, dialect, servo_id) is not None:
+                return old
+    raise JobError("the servo does not answer to its new id: scan again", id=servo_id, before=old)

@@ -1,9 +1,16 @@
-"""State of a servo and its model, the same for every protocol."""
+"""State of a servo, its model and its faults, the same for every protocol.
+
+What is needed to act on an error is in its ``facts``.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag
+from typing import TYPE_CHECKING
+
+from longarm_comp.core.errors import JobError
 
 
 class ServoAlarm(IntFlag):
@@ -33,25 +40,63 @@ class ServoState:
 
 @dataclass(frozen=True, slots=True)
 class ServoModel:
-    """A kind of servo, from its data sheet.
+    """A kind of servo, from its data sheet."""
+
+    name: str  # as written in the configuration
+    protocol: str  # name of the wire protocol
+    model_number: int  # what it answers to a ping
+    ticks_per_turn: int  # encoder ticks in one turn of the horn
+    single_turn: tuple[int, int]  # lowest and highest goal in ordinary position mode, ticks
+    multi_turn: tuple[int, int]  # the same when it may turn more than once
+    full_load: float  # present-load (or present-current) reading at full effort
+    friction: float | None = None
+    """Share of full effort that turns it free: its current then over that at a stall; None: its
+    data sheet does not say. It bounds what its load tells of a payload."""
+
+
+if TYPE_CHECKING:
+    from longarm_comp.devices.servo_bus.state import ServoState
+
+
+class ServoBusError(JobError):
+    """Base of every fault of the bus or of a servo on it."""
+
+
+class BusUnplugged(ServoBusError):  # noqa: N818
+    """The serial port cannot be opened, is held by another process, or has gone away."""
+
+    def __init__(self, reason: str = "the serial port is not usable", **facts: object) -> None:
+        super().__init__(reason, **facts)
+
+
+class IncompleteReply(ServoBusError):  # noqa: N818
+    """Some servos gave no usable answer after every retry.
+
+    ``facts`` has the ids of the silent, of those whose answer failed its checksum (``corrupt``),
+    and of those that answered.
 
     Attributes:
-        name: as written in the configuration.
-        protocol: name of the wire protocol.
-        model_number: what it answers to a ping.
-        ticks_per_turn: encoder ticks in one turn of the horn.
-        single_turn: lowest and highest goal in ordinary position mode, ticks.
-        multi_turn: the same when it may turn more than once.
-        full_load: present-load (or present-current) reading at full effort.
-        friction: share of full effort that turns it free: its current then over that at a stall;
-            None: its data sheet does not say. It bounds what its load tells of a payload.
+        states: of the servos that did answer, by id.
     """
 
-    name: str
-    protocol: str
-    model_number: int
-    ticks_per_turn: int
-    single_turn: tuple[int, int]
-    multi_turn: tuple[int, int]
-    full_load: float
-    friction: float | None = None
+    def __init__(
+        self, reason: str, states: Mapping[int, ServoState] | None = None, **facts: object
+    ) -> None:
+        super().__init__(reason, **facts)
+        self.states: dict[int, ServoState] = dict(states or {})
+
+
+class ServoTimeout(IncompleteReply):
+    """At least one servo was silent."""
+
+
+class ServoChecksum(IncompleteReply):
+    """Every servo answered, but at least one answer was damaged on the way."""
+
+
+class ServoFault(ServoBusError):  # noqa: N818
+    """A servo reports an alarm of its own (overheating, overload, voltage, sensor)."""
+
+
+class ServoRejected(ServoBusError):  # noqa: N818
+    """A servo refused an instruction (range, access, length); the code is the servo's own."""

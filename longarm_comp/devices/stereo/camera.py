@@ -25,22 +25,18 @@ _MODELS = {"": 8, "plumb_bob": 5, "rational_polynomial": 8}  # distortion model 
 class Camera:
     """One pinhole camera with Brown-Conrady (plumb bob or rational) distortion.
 
-    Args:
-        k: (3, 3) intrinsic matrix, px.
-        rotation, translation: (3, 3) and (3,) m; ``X_camera = rotation X_rig + translation``.
-        size: (width, height), px.
-        d: k1 k2 p1 p2 k3 k4 k5 k6 as OpenCV orders them; shorter is padded with zeros.
 
     Raises:
         StereoRefusal: UNCALIBRATED, if k is zero, not finite, without focal length, or skewed
             (OpenCV's camera is not).
     """
 
-    k: Array
+    k: Array  # (3, 3) intrinsic matrix, px
     rotation: Array
+    """rotation, translation: (3, 3) and (3,) m; ``X_camera = rotation X_rig + translation``."""
     translation: Array
-    size: tuple[int, int]
-    d: Array
+    size: tuple[int, int]  # (width, height), px
+    d: Array  # k1 k2 p1 p2 k3 k4 k5 k6 as OpenCV orders them; shorter is padded with zeros
 
     def __init__(
         self,

@@ -10,59 +10,49 @@ from numpy.typing import ArrayLike, NDArray
 
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.found import Limits, found_corners
-from longarm_comp.devices.stereo.marker_pose import MarkerPose, marker_pose
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Target
-from longarm_comp.devices.stereo.triangulate import PixelNoise, epipolar_px, triangulate
+from longarm_comp.devices.stereo.triangulate import (
+    MarkerPose,
+    PixelNoise,
+    epipolar_px,
+    marker_pose,
+    triangulate,
+)
 
 _KEPT = 1.0 - 1.0 / 200.0  # of the residuals of sightings: the last 200 count, some 10 s
 
 
 @dataclass(frozen=True)
 class StereoSighting:
-    """The tip as measured from one stereo pair.
+    """The tip as measured from one stereo pair."""
 
-    Args:
-        stamp_ns: stamp of the left image.
-        point_camera, covariance_camera: tip (3,) m and (3, 3) m^2 in the left optical frame.
-        point, covariance: the same in the base frame.
-        pose: (4, 4) marker in the base frame.
-        pose_covariance: (6, 6) of ``[tip; rotation]`` along the base axes, m and rad.
-        corners: corners that both cameras saw.
-        rms_px: root mean square reprojection error.
-        sigma_px: pixel noise used for the covariances.
-        scale: seen / declared marker size (with the declared size as a prior).
-    """
-
-    stamp_ns: int
+    stamp_ns: int  # stamp of the left image
     point_camera: Array
+    """point_camera, covariance_camera: tip (3,) m and (3, 3) m^2 in the left optical frame."""
     covariance_camera: Array
-    point: Array
+    point: Array  # point, covariance: the same in the base frame
     covariance: Array
-    pose: Array
-    pose_covariance: Array
-    corners: int
-    rms_px: float
-    sigma_px: float
-    scale: float
+    pose: Array  # (4, 4) marker in the base frame
+    pose_covariance: Array  # (6, 6) of ``[tip; rotation]`` along the base axes, m and rad
+    corners: int  # corners that both cameras saw
+    rms_px: float  # root mean square reprojection error
+    sigma_px: float  # pixel noise used for the covariances
+    scale: float  # seen / declared marker size (with the declared size as a prior)
 
 
 @dataclass
 class StereoEye:
-    """Measures the tip with a stereo rig.
-
-    Args:
-        camera_in_base: (4, 4) pose of the left optical frame in the base frame (hand-eye).
-        tip_in_marker: (3,) m, the tip in the marker frame.
-        noise: assumed noise of a corner, corrected by the residuals of sightings.
-    """
+    """Measures the tip with a stereo rig."""
 
     rig: StereoRig
     target: Target
     camera_in_base: ArrayLike = field(default_factory=lambda: np.eye(4))
-    tip_in_marker: ArrayLike = (0.0, 0.0, 0.0)
+    """(4, 4) pose of the left optical frame in the base frame (hand-eye)."""
+    tip_in_marker: ArrayLike = (0.0, 0.0, 0.0)  # (3,) m, the tip in the marker frame
     limits: Limits = field(default_factory=Limits)
     noise: PixelNoise = field(default_factory=PixelNoise)
+    """Assumed noise of a corner, corrected by the residuals of sightings."""
     _square_px2: float = field(default=0.0, repr=False)
     _freedom: float = field(default=0.0, repr=False)
 

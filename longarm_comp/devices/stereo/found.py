@@ -15,24 +15,17 @@ from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits beyond which a pair is refused.
-
-    Args:
-        seen_share: share of the target's corners that both cameras must see (four at least).
-        epipolar_px: largest median distance from the epipolar lines.
-        rms_px: largest root mean square reprojection error of the whole board.
-        edge_px: largest blur (Gaussian sigma of the sharpest edges), px.
-        size: largest relative difference of the seen from the declared marker size.
-        size_tolerance: tolerance of the printed size (1 sigma, relative). It weighs the depth
-            from the size against the depth from the baseline.
-    """
+    """Limits beyond which a pair is refused."""
 
     seen_share: float = 0.5
-    epipolar_px: float = 1.5
-    rms_px: float = 0.8
-    edge_px: float = 2.5
-    size: float = 0.05
+    """Share of the target's corners that both cameras must see (four at least)."""
+    epipolar_px: float = 1.5  # largest median distance from the epipolar lines
+    rms_px: float = 0.8  # largest root mean square reprojection error of the whole board
+    edge_px: float = 2.5  # largest blur (Gaussian sigma of the sharpest edges), px
+    size: float = 0.05  # largest relative difference of the seen from the declared marker size
     size_tolerance: float = 0.005
+    """Tolerance of the printed size (1 sigma, relative). It weighs the depth from the size against
+    the depth from the baseline."""
 
     def tolerance(self, pixels: Array) -> float:
         """Relative 1 sigma of the size measured from an image with corners (N, 2) px.

@@ -56,20 +56,14 @@ class Target(Protocol):
 
 @dataclass(frozen=True)
 class TagBoard:
-    """A grid of ArUco tags or AprilTags, or a single one; each gives its four outer corners.
+    """A grid of ArUco tags or AprilTags, or a single one; each gives its four outer corners."""
 
-    Args:
-        tag_m: side of a tag's black square, m.
-        gap_m: white between neighbouring tags, m.
-        columns, rows: of the grid; ids count along the rows from `first_id`, from the top left.
-        dictionary: an OpenCV name, such as DICT_4X4_50 or DICT_APRILTAG_36h11.
-    """
-
-    tag_m: float
-    gap_m: float = 0.0
+    tag_m: float  # side of a tag's black square, m
+    gap_m: float = 0.0  # white between neighbouring tags, m
     columns: int = 1
+    """columns, rows: of the grid; ids count along the rows from `first_id`, from the top left."""
     rows: int = 1
-    dictionary: str = "DICT_4X4_50"
+    dictionary: str = "DICT_4X4_50"  # an OpenCV name, such as DICT_4X4_50 or DICT_APRILTAG_36h11
     first_id: int = 0
 
     def __post_init__(self) -> None:

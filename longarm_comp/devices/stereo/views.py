@@ -26,20 +26,13 @@ much of its distance, or tilted by so much: about a third of what `gaps` asks fo
 
 @dataclass(frozen=True)
 class BoardView:
-    """One pair of images in which both cameras see the board.
+    """One pair of images in which both cameras see the board."""
 
-    Attributes:
-        left, right: all corners seen by each.
-        disparity_px: median shift of the common corners from left to right.
-        distance_m: roughly.
-        tilt_deg: about the image's horizontal and vertical axis, roughly.
-    """
-
-    left: Corners
+    left: Corners  # left, right: all corners seen by each
     right: Corners
-    disparity_px: float
-    distance_m: float
-    tilt_deg: tuple[float, float]
+    disparity_px: float  # median shift of the common corners from left to right
+    distance_m: float  # roughly
+    tilt_deg: tuple[float, float]  # about the image's horizontal and vertical axis, roughly
 
     def is_new(self, others: Sequence[BoardView], width: int) -> bool:
         """Whether it shows the board elsewhere, at another distance or tilt than the others."""

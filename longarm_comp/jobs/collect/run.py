@@ -23,6 +23,7 @@ from std_msgs.msg import Float64, String
 from longarm_comp.arm_folder.visible import Lens, View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
+from longarm_comp.core.data.rest import NO_REST
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
@@ -36,7 +37,6 @@ from longarm_comp.nodes.stereo_bridge import MARKER_LOST
 from longarm_comp.sessions.bag import open_bag, read_visit
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types
-from longarm_comp.sessions.settled import NO_REST
 
 ROW_TOPIC, ROW_TYPE = "session_row", "std_msgs/msg/String"
 _COMMAND_TOPIC = "joint_trajectory"

@@ -12,8 +12,7 @@ import numpy as np
 from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
-from longarm_comp.core.data.allowed_poses import FLOOR
-from longarm_comp.core.data.plan import Plan, with_room
+from longarm_comp.core.data.plan import FLOOR, Plan, with_room
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import boxes_entered, entered

@@ -29,24 +29,17 @@ _NONE = {"", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"}
 
 @dataclass(frozen=True)
 class Cells:
-    """A table of another program.
-
-    Attributes:
-        names: columns; header lines are joined, a line of units is put behind the names.
-        rows: (line in the file, cells) of each row.
-        separator: between cells; empty for a sheet.
-        decimal: the sign before decimals.
-        header_lines: lines in the file that the names were made of.
-        index: number of each row in the session, where the rows do not simply follow each other.
-    """
+    """A table of another program."""
 
     where: str
     names: tuple[str, ...]
-    rows: tuple[tuple[int, tuple[str, ...]], ...]
-    separator: str
-    decimal: str
-    header_lines: tuple[int, ...]
+    """Columns; header lines are joined, a line of units is put behind the names."""
+    rows: tuple[tuple[int, tuple[str, ...]], ...]  # (line in the file, cells) of each row
+    separator: str  # between cells; empty for a sheet
+    decimal: str  # the sign before decimals
+    header_lines: tuple[int, ...]  # lines in the file that the names were made of
     index: tuple[int, ...] = ()
+    """Number of each row in the session, where the rows do not simply follow each other."""
 
     def column(self, place: int) -> list[str]:
         """The texts of one column."""

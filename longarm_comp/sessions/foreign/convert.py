@@ -92,27 +92,19 @@ class Options:
 
 @dataclass(frozen=True)
 class _Imported:
-    """A converted table.
-
-    Attributes:
-        columns: session columns by name, (N,) numbers or texts; `sources`: how each was read.
-        left_out: columns of the file that were not read.
-        assumed: joints that were taken to turn, as no arm says it.
-        units: of columns that name none.
-        lonely: rows of joined files without a partner, in words.
-        markers: that stood side by side.
-    """
+    """A converted table."""
 
     cells: Cells
     columns: Mapping[str, np.ndarray]
+    """Session columns by name, (N,) numbers or texts; `sources`: how each was read."""
     sources: tuple[Column, ...]
-    left_out: tuple[str, ...]
-    assumed: tuple[str, ...]
+    left_out: tuple[str, ...]  # columns of the file that were not read
+    assumed: tuple[str, ...]  # joints that were taken to turn, as no arm says it
     rotation: Rotation | None
-    units: tuple[str, ...]
+    units: tuple[str, ...]  # of columns that name none
     files: tuple[Path, ...] = ()
-    lonely: tuple[str, ...] = ()
-    markers: tuple[str, ...] = ()
+    lonely: tuple[str, ...] = ()  # rows of joined files without a partner, in words
+    markers: tuple[str, ...] = ()  # that stood side by side
 
     def preview(self) -> list[dict[str, Any]]:
         """One row a column: what it was read from, in which unit, and its range."""

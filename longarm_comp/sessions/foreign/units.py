@@ -122,58 +122,37 @@ class Unit:
     kind: str
     factor: float
     offset: float = 0.0
+    also: str = ""  # other names of it, with blanks between
 
 
 _DEGREE = math.pi / 180
 UNITS = {
     unit.name: unit
     for unit in (
-        Unit("m", LENGTH, 1.0),
+        Unit("m", LENGTH, 1.0, also="metre meter"),
         Unit("cm", LENGTH, 1e-2),
         Unit("mm", LENGTH, 1e-3),
-        Unit("um", LENGTH, 1e-6),
-        Unit("in", LENGTH, 0.0254),
-        Unit("rad", ANGLE, 1.0),
+        Unit("um", LENGTH, 1e-6, also="µm μm"),
+        Unit("in", LENGTH, 0.0254, also="inch inches"),
+        Unit("rad", ANGLE, 1.0, also="radian radians"),
         Unit("mrad", ANGLE, 1e-3),
-        Unit("deg", ANGLE, _DEGREE),
+        Unit("deg", ANGLE, _DEGREE, also="° degree degrees"),
         Unit("arcmin", ANGLE, _DEGREE / 60),
         Unit("arcsec", ANGLE, _DEGREE / 3600),
-        Unit("s", TIME, 1.0),
-        Unit("ms", TIME, 1e-3),
-        Unit("us", TIME, 1e-6),
+        Unit("s", TIME, 1.0, also="sec seconds"),
+        Unit("ms", TIME, 1e-3, also="msec"),
+        Unit("us", TIME, 1e-6, also="µs"),
         Unit("ns", TIME, 1e-9),
         Unit("min", TIME, 60.0),
-        Unit("c", TEMPERATURE, 1.0),
-        Unit("k", TEMPERATURE, 1.0, -273.15),
-        Unit("f", TEMPERATURE, 1 / 1.8, -32 / 1.8),
+        Unit("c", TEMPERATURE, 1.0, also="°c degc celsius"),
+        Unit("k", TEMPERATURE, 1.0, -273.15, also="kelvin"),
+        Unit("f", TEMPERATURE, 1 / 1.8, -32 / 1.8, also="°f degf"),
         Unit("kg", MASS, 1.0),
         Unit("g", MASS, 1e-3),
         Unit("lb", MASS, 0.45359237),
     )
 }
-_ALSO = {
-    "°": "deg",
-    "degree": "deg",
-    "degrees": "deg",
-    "radian": "rad",
-    "radians": "rad",
-    "inch": "in",
-    "inches": "in",
-    "metre": "m",
-    "meter": "m",
-    "µm": "um",
-    "μm": "um",
-    "sec": "s",
-    "seconds": "s",
-    "µs": "us",
-    "msec": "ms",
-    "°c": "c",
-    "degc": "c",
-    "celsius": "c",
-    "kelvin": "k",
-    "°f": "f",
-    "degf": "f",
-}
+_BY_WORD = {word: unit for unit in UNITS.values() for word in (unit.name, *unit.also.split())}
 
 _BRACKETED = re.compile(r"^(.*?)\s*[\[({<]\s*([^\])}>]*)\s*[\])}>]\s*$")
 _SUFFIXED = re.compile(r"^(.*\S)\s*(?:[_/,]|\s)\s*([^\s_/,]+)$")
@@ -182,7 +161,7 @@ _SUFFIXED = re.compile(r"^(.*\S)\s*(?:[_/,]|\s)\s*([^\s_/,]+)$")
 def unit_of(text: str) -> Unit | None:
     """The unit that a text names, or None."""
     plain = text.strip().strip("[](){}<>").strip().lower()
-    return UNITS.get(_ALSO.get(plain, plain))
+    return _BY_WORD.get(plain)
 
 
 def split_name(name: str) -> tuple[str, Unit | None]:

@@ -20,24 +20,16 @@ Scaled = TypeVar("Scaled", bound="Dosed")
 
 @dataclass(frozen=True)
 class Place:
-    """A section of the chain where parts may yield.
-
-    Attributes:
-        kind: `base` (foot), `bearing` (after Rz, before Tz of the row), `slide` (where a
-            sliding beam leaves the one before it), `frame` (end of the row).
-        row: row number, 0 at the base.
-        joint: index in q of the row's motor; None where it has none.
-        prismatic: whether the row slides.
-        beam: the sliding beam.
-        overlap: length (N,) m of its body inside the beam before it.
-    """
+    """A section of the chain where parts may yield."""
 
     kind: Literal["base", "bearing", "slide", "frame"]
-    row: int
-    joint: int | None = None
-    prismatic: bool = False
-    beam: Beam | None = None
-    overlap: Array | None = None
+    """`base` (foot), `bearing` (after Rz, before Tz of the row), `slide` (where a sliding beam
+    leaves the one before it), `frame` (end of the row)."""
+    row: int  # row number, 0 at the base
+    joint: int | None = None  # index in q of the row's motor; None where it has none
+    prismatic: bool = False  # whether the row slides
+    beam: Beam | None = None  # the sliding beam
+    overlap: Array | None = None  # length (N,) m of its body inside the beam before it
 
 
 def wound_up(compliance: Array, place: Place, beyond: Walker) -> Array | None:

@@ -21,24 +21,18 @@ from longarm_comp.sim.servo_emulator.wires import wire_of
 
 @dataclass
 class WireFaults:
-    """Replies to lose, damage, cut or delay; counts go down as replies are sent.
+    """Replies to lose, damage, cut or delay; counts go down as replies are sent."""
 
-    Attributes:
-        silent: servos that hear and move but answer nothing.
-        drops, corrupt, cuts: how many of a servo's next replies are lost, have a damaged checksum,
-            or are sent by half.
-        delays_s: by how much a servo's replies are late, s.
-        noise: bytes put on the line ahead of the next reply.
-        echo: every instruction is sent back first, as adapters that hear themselves do.
-    """
-
-    silent: set[int] = field(default_factory=set)
+    silent: set[int] = field(default_factory=set)  # servos that hear and move but answer nothing
     drops: Counter[int] = field(default_factory=Counter)
+    """drops, corrupt, cuts: how many of a servo's next replies are lost, have a damaged checksum,
+    or are sent by half."""
     corrupt: Counter[int] = field(default_factory=Counter)
     cuts: Counter[int] = field(default_factory=Counter)
     delays_s: dict[int, float] = field(default_factory=dict)
-    noise: bytes = b""
-    echo: bool = False
+    """By how much a servo's replies are late, s."""
+    noise: bytes = b""  # bytes put on the line ahead of the next reply
+    echo: bool = False  # every instruction is sent back first, as adapters that hear themselves do
 
     def apply(self, servo_id: int, reply: bytes) -> tuple[float, bytes]:
         """Delay (s) and bytes that are sent for ``reply``."""

@@ -18,37 +18,27 @@ _OVERLOAD = 0.8  # share of full effort, the default of Feetech servos
 
 @dataclass(frozen=True)
 class MotorSpec:
-    """Constants of one servo; lengths of travel in encoder ticks.
-
-    Attributes:
-        max_speed_ticks_s: no-load speed (STS3215 at 7.4 V: about 3,000).
-        lag_s: time constant of the position loop near the goal.
-        dead_band_ticks: error that the controller leaves alone; beyond it the effort grows.
-        hold_share: share of full effort by which friction holds the gear wherever it stopped; so
-            much more than the load does a drive give that came from below, so much less from above.
-        wind_up_ticks: travel that winds the gear train up from slack to one side; turning round,
-            it takes twice as much to wind it up to the other.
-        droop_ticks: error at which the proportional controller gives its full effort: so far does
-            a load as large push the horn off its goal.
-        encoder_zero_ticks: what the encoder says too much.
-        stiff_ticks: position error at which a jammed drive gives its full effort.
-        load_units: reading of the register of load, or current, at full effort.
-        model: number that it says it is; None: the protocol's usual one.
-        overload_s: so long at `_OVERLOAD` makes it alarm and let go.
-    """
+    """Constants of one servo; lengths of travel in encoder ticks."""
 
     ticks_per_turn: int = 4096
-    max_speed_ticks_s: float = 3000.0
-    lag_s: float = 0.03
+    max_speed_ticks_s: float = 3000.0  # no-load speed (STS3215 at 7.4 V: about 3,000)
+    lag_s: float = 0.03  # time constant of the position loop near the goal
     dead_band_ticks: float = 0.0
+    """Error that the controller leaves alone; beyond it the effort grows."""
     hold_share: float = 0.0
+    """Share of full effort by which friction holds the gear wherever it stopped; so much more than
+    the load does a drive give that came from below, so much less from above."""
     wind_up_ticks: float = 650.0
+    """Travel that winds the gear train up from slack to one side; turning round, it takes twice as
+    much to wind it up to the other."""
     droop_ticks: float = 0.0
-    encoder_zero_ticks: float = 0.0
-    stiff_ticks: float = 200.0
-    load_units: float = 1000.0
-    model: int | None = None
-    overload_s: float = 2.0
+    """Error at which the proportional controller gives its full effort: so far does a load as
+    large push the horn off its goal."""
+    encoder_zero_ticks: float = 0.0  # what the encoder says too much
+    stiff_ticks: float = 200.0  # position error at which a jammed drive gives its full effort
+    load_units: float = 1000.0  # reading of the register of load, or current, at full effort
+    model: int | None = None  # number that it says it is; None: the protocol's usual one
+    overload_s: float = 2.0  # so long at `_OVERLOAD` makes it alarm and let go
 
 
 class Motor:

@@ -37,17 +37,11 @@ class Device:
 
 
 class Wire(ABC):
-    """One emulated protocol; stateless.
+    """One emulated protocol; stateless."""
 
-    Attributes:
-        name: the protocol's.
-        kept_below: registers below this address outlive a loss of power.
-        ticks_per_turn: of its servos.
-    """
-
-    name: ClassVar[str]
-    kept_below: ClassVar[int]
-    ticks_per_turn: ClassVar[float] = 4096.0
+    name: ClassVar[str]  # the protocol's
+    kept_below: ClassVar[int]  # registers below this address outlive a loss of power
+    ticks_per_turn: ClassVar[float] = 4096.0  # of its servos
 
     @abstractmethod
     def device(self, servo_id: int, motor: Motor) -> Device:
@@ -71,15 +65,11 @@ class Wire(ABC):
 
 
 class RegisterWire(Wire):
-    """A protocol with the instructions of Dynamixel.
+    """A protocol with the instructions of Dynamixel."""
 
-    Attributes:
-        word: bytes of an address, and of a length.
-        answers_all: instructions that servos answer also where all of them are addressed.
-    """
-
-    word: ClassVar[int]
+    word: ClassVar[int]  # bytes of an address, and of a length
     answers_all: ClassVar[tuple[int, ...]] = ()
+    """Instructions that servos answer also where all of them are addressed."""
 
     def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
         target, instruction, params = self.parts(frame)
