@@ -1,8 +1,8 @@
-"""Closing the loop: find what the model lacks, train on the rest, reach fresh targets.
+"""Closing the loop: find the effects that the model lacks, train a network, reach fresh targets.
 
 The joints of the simulated arm turn some per cent too far or too little, and a cable drags at one
-of them. The first is in the library of effects, so that the diagnosis can name it; the second is
-not, and is found as a function of the posture. The network learns what is left.
+of them. The library has an effect for the first error, so the diagnosis names it. It has none for
+the cable; the diagnosis finds it as a function without a name. The network learns the residual.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 
 
 def main() -> None:
-    """Measure, diagnose, train, compensate, and look where the tip really goes."""
+    """Measure, diagnose, train, compensate, and compare the true tip with the targets."""
     arm = la.Arm.load(ARM)
     rng = np.random.default_rng(2)
     real = TrueArm(arm, hidden_effects(arm, {"joint_gain": 8.0, "cable_drag": 2.0}, rng))

@@ -2,7 +2,7 @@
 
 longarm diagnose arm.yaml samples.csv --effects examples/custom_effect.py -o diagnosis
 
-docs/add_an_effect.md goes through this file line by line.
+docs/add_an_effect.md explains this file.
 """
 
 from __future__ import annotations

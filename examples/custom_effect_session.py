@@ -1,9 +1,9 @@
-"""Sessions of a simulated arm that has the fault of custom_effect.py, to try the effect on.
+"""Sessions of a simulated arm that has the fault of custom_effect.py.
 
 python examples/custom_effect_session.py build/cable
 
 Writes arm.yaml, samples.csv (150 poses) and test.csv (40 poses). The simulation shares no physics
-with the model: it turns the true joint and integrates the bending rods (docs/simulated_arm.md).
+with the model: it turns the true joint, and integrates rods that bend (docs/simulated_arm.md).
 """
 
 from __future__ import annotations

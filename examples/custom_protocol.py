@@ -42,7 +42,7 @@ class MakerServo(Dialect):
         return _request(READ, block, len(ids), bytes(ids))
 
     def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
-        """Nobody answers."""
+        """Servos do not answer a write."""
         data = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
         return _request(WRITE, block, len(values), data)
 
@@ -82,7 +82,7 @@ def _request(kind: int, block: Block, count: int, data: bytes) -> bytes:
 
 
 class MakerWire(Wire):
-    """The servo's side, from the table at the head alone: `longarm up --sim` emulates it."""
+    """The servo's side of the protocol above: `longarm up --sim` emulates it."""
 
     name, kept_below = "maker", 4
 
@@ -91,7 +91,7 @@ class MakerWire(Wire):
         return Device(servo_id, bytearray((7, 0, 3)) + bytearray(15), motor)
 
     def take(self, buffer: bytearray) -> list[bytes]:
-        """Whole requests with a right sum; what is none is skipped."""
+        """Whole requests with a correct sum; other bytes are skipped."""
         frames = []
         while len(buffer) >= 6:
             one = 1 if buffer[1] == READ else 1 + buffer[3]

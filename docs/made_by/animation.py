@@ -68,19 +68,19 @@ def story(demo: Demonstration) -> Iterator[Scene]:
     """The scenes in their order."""
     models = {ORIGINAL: la.Model(demo.arm), DECLARED: declared_model(demo.arm), FOUND: demo.found}
     words = {
-        ORIGINAL: "1. Targets as they are: the arm bends, and its tip misses",
+        ORIGINAL: "1. Without compensation the arm bends, and its tip misses the targets",
         DECLARED: "2. The declared deflection is compensated",
-        FOUND: "5. The same targets, with the effect that was found",
+        FOUND: "5. The same targets, compensated with the effects found",
     }
     done: dict[str, int] = {}
     for run in (ORIGINAL, DECLARED):
         yield from _run(demo, run, models[run], words[run], done)
     q, xyz = demo.session.q, demo.session.xyz
     for k in range(0, len(q), 9):
-        yield Scene(f"3. {len(q)} measurements of other poses: {min(k + 9, len(q))}", q[k],
+        yield Scene(f"3. Cameras measure other poses: {min(k + 9, len(q))} of {len(q)}", q[k],
                     done=dict(done), seen=xyz[:k + 9])  # fmt: skip
     note, guilty = _diagnosis(demo)
-    step = "4. The diagnosis looks for what the model lacks"
+    step = "4. The diagnosis finds the effects that the model lacks"
     yield Scene(step, demo.arm.mid, done=dict(done), seen=xyz, milliseconds=1200)
     yield Scene(step, demo.arm.mid, done=dict(done), note=note, guilty=guilty, milliseconds=3800)
     yield from _run(demo, FOUND, models[FOUND], words[FOUND], done)
@@ -105,18 +105,17 @@ def _run(
 
 
 def _diagnosis(demo: Demonstration) -> tuple[str, tuple[int, ...]]:
-    """What the report's first finding says, in a mechanic's words, and its joints."""
+    """What the report's findings say, in a mechanic's words, and their joints."""
     report = json.loads((demo.folder / "report.json").read_text("utf-8"))
-    found = report["findings"][0]
-    names = [registered()[name].title for name in found["set"] or [found["effect"]]]
-    joints = tuple(int(place.split()[1]) for place in found["where"] if place.startswith("joint"))
+    lines, guilty = [], set()
+    for found in report["findings"]:
+        names = [registered()[name].title for name in found["set"] or [found["effect"]]]
+        joints = [int(place.split()[1]) for place in found["where"] if place.startswith("joint")]
+        lines.append(f"{' or '.join(names)}, joints {', '.join(map(str, joints))}")
+        guilty |= {*joints}
     held = {row["model"]: row["mean_mm"] for row in report["held_out"]["rows"]}
-    which = ", ".join(map(str, joints))
-    return (
-        f"Found: {' or '.join(names)}\nat joints {which}\n"
-        f"on sealed poses {held['calibrated']:.2f} → {held['with_effects']:.2f} mm",
-        joints,
-    )
+    change = f"{held['calibrated']:.2f} → {held['with_effects']:.2f} mm"
+    return "\n".join([*lines, f"error at held-out poses: {change}"]), tuple(sorted(guilty))
 
 
 def _drawn(demo: Demonstration, scene: Scene) -> Image.Image:
@@ -136,9 +135,7 @@ def _arm(axes: Axes, demo: Demonstration, scene: Scene) -> None:
     """From the side, true size: straight and bent arm; the error enlarged."""
     straight, bent = outline(la.Model(demo.arm), scene.q), outline(demo.found, scene.q)
     axes.plot(*straight[:, [0, 2]].T, color=GREY, lw=2, ls="--")
-    axes.plot(
-        *bent[:, [0, 2]].T, color="#333333", lw=4, solid_capstyle="round", label="as it hangs"
-    )
+    axes.plot(*bent[:, [0, 2]].T, color="#333333", lw=4, solid_capstyle="round", label="bent")
     axes.plot(0, 0, "s", color=INK, ms=12)
     axes.plot(*scene.seen[:, [0, 2]].T, ".", color="#009E73", ms=4)
     if scene.target is not None:
@@ -151,7 +148,7 @@ def _arm(axes: Axes, demo: Demonstration, scene: Scene) -> None:
         x, z = _place(demo, scene.q, row)
         axes.plot(x, z, "o", ms=20, mfc="none", mec=VERMILLION, mew=2.5)
         axes.text(x, z + 0.055, str(row), color=VERMILLION, ha="center", weight="bold")
-    legend = f"dashed: straight, solid: as it hangs, arrow: error × {ERROR_TIMES:g}"
+    legend = f"dashed: declared, solid: real arm, arrow: error × {ERROR_TIMES:g}"
     axes.text(0.1, -0.34, scene.note or legend, va="bottom", fontsize=11 if scene.note else 10)
     axes.set(xlim=(-0.06, 1.24), ylim=(-0.36, 0.5), aspect="equal")
     axes.axis("off")

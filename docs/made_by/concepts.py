@@ -29,11 +29,11 @@ def deflection(figure: Figure) -> None:
     axes.plot(*(1e3 * straight[:, [0, 2]].T), color=GREY, lw=5, ls=(0, (2, 0.6)), label="straight")
     axes.plot(*shown[:, [0, 2]].T, color=BLUE, lw=3, label=f"bent, sag × {_SAG_TIMES:g}")
     axes.plot(*tip[[0, 2]], "o", ms=11, mfc="none", mec=VERMILLION, mew=2,
-              label="tip of elastic rods, computed apart")  # fmt: skip
+              label="tip of the simulated arm (elastic rods)")  # fmt: skip
     sag, off = np.linalg.norm(bent[-1] - straight[-1]), np.linalg.norm(bent[-1] - true)
     axes.set(xlabel="x, mm", ylabel="z, mm",
-             title=f"Under its own weight the tip sags by {1e3 * sag:.1f} mm; "
-                   f"both computations agree to {1e6 * off:.0f} µm")  # fmt: skip
+             title=f"The tip sags by {1e3 * sag:.1f} mm under the arm's weight; "
+                   f"model and simulation agree to {1e6 * off:.0f} µm")  # fmt: skip
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend(loc="lower left")
 
@@ -53,7 +53,7 @@ def play(figure: Figure) -> None:
     left.set(xlabel="commanded, deg", ylabel="the joint stands at, deg", aspect="equal",
              title="Play of 1.2 deg")  # fmt: skip
     left.legend(loc="lower right")
-    right.set(title="The same command, two tips")
+    right.set(title="One command, two places of the tip")
     for sign, color, dash in ((-1, BLUE, "-"), (1, ORANGE, (0, (4, 1)))):
         angle = np.radians(20 + sign * 7)
         right.plot([0, np.cos(angle)], [0, np.sin(angle)], color=color, lw=4, ls=dash)
@@ -86,10 +86,10 @@ def not_told_apart(figure: Figure) -> None:
     axes.text(8.4, 2.9, "poses that\nwould decide", ha="center", backgroundcolor="white")
     axes.plot(load, 0.8 * load, color=BLUE, lw=2.5, label="soft joint")
     axes.plot(load, droop(load), color=VERMILLION, lw=2.5, ls=(0, (4, 1)),
-              label="servo that gives way until its stop")  # fmt: skip
+              label="servo that gives way, up to its stop")  # fmt: skip
     axes.plot(seen, measured, ".", color=INK, ms=7, label="measured")
     axes.set(xlabel="load of the joint, N m", ylabel="error at the tip, mm", ylim=(0, 8),
-             xlim=(0, 10), title="A set: both explain these poses, and both are named")  # fmt: skip
+             xlim=(0, 10), title="A set: two effects explain the measured poses")  # fmt: skip
     axes.legend(loc="lower right", frameon=True, facecolor="white", framealpha=1)
 
 
@@ -104,12 +104,12 @@ def hold_out(figure: Figure) -> None:
     for degree, colour, dash in ((1, BLUE, "-"), (9, VERMILLION, (0, (4, 1)))):
         fit = np.polynomial.Polynomial.fit(x[~kept], y[~kept], degree)
         own, off = (np.abs(fit(x[rows]) - y[rows]).mean() for rows in (~kept, kept))
-        label = f"{degree + 1} parameters: {own:.2f} mm fitted, {off:.2f} mm on the hold-out"
+        label = f"{degree + 1} parameters: {own:.2f} mm fitted, {off:.2f} mm held out"
         axes.plot(grid, fit(grid), color=colour, ls=dash, lw=2, label=label)
     axes.plot(x[~kept], y[~kept], "o", color=GREY, ms=8, label="fitted")
-    axes.plot(x[kept], y[kept], "s", color=GREEN, ms=9, label="hold-out: sealed before the fit")
+    axes.plot(x[kept], y[kept], "s", color=GREEN, ms=9, label="held out: not used in the fit")
     axes.set(xlabel="pose", ylabel="error, mm", xticks=[], ylim=(-0.6, 5.2),
-             title="Judged on poses that were not fitted")  # fmt: skip
+             title="A model is judged by poses that were not used in its fit")  # fmt: skip
     axes.legend(loc="upper left")
 
 
@@ -149,13 +149,13 @@ def commanded_and_seen(figure: Figure) -> None:
     axes.plot(*seen, "o", mfc="none", mec=ORANGE, ms=13, mew=2.5)
     axes.text(target[0], target[1] + 0.22, "target", ha="center")
     axes.text(true[0], true[1] - 0.25, "the tip", ha="center", color=BLUE)
-    axes.text(seen[0] + 0.15, seen[1] + 0.05, "where the cameras see it", va="center")
+    axes.text(seen[0] + 0.15, seen[1] + 0.05, "where the cameras see the tip", va="center")
     axes.text(1.45, 1.02, "as commanded:\nthe arm's own error", ha="right", color=BLUE, va="center")
     axes.text(2.0, 1.78, "as seen", ha="center", color="#555555")
     axes.text(2.75, 1.2, "the measuring side (scale, hand-eye, lens):\nfitted, never compensated",
               va="center")  # fmt: skip
     axes.set(xlim=(-0.1, 5.2), ylim=(0.45, 2.2),
-             title="As commanded and as seen: every table has both")  # fmt: skip
+             title="One move: the error as commanded, and as the cameras see it")  # fmt: skip
     bare(axes)
 
 
@@ -168,9 +168,9 @@ def how_many_poses(figure: Figure) -> None:
     for (name, color, sign, dash), mm in zip(kinds, errors, strict=True):
         axes.plot(poses, mm, dash, marker=sign, color=color, lw=2, ms=8, label=name)
     axes.set(xlabel="poses measured", ylabel="error of the true tip, mm", ylim=(0, 0.27),
-             title="The effect is known: fewer poses, if they are chosen")  # fmt: skip
+             title="Error after a calibration with a known effect, by kind of plan")  # fmt: skip
     axes.set_xticks(poses, [f"{n:g}" for n in poses])
-    axes.legend(title="poses are")
+    axes.legend(title="plan of poses")
 
 
 def _studies() -> list[str]:

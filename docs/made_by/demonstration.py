@@ -22,7 +22,7 @@ from longarm_comp.share import folder
 RUNS = {
     ORIGINAL: (VERMILLION, "X", "not compensated"),
     DECLARED: (ORANGE, "^", "declared deflection"),
-    FOUND: (BLUE, "o", "effect found"),
+    FOUND: (BLUE, "o", "effects found"),
     LEARNED: (GREEN, "D", "and the network"),
 }
 """Colour, sign and words of each run."""
@@ -91,12 +91,12 @@ def bent_and_straight(demo: Demonstration) -> Callable[[Figure], None]:
         kept = [0, *np.flatnonzero(moves) + 1, -1]  # one station at each place
         straight, bent = straight[kept], bent[kept]
         shown = exaggerated(bent, straight, _BENT_TIMES)
-        _arm(side, straight, GREY, 6, (0, (1.6, 0.5)), "as drawn: straight")
-        _arm(side, shown, BLUE, 4, "-", f"as it hangs, error × {_BENT_TIMES:g}")
+        _arm(side, straight, GREY, 6, (0, (1.6, 0.5)), "as declared: straight")
+        _arm(side, shown, BLUE, 4, "-", f"real arm, error × {_BENT_TIMES:g}")
         side.plot(*(1e3 * target[[0, 2]]), "+", color=INK, ms=20, mew=2.5, label="target")
         side.plot(0, 0, "s", color=INK, ms=12)
         arrow(side, 1e3 * target[[0, 2]], 1e3 * shown[-1, [0, 2]], VERMILLION)
-        side.set(xlabel="x, mm", ylabel="z, mm", title="A long arm bends, and its joints give")
+        side.set(xlabel="x, mm", ylabel="z, mm", title="A long arm bends, and its joints yield")
         side.set_aspect("equal", adjustable="datalim")
         side.legend(loc="lower left")
         _tips(near, demo, worst)
@@ -120,7 +120,7 @@ def _tips(axes: Axes, demo: Demonstration, at: int) -> None:
     low = 1e3 * float((demo.true(ORIGINAL)[at] - demo.targets[at])[2])
     axes.set(xlim=(-0.75 * abs(low), 0.75 * abs(low)), ylim=(1.65 * low, 0.25 * abs(low)),
              xlabel="x from the target, mm", ylabel="z from the target, mm",
-             title="Its tip there, true size")  # fmt: skip
+             title="The tip at this target, true size")  # fmt: skip
     axes.legend(loc="lower center", frameon=True, framealpha=1)
 
 

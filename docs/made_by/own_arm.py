@@ -22,8 +22,11 @@ from longarm_comp.sim.cameras import CameraPair, render, tag_plate
 _DARK = "#9a6a00"
 """Orange for letters: dark enough to read on white."""
 
-_LEVELS = {1: 1, 2: 1, 3: 1, 4: -1, 5: -1.4, 6: 1, 7: 1}
+_LEVELS = {1: 1, 2: 1, 3: 1, 4: 1, 5: 1.7, 6: 1, 7: 1}
 """How far above (below) the arm the names of each row's axes stand, so that none meet."""
+
+_BELOW = {"$z_4$": -0.045, "$x_5$": -0.045}
+"""Axes that would hide another at the same place are drawn below it, m."""
 
 
 def _demo() -> Arm:
@@ -38,7 +41,7 @@ def _axis(axes: Axes, at: np.ndarray, way: np.ndarray, color: str, name: str) ->
 
 
 def mdh_row(figure: Figure) -> None:
-    """A row of the modified DH table in two views: along the last x, and along its own z."""
+    """A row of the modified DH table in two views: along the previous x, and along its own z."""
     side, top = figure.subplots(1, 2)
     here, alpha = 1.7, np.radians(50)
     side.plot([0, 2.5], [0, 0], color=GREY, lw=1.2, ls="--")
@@ -56,7 +59,7 @@ def mdh_row(figure: Figure) -> None:
     side.plot(*_oblique(arc), color=ORANGE, lw=2.5)
     side.text(here - 0.17, 0.83, "$\\alpha_{i-1}$", color=_DARK, fontsize=13, ha="center")
     _span(side, (0, -0.5), (here, -0.5), INK, "$a_{i-1}$", -0.24)
-    side.set_title("1. $a$ along the last $x$, $\\alpha$ about it")
+    side.set_title("1. $a$ along the previous $x$, $\\alpha$ about it")
     theta = np.radians(40)
     top.plot([0, 1.2], [0, 0], color=VERMILLION, lw=2, ls="--")
     top.text(1.27, 0, "$x_{i-1}$", color=VERMILLION, ha="left", va="center", fontsize=13)
@@ -67,7 +70,7 @@ def mdh_row(figure: Figure) -> None:
     top.plot(0, 0, "o", ms=5, color=BLUE)
     top.text(-0.14, -0.1, "$z_i$ points at you;\n$d_i$ lies along it", color=BLUE, ha="right",
              va="top")  # fmt: skip
-    top.set_title("2. $d$ along its own $z$, $\\theta$ about it")
+    top.set_title("2. $d$ along the row's own $z$, $\\theta$ about it")
     for axes, middle in ((side, 1.1), (top, 0.1)):
         axes.set(xlim=(middle - 1.6, middle + 1.6), ylim=(-0.8, 1.35))
         bare(axes)
@@ -95,7 +98,8 @@ def mdh_frames(figure: Figure) -> None:
             _direction(axes, stack(frame.p)[[0, 2]], way, color, name, _LEVELS[joint.id])
         axes.set(xlim=(-0.12, 1.3), ylim=(-0.03, 0.31), ylabel="z of the base, m", yticks=[0, 0.2])
         axes.set_aspect("equal")
-    upper.set_title("The demonstration with all joints at 0: axes $z$ of its rows, then their $x$")
+    upper.set_title("The demonstration's arm, all joints at 0: the $z$ axes of its DH rows")
+    lower.set_title("The $x$ axes of its DH rows")
     lower.set_xlabel("x of the base, m")
 
 
@@ -104,12 +108,14 @@ def _direction(
 ) -> None:
     """An axis in the plane as an arrow; one across it as a point (towards you) or a cross."""
     flat = 0.085 * way[[0, 2]]
-    aside = 0.034 * level
+    aside = 0.034 * (-1 if name in _BELOW else level)
     if abs(way[1]) > 0.5:
         axes.plot(*at, "o", ms=13, mfc="white", mec=color, mew=2)
         axes.plot(*at, "." if way[1] < 0 else "x", ms=7, color=color, mew=2)
         axes.text(at[0], at[1] + 1.5 * aside, name, color=color, ha="center", va="center")
         return
+    origin, at = at, at + np.array([0.0, _BELOW.get(name, 0.0)])
+    axes.plot(*np.column_stack([origin, at]), color=color, lw=1.2, ls=":")
     arrow(axes, at, at + flat, color, width=2.5)
     if abs(way[2]) > 0.5:
         up = np.sign(way[2])
@@ -123,14 +129,14 @@ def beams(figure: Figure) -> None:
     """Lengths of a telescope's beams, and a section."""
     side, cut = figure.subplots(1, 2, width_ratios=(2.6, 1))
     side.add_patch(Rectangle((0, -0.16), 3.0, 0.32, fc="#dbe7f1", ec=BLUE, lw=2))
-    side.add_patch(Rectangle((1.9, -0.1), 2.4, 0.2, fc="#f6e3cf", ec=ORANGE, lw=2, ls="--"))
+    side.add_patch(Rectangle((1.4, -0.1), 2.9, 0.2, fc="#f6e3cf", ec=ORANGE, lw=2, ls="--"))
     side.plot([0, 0], [-0.3, 0.3], color=INK, lw=4)
     side.plot(4.3, 0, "o", ms=12, color=INK)
     _span(side, (0, 0.42), (3.0, 0.42), BLUE, "length_m: 3.0")
     _span(side, (3.0, 0.42), (4.3, 0.42), _DARK, "length_m: rest")
     _span(side, (0, -0.55), (4.3, -0.55), INK, "$d$ + joint value")
-    _span(side, (1.9, -0.95), (4.3, -0.95), _DARK, "body_length_m: 2.4, carries the mass")
-    side.set(xlim=(-0.2, 4.6), ylim=(-1.1, 1.05), title="A telescope along one $d$: two beams",
+    _span(side, (1.4, -0.95), (4.3, -0.95), _DARK, "body_length_m: 2.9, holds the mass")
+    side.set(xlim=(-0.2, 4.6), ylim=(-1.1, 1.05), title="A telescope along the $d$ of a DH row",
              xticks=[], yticks=[])  # fmt: skip
     side.spines[:].set_visible(False)
     angle = np.linspace(0, 2 * np.pi, 120)
@@ -139,7 +145,7 @@ def beams(figure: Figure) -> None:
     cut.add_patch(Polygon(0.75 * ring, fc="white", ec=BLUE, lw=2))
     _span(cut, (-1, -1.25), (1, -1.25), INK, "od_m", -0.38)
     _span(cut, (-0.75, 0), (0.75, 0), INK, "id_m")
-    cut.set(xlim=(-1.3, 1.3), ylim=(-1.8, 1.3), title="Its section")
+    cut.set(xlim=(-1.3, 1.3), ylim=(-1.8, 1.3), title="Section of a tube")
     bare(cut)
 
 
@@ -176,7 +182,7 @@ def marker_and_cameras(figure: Figure) -> None:
     bare(plate)
     grey, _ = render(_mounted(arm), printed, pair, np.random.default_rng(0))
     image.imshow(grey[170:360, 300:600], cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-    image.set(xticks=[], yticks=[], title="Seen by the left camera (a part)")
+    image.set(xticks=[], yticks=[], title="Part of the left camera's image")
     image.spines[:].set_visible(False)
 
 

@@ -54,7 +54,7 @@ def _plate(axes: Axes, x: float, y: float) -> None:
     for end, start in ((left, left + 20), (left + GAP_MM, left + GAP_MM - 20)):
         arrow(axes, np.array([start, y + 46]), np.array([end, y + 46]), INK, width=1.0)
     axes.text(x + width / 2, y + 46, f"{GAP_MM:g}", ha="center", va="center", fontsize=10)
-    axes.text(x, y + height + 2, "plate from above; 4 holes for M6", fontsize=9)
+    axes.text(x, y + height + 2, "plate from above, lengths in mm; 4 holes for M6", fontsize=9)
     axes.text(left, y + 18, f"cone 90°, ⌀ {MOUTH_MM:g}", ha="center", va="top", fontsize=8)
 
 
@@ -68,8 +68,10 @@ def _section(axes: Axes, x: float, y: float) -> None:
     axes.add_patch(Polygon([*cut, (x, top)], fc="#dddddd", ec=INK, lw=1.2))
     above = BALL_MM / 2 * math.sqrt(2.0) - mouth
     _stud(axes, left, top + above, math.radians(65), 19.0)
-    axes.text(right, y - 2, f"section; plate {thick:g} thick", ha="center", va="top", fontsize=9)
-    said = f"the centre stays {above:.1f} above the plate\nhowever the arm stands"
+    axes.text(
+        right, y - 2, f"section; the plate is {thick:g} thick", ha="center", va="top", fontsize=9
+    )
+    said = f"the ball's centre stays {above:.1f} above the plate,\nhowever the arm turns it"
     axes.text(left + 18, top + 3, said, fontsize=8)
 
 
@@ -106,7 +108,9 @@ def touch_postures(figure: Figure) -> None:
     axes.plot(*socket[[0, 2]], "o", ms=12, mfc="none", mec=VERMILLION, mew=2, label="the socket")
     axes.plot(0, 0, "s", color=ORANGE, ms=9, label="base")
     off = 1e3 * np.linalg.norm(tips - tips.mean(axis=0), axis=1).mean()
-    said = f"{len(rows)} touches of one socket: by the data sheet they are {off:.1f} mm off it"
+    said = (
+        f"Six of {len(rows)} touches of one socket; by the data sheet they are {off:.1f} mm off it"
+    )
     axes.set(xlabel="x, mm", ylabel="z, mm", title=said)
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend(loc="upper left")
