@@ -153,11 +153,7 @@ def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
 
 @contextmanager
 def frozen(client: GraphClient, node: str) -> Iterator[int]:
-    """A node of a simulated arm's graph stands still, as a process that hangs does; its process.
-
-    Raises:
-        InputError: no such node. JobError: it does not report, or runs on another machine.
-    """
+    """A node of a simulated arm's graph stands still, as a process that hangs does; its process."""
     reports = Reports(client)
     missing = "no simulated arm reports (`longarm up`)"
     client.until(lambda: SIMULATED in reports.nodes, _HEARD_S, missing)

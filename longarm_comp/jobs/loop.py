@@ -176,10 +176,6 @@ class Loop:
         Returns:
             All runs over the targets in their order, the first not compensated; and what loop.json
             holds.
-
-        Raises:
-            InputError: data were refused, or files do not fit. JobError: a step could not be
-            done. Interrupted: the client was stopped; ``resume`` goes on.
         """
         client, names = self._client, self._settings.names
         client.ready(ready_s)

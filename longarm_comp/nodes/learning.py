@@ -39,11 +39,7 @@ class Learning:
         self.begin()
 
     def begin(self) -> None:
-        """Go on from the file, if it is of the model that was loaded.
-
-        Raises:
-            InputError: the file is not one of these; the model does not say how well it is known.
-        """
+        """Go on from the file, if it is of the model that was loaded."""
         if not self._state.p["learning"]:
             return
         from longarm_comp.core.at_work import file  # with SciPy: only where it is wanted

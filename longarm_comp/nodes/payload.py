@@ -117,11 +117,7 @@ class Weigher:
 
 
 def drives(servos: str, arm: Arm) -> Drives:
-    """What the servos of a driver's file tell of loads; NaN for joints of which it is not known.
-
-    Raises:
-        InputError: as `ServoConfig.load`.
-    """
+    """What the servos of a driver's file tell of loads; NaN for joints of which it is not known."""
     config = ServoConfig.load(servos).joints if servos else {}
     friction, step = np.full((2, arm.n), np.nan)
     for k, name in enumerate(arm.joint_names):

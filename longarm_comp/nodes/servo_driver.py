@@ -238,6 +238,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @property
     def readings(self) -> Mapping[str, ServoReading]:
+        """The last read-back by joint; empty where a servo was silent."""
         return self._last.joints if self._last is not None else {}
 
     @property

@@ -1,19 +1,121 @@
-"""Runs the page: one thread listens to the graph and draws, viser's threads serve the browsers."""
+"""The page: messages of an arm's graph become its record, which it draws.
+
+One thread listens to the graph and draws, viser's threads serve the browsers.
+"""
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
-from longarm_comp.jobs.graph_client import GraphClient
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
+
+from longarm_comp.core.at_work import LEARNED_SAID
+from longarm_comp.core.compensation.result import Status
+from longarm_comp.core.model.link_frames import exaggerated
+from longarm_comp.jobs.graph_client import GraphClient, reported
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import RING_SAID
+from longarm_comp.nodes.messages import driver_words, sighting_of
+from longarm_comp.nodes.monitoring import EVIDENCE
 from longarm_comp.view import words
-from longarm_comp.view.listener import Listener
 from longarm_comp.view.panel import RELEASES, STOPS, Buttons, Panel
 from longarm_comp.view.scene import Scene
 from longarm_comp.view.server import Gate, PlainPage, serving
+from longarm_comp.view.words import CollectProgress, LastAnswer, PageState, Part, Picture, SeenTip
+from longarm_interfaces.msg import Compensation, DriverState
+
+
+class Listener:
+    """Subscribes to an arm's topics; `state` is what they have said last."""
+
+    def __init__(self, client: GraphClient) -> None:
+        self.state, self._namespace = PageState(), client.node.get_namespace()
+        for topic, callback in (
+            (graph.MARKERS, self._on_markers),
+            (graph.TIP_MEASURED, self._on_tip),
+            (graph.JOINT_STATES, self._on_joints),
+            (graph.DRIVER_STATE, self._on_driver),
+            (graph.COMPENSATION, self._on_answer),
+            (graph.DIAGNOSTICS, self._on_diagnostics),
+            (graph.COLLECT_PROGRESS, self._on_progress),
+        ):
+            topic.subscription(client.node, callback)
+
+    def _heard(self, **changes: Any) -> None:
+        self.state = replace(self.state, heard=time.monotonic(), **changes)
+
+    def _on_markers(self, message: MarkerArray) -> None:
+        lines = {marker.ns: marker for marker in message.markers}
+        points = {
+            name: np.array([[p.x, p.y, p.z] for p in marker.points]).reshape(-1, 3)
+            for name, marker in lines.items()
+        }
+        declared, drawn = points.get("declared", _NONE), points.get("hanging", _NONE)
+        factor = _number(lines["hanging"].text) if "hanging" in lines else math.nan
+        if declared.shape != drawn.shape or not len(drawn) or not factor > 0.0:
+            return
+        hanging = exaggerated(drawn, declared, 1.0 / factor)
+        target, pseudo = (
+            points[name][0] if len(points.get(name, _NONE)) else None
+            for name in ("target", "pseudo_target")
+        )
+        self._heard(picture=Picture(declared, hanging, target, pseudo, time.monotonic()))
+
+    def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
+        self._heard(tip=SeenTip(sighting_of(message)[0], time.monotonic()))
+
+    def _on_joints(self, message: JointState) -> None:
+        joints = dict(zip(message.name, message.position, strict=False))
+        self.state = self.state.with_joints(joints, time.monotonic())
+        self._heard()
+
+    def _on_driver(self, message: DriverState) -> None:
+        self._heard(driver=(driver_words(message.state), message.message))
+
+    def _on_answer(self, message: Compensation) -> None:
+        known = message.status in set(Status)
+        status = Status(message.status).name if known else f"status {message.status}"
+        sent = dict(zip(message.executed.name, message.executed.position, strict=False))
+        self._heard(answer=LastAnswer(status, message.message, sent))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for node, parts in reported(message, self._namespace).items():
+            health = tuple(Part(name, min(ord(s.level), 3), s.message) for name, s in parts.items())
+            told = {words: parts[name].message for name, words in _TOLD.items() if name in parts}
+            self.state = self.state.with_report(node, health, time.monotonic())
+            self._heard(told={**self.state.told, **told})
+            if "monitor" in parts:
+                facts = {value.key: value.value for value in parts["monitor"].values}
+                self._heard(evidence=_number(facts.get(EVIDENCE, "")))
+
+    def _on_progress(self, message: DiagnosticStatus) -> None:
+        facts = {value.key: value.value for value in message.values}
+        share = _number(facts.get("done", "")) / max(1.0, _number(facts.get("total", "")))
+        if math.isfinite(share):
+            self._heard(progress=CollectProgress(share, message.message, time.monotonic()))
+
+
+_TOLD = {RING_SAID: "After the last move", LEARNED_SAID: "At work"}
+"""Parts whose message the page repeats, and how it begins there."""
+_NONE = np.empty((0, 3))
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def view(

@@ -54,12 +54,7 @@ def save(path: str | Path, learner: Learner, given: str) -> None:
 
 
 def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> Learner:
-    """What a file holds for a model, or its beginning, where there is none or of another model.
-
-    Raises:
-        InputError: the file is not one that `save` wrote; the model does not say how well it is
-            known.
-    """
+    """What a file holds for a model, or its beginning, where there is none or of another model."""
     begun = Learner.of(model, step_m)
     if not Path(path).exists():
         return begun

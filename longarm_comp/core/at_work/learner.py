@@ -157,11 +157,7 @@ class Learner:
 
     @classmethod
     def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
-        """From a fitted model.
-
-        Raises:
-            InputError: it does not say how well it is known.
-        """
+        """From a fitted model, which says how well it is known."""
         if model.uncertainty is None:
             raise InputError("model", "uncertainty", "missing", "a model that a diagnosis wrote")
         return cls(model, versions=(Version(-math.inf, model, None),), step_m=step_m)
