@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,12 +61,8 @@ class Commands(Sequence[Compensation]):
         """Result of each target."""
         return tuple(each.outcome for each in self.arrivals)
 
-    @overload
-    def __getitem__(self, k: int) -> Compensation: ...
-    @overload
-    def __getitem__(self, k: slice) -> tuple[Compensation, ...]: ...
-    def __getitem__(self, k: int | slice) -> Compensation | tuple[Compensation, ...]:
-        return self.results[k] if isinstance(k, slice) else self.arrivals[k].outcome
+    def __getitem__(self, k: Any) -> Any:
+        return self.results[k]
 
     @property
     def command(self) -> np.ndarray:
