@@ -147,7 +147,7 @@ class DiagnosisResult:
             number: new if term.key in added else held.get(term.key, "")
             for number, term in enumerate(model.terms)
         }
-        provenance = {
+        provenance: dict[str, str | int | float] = {
             "session_hash": self.session_hash,
             "rows": len(found.train),
             "verdict": found.verdict,
