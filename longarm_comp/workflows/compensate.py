@@ -30,7 +30,7 @@ from longarm_comp.sessions.csv import XYZ, joint_names
 from longarm_comp.sessions.read import read_session
 from longarm_comp.sessions.table import WriteTable, write_table
 from longarm_comp.sessions.targets import Targets
-from longarm_comp.workflows.error_table import bars
+from longarm_comp.workflows.evaluate import bars
 from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
 
 if TYPE_CHECKING:
