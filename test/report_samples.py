@@ -12,9 +12,9 @@ from longarm_comp.report.detail import (
     Detail,
     Input,
     Marked,
+    PageTable,
     SeenRows,
     SetSplit,
-    Table,
 )
 
 Diagnosis = tuple[dict[str, Any], Detail]
@@ -201,7 +201,7 @@ def base(rng: np.random.Generator) -> Diagnosis:
         held_out=rows,
         before="nominal",
         after="calibrated",
-        detectable=Table(
+        detectable=PageTable(
             "Smaller ones may exist.",
             ("Effect", "Where", "Parameter", "Size", "Unit", "At the tip, mm RMS"),
             (
@@ -282,7 +282,7 @@ def named(rng: np.random.Generator) -> Diagnosis:
         held_out=rows,
         marked=(Marked(line, {"joint 2": line[2]}),),
         guilty=("approach", "q2"),
-        correlation=Table(
+        correlation=PageTable(
             "Strongest correlations of every parameter",
             ("Parameter", "Geometry (correlation)"),
             (("backlash joint 2 gap", "dh_error joint 1 a (+0.41), dh_error joint 3 d (−0.22)"),),

@@ -23,8 +23,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.report import record
-from longarm_comp.workflows.apply import apply, changes
-from longarm_comp.workflows.at_work import undo
+from longarm_comp.workflows.apply import apply, changes, undo
 from longarm_comp.workflows.inputs import file_hash, load_predictor
 from longarm_comp.workflows.train import TrainedPredictor, train
 

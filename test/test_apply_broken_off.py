@@ -19,8 +19,7 @@ from small_arm import ARM
 
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.model_file import load_model
-from longarm_comp.workflows.apply import apply
-from longarm_comp.workflows.at_work import undo
+from longarm_comp.workflows.apply import apply, undo
 from longarm_comp.workflows.inputs import admitted, load_predictor
 
 STEPS = ("replace", "unlink")

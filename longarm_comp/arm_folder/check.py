@@ -93,8 +93,8 @@ def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
         yield declared(f"arm.yaml: links.{beam.name}", text)
     sag = 1e3 * float(np.linalg.norm(model.tip(at) - rigid.tip(at)))
     joints = []
-    for name, row, value in zip(arm.joint_names, arm.commanded, at, strict=True):
-        turns = arm.joints[row - 1].type == "revolute"
+    for name, number, value in zip(arm.joint_names, arm.commanded, at, strict=True):
+        turns = arm.joints[number - 1].type == "revolute"
         joints.append(f"{name} {math.degrees(value) if turns else 1e3 * value:.0f} ")
         joints[-1] += "deg" if turns else "mm"
     said = f"held out to {out.max():.2f} m ({', '.join(joints)}) the tip sags by {sag:.3g} mm. "

@@ -109,5 +109,5 @@ def _facing(turns: np.ndarray, axes: Iterable[np.ndarray]) -> tuple[np.ndarray, 
     return axis, cv2.Rodrigues(plate)[0].ravel()
 
 
-def _rounded(values: np.ndarray, digits: int) -> list[float]:
+def _rounded(values: np.ndarray, digits: int) -> list[Any]:
     return [round(float(v), digits) + 0.0 for v in values]

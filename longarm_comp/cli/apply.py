@@ -75,9 +75,9 @@ def undo(model: Path) -> None:
     Example:
       longarm undo model.yaml
     """
-    from longarm_comp.workflows import at_work
+    from longarm_comp.workflows import apply as workflow
 
-    back = at_work.undo(model)
+    back = workflow.undo(model)
     note(f"{model} is the previous version again")
     if back is not None:
         note(f"{back} is the predictor that belongs to it")

@@ -30,7 +30,7 @@ class Entry(NamedTuple):
 
 COMMANDS = (
     Entry("init", "init", "Write an arm's folder: arm.yaml, servos, cameras, marker."),
-    Entry("check", "check", "List what an arm's folder lacks or nobody has measured."),
+    Entry("check", "init:check", "List what an arm's folder lacks or nobody has measured."),
     Entry("calibrate", "calibrate", "Fit geometry and declared effects to a session."),
     Entry("train", "train", "Train SSA-BP on the residual of the model."),
     Entry("compensate", "compensate", "Compute joint commands that bring the real tip to targets."),

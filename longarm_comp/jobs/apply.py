@@ -12,8 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.graph_client import GraphClient, Interrupted
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.workflows.apply import Applied, apply
-from longarm_comp.workflows.at_work import undo
+from longarm_comp.workflows.apply import Applied, apply, undo
 from longarm_comp.workflows.inputs import Note, log_note
 
 

@@ -40,7 +40,7 @@ _MOVE_S = 0.5
 Line = tuple[str | float | None, ...]
 
 
-class Table(NamedTuple):
+class PageTable(NamedTuple):
     """A table of the page: its cells are text, numbers, or None for a dash."""
 
     caption: str
@@ -119,11 +119,11 @@ class Detail:
     before: str = "calibrated"
     after: str = "with_effects"
     guilty: tuple[str, ...] = ()
-    correlation: Table | None = None
-    detectable: Table | None = None
+    correlation: PageTable | None = None
+    detectable: PageTable | None = None
     splits: tuple[SetSplit, ...] = ()
-    encoders: Table | None = None
-    rings: Table | None = None
+    encoders: PageTable | None = None
+    rings: PageTable | None = None
     marked: tuple[Marked, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
 
@@ -151,7 +151,7 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
     )
 
 
-def rings(model: Model) -> Table | None:
+def rings(model: Model) -> PageTable | None:
     """How a model rings at both ends of its joints and in their middle, in that order."""
     arm, damping = model.arm, model.arm.damping or USUAL_DAMPING
     at = {"lower ends": arm.lower, "middle": arm.mid, "upper ends": arm.upper}
@@ -169,7 +169,7 @@ def rings(model: Model) -> Table | None:
         f"{damping:.3g} ({'assumed' if arm.damping is None else 'arm.yaml'})"
     )
     head = ("Joints at their", "as declared, Hz", "this model, Hz", "still after, s")
-    return Table(caption, head, rows)
+    return PageTable(caption, head, rows)
 
 
 def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
@@ -214,7 +214,7 @@ def _size(diagnosis: Diagnosis, term: Term) -> float:
     return max((abs(getattr(term, p.name)) / p.prior for p in parameters if p.prior > 0), default=0)
 
 
-def _correlation(diagnosis: Diagnosis) -> Table | None:
+def _correlation(diagnosis: Diagnosis) -> PageTable | None:
     """The five strongest of each parameter, by their posterior."""
     found = {t.key for f in diagnosis.findings for t in f.terms}
     fit, called = diagnosis.fit, diagnosis.arm.called
@@ -232,10 +232,10 @@ def _correlation(diagnosis: Diagnosis) -> Table | None:
         named = (f"{labels[rest[j]]} ({r[j]:+.2f})".replace("-", "−") for j in first)
         rows.append((labels[k], ", ".join(named)))
     caption = "Strongest correlations of every parameter"
-    return Table(caption, ("Parameter", "Geometry (correlation)"), tuple(rows))
+    return PageTable(caption, ("Parameter", "Geometry (correlation)"), tuple(rows))
 
 
-def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> Table:
+def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> PageTable:
     """One line per effect and place, without families."""
     rows: list[Line] = []
     for (name, place), one in sorted(best_forms(tried).items()):
@@ -248,7 +248,7 @@ def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> Table:
         rows.append((name, where, p.name, *(size if np.isfinite(one.size) else unseen)))
     caption = "A smaller effect may exist; these data cannot show it."
     head = ("Effect", "Where", "Parameter", "Size", "Unit", "At the tip, mm RMS")
-    return Table(caption, head, tuple(rows))
+    return PageTable(caption, head, tuple(rows))
 
 
 def _split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
@@ -273,7 +273,7 @@ def _split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
     return SetSplit(found.names, reason, by.q, sides, by.log_bayes_factor)
 
 
-def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> Table | None:
+def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable | None:
     """None where no joint is read."""
     fit = diagnosis.fit
     rows, names = fit.session, diagnosis.arm.joint_names
@@ -294,7 +294,7 @@ def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> Table | None:
         "Reading − command, over the fitted rows. Effects before an encoder show here; effects"
     )
     head = ("Joint", "mean", "spread, RMS", "largest from mean", "left by the model, RMS", "noise")
-    return Table(caption, (*head, "Unit"), tuple(lines))
+    return PageTable(caption, (*head, "Unit"), tuple(lines))
 
 
 def _marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:

@@ -38,7 +38,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored, restore, save_model, store
 from longarm_comp.version import __version__
 from longarm_comp.workflows import inputs
-from longarm_comp.workflows.error_table import ErrorTable
+from longarm_comp.workflows.evaluate import ErrorTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

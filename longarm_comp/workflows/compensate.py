@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,7 +30,7 @@ from longarm_comp.sessions.csv import XYZ, joint_names
 from longarm_comp.sessions.read import read_session
 from longarm_comp.sessions.table import WriteTable, write_table
 from longarm_comp.sessions.targets import Targets
-from longarm_comp.workflows.error_table import bars
+from longarm_comp.workflows.evaluate import bars
 from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
 
 if TYPE_CHECKING:
@@ -61,12 +61,8 @@ class Commands(Sequence[Compensation]):
         """Result of each target."""
         return tuple(each.outcome for each in self.arrivals)
 
-    @overload
-    def __getitem__(self, k: int) -> Compensation: ...
-    @overload
-    def __getitem__(self, k: slice) -> tuple[Compensation, ...]: ...
-    def __getitem__(self, k: int | slice) -> Compensation | tuple[Compensation, ...]:
-        return self.results[k] if isinstance(k, slice) else self.arrivals[k].outcome
+    def __getitem__(self, k: Any) -> Any:
+        return self.results[k]
 
     @property
     def command(self) -> np.ndarray:

@@ -36,7 +36,7 @@ from longarm_comp.sessions.poses import FILE, write_poses
 from longarm_comp.version import __version__
 from longarm_comp.workflows import inputs
 from longarm_comp.workflows.calibrate import kind_from
-from longarm_comp.workflows.error_table import ErrorTable
+from longarm_comp.workflows.evaluate import ErrorTable
 from longarm_comp.workflows.train import training_rows
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ class DiagnosisResult:
             number: new if term.key in added else held.get(term.key, "")
             for number, term in enumerate(model.terms)
         }
-        provenance = {
+        provenance: dict[str, str | int | float] = {
             "session_hash": self.session_hash,
             "rows": len(found.train),
             "verdict": found.verdict,

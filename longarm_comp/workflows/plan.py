@@ -102,8 +102,8 @@ def plan(
         raise InputError("plan", "kind", kind, f"{' or '.join(_OPTIMAL)}, with model or rows")
     where = declared_model(within)
     if (kind == "next") != (report is not None):
-        allowed = "a diagnosis folder with --kind next, i-optimal or d-optimal, only"
-        raise InputError("plan", "--report", report, allowed)
+        only = "a diagnosis folder with --kind next, i-optimal or d-optimal, only"
+        raise InputError("plan", "--report", report, only)
     if report is not None:
         asked = read_next_poses(report, arm, n)
         free = np.flatnonzero(allowed(asked, where))
