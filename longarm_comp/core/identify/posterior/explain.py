@@ -246,7 +246,7 @@ class _Search:
         try:
             model = _with(self.base, state.fit.model, terms)
             begun = self._begun(model, state.fit, near=state.fit)
-            return self._standing(begun, found, state.fit)[0]
+            return self._standing(begun, found)[0]
         except JobError:
             return -math.inf
 
