@@ -18,10 +18,10 @@ from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.give import TOLERANCES
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.posterior.offers import offered
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
-from longarm_comp.core.identify.posterior.tolerance import TOLERANCES
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.strict_yaml import read_yaml

@@ -67,7 +67,7 @@ def test_all_else_is_a_tenth_as_much_off_as_what_gives_way() -> None:
     columns, offered = columns_at(fitted), found(0.0).search.candidates
     every = distinct(offered)
     white, sizes = a_little(columns, offered)
-    np.testing.assert_allclose(white, columns.scaled(every).b)
+    np.testing.assert_allclose(white, columns.white(every))
     for size, slot in zip(sizes, slots_of(ARM, every), strict=True):
         assert size == (GIVE if slot.owner.elastic else LITTLE)
 

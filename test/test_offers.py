@@ -33,7 +33,7 @@ from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.give import with_usual
+from longarm_comp.core.identify.give import Slack, with_usual
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, instead
@@ -41,7 +41,6 @@ from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import offered, tolerances
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
-from longarm_comp.core.identify.posterior.tolerance import Slack
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
 from studies.outside import PumpShake, RubberStop

@@ -15,7 +15,6 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
-from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import OUTLIER
 from longarm_comp.core.identify.model_fit import ModelFit
@@ -70,7 +69,7 @@ def test_rows_set_aside_on_the_wrong_side_move_the_threshold(
 ) -> None:
     found = fitted(arm, rows, dataclasses.replace(PLAY, gate=gate, blend=blend))
     assert len(found.outliers) > 1
-    moved = refined(found, columns_at(found), play_of(found), tried(arm, rows))
+    moved = refined(found, play_of(found), tried(arm, rows))
     assert isinstance(moved, Backlash)
     assert moved.gate == pytest.approx(0.1, abs=0.01)
     assert moved.blend < 0.03
@@ -82,8 +81,7 @@ def test_a_threshold_that_rows_agree_on_stays(arm: Arm, rows: Session) -> None:
     xyz[[3, 40, 71]] += 0.02
     for session in (rows, dataclasses.replace(rows, xyz=xyz)):
         found = fitted(arm, session, PLAY, JointCompliance(2))
-        columns = columns_at(found)
-        moved = refined(found, columns, play_of(found), tried(arm, rows))
+        moved = refined(found, play_of(found), tried(arm, rows))
         assert moved.gate == pytest.approx(0.1, abs=0.01)  # type: ignore[union-attr]
     assert (np.abs(found.residual[[3, 40, 71]]) > OUTLIER * SIGMA).any(axis=1).all()
 

@@ -16,7 +16,7 @@ from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import Errors
-from longarm_comp.core.identify.plausible import check_placed
+from longarm_comp.core.identify.plausible import displaced
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
@@ -119,7 +119,8 @@ def train(
     whole = admitted(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
     located = whole.take(whole.located)
-    check_placed(base, located)
+    if far := displaced(base, located):
+        raise JobError(far, session=located.source)
     if partly := int((whole.seen & ~whole.located).sum()):
         note(f"{whole.source}: {partly} rows hold no whole position: the network leaves them out")
     factors = None if weights is None else np.asarray(weights, dtype=float)

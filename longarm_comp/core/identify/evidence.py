@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -22,29 +21,13 @@ def columns_at(fitted: ModelFit) -> FitColumns:
     return cast(FitColumns, held)
 
 
-@dataclass(frozen=True)
-class Scaled:
-    """Prior-scaled columns of some terms in units of the noise.
-
-    Attributes:
-        b: (m, k) columns.
-        lower, upper: (k,) bounds of the parameters in prior standard deviations.
-        widths: (k,) prior standard deviations.
-    """
-
-    b: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    widths: np.ndarray
-
-
 class FitColumns(CandidateColumns):
     """Columns of candidates at a fit, each computed once."""
 
     def __init__(self, fitted: ModelFit) -> None:
         super().__init__(fitted.model, fitted.posture, fitted.session)
         self._fitted = fitted
-        self._scaled: dict[tuple[object, ...], Scaled] = {}
+        self._white: dict[tuple[object, ...], np.ndarray] = {}
 
     def without(self, places: Container[tuple[str, str]]) -> Marginal:
         """Evidence on top of the fit, the terms at some places taken out of it.
@@ -60,17 +43,12 @@ class FitColumns(CandidateColumns):
                 data = data + fitted.whitened(self.shift([term])[..., None])[:, 0]
         return Marginal(fitted.design[:, kept], data, fitted.gram[np.ix_(kept, kept)])
 
-    def scaled(self, terms: Sequence[Term]) -> Scaled:
-        """Columns of some terms side by side."""
+    def white(self, terms: Sequence[Term]) -> np.ndarray:
+        """(m, k) columns of some terms side by side, in units of the noise."""
         known = tuple(term.variant for term in terms)
-        if known not in self._scaled:
-            slots = slots_of(self.model.arm, terms)
-            widths = priors(slots)
-            lower = np.array([s.parameter.lower for s in slots]) / widths
-            upper = np.array([s.parameter.upper for s in slots]) / widths
-            b = self._fitted.whitened(self.of(terms))
-            self._scaled[known] = Scaled(b, lower, upper, widths)
-        return self._scaled[known]
+        if known not in self._white:
+            self._white[known] = self._fitted.whitened(self.of(terms))
+        return self._white[known]
 
 
 def shift_of(fitted: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> np.ndarray:

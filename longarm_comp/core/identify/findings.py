@@ -122,7 +122,10 @@ def _finding(name: str, parts: Sequence[FoundEffect]) -> EffectFinding:
         if other in rivals and not _unnamed(rivals[other].candidate)
     ]
     unnamed = next((r for r in ordered if _unnamed(r.candidate)), None)
-    likely = unnamed is not None and unnamed.candidate.name in every
+    other = ""
+    if unnamed is not None and unnamed.candidate.name in every:
+        places = ", ".join(dict.fromkeys(t.place for t in unnamed.candidate.terms))
+        other = f"a function without a name explains as much ({places})"
     return EffectFinding(
         name,
         tuple(t for f in parts for t in f.terms),
@@ -132,17 +135,12 @@ def _finding(name: str, parts: Sequence[FoundEffect]) -> EffectFinding:
         tuple(r for r in named if r.candidate.name in every),
         named[0] if named else None,
         tuple(partial),
-        _alike(unnamed) if likely and unnamed is not None else "",
+        other,
     )
 
 
 def _unnamed(candidate: Candidate) -> bool:
     return not candidate.terms[0].searched
-
-
-def _alike(rival: Rival) -> str:
-    terms = ", ".join(dict.fromkeys(t.place for t in rival.candidate.terms))
-    return f"a function without a name explains as much ({terms})"
 
 
 _MOST = 4
@@ -179,7 +177,10 @@ def sentence(
     if finding.runner_up is not None and not finding.alternatives:
         odds = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
         other = f", runner-up {finding.runner_up.candidate.name} (log odds {odds:.0f})"
-    names, remark = _names(finding)
+    names, remark = " or ".join(finding.names), ""
+    if finding.partial_aliases:
+        part = finding.partial_aliases[0]
+        remark = f"; {part.name} could stand for its {part.part}"
     if finding.unnamed:
         remark += "; or a cause without a name"
     return f"{names}: {said}{other}{remark}"
@@ -209,12 +210,3 @@ def left_in_words(structure: Structure) -> str:
     moved = f", as if {structure.at} moved" if structure.at else ""
     shows = structure.sign or f"depends on {', '.join(structure.inputs)}"
     return f"{size if 1e3 * structure.size_m >= _SAME_MM else 'structure'} {shows}{moved}"
-
-
-def _names(finding: EffectFinding) -> tuple[str, str]:
-    """What a finding may be, and what else could stand for a part of it."""
-    names = " or ".join(finding.names)
-    if not finding.partial_aliases:
-        return names, ""
-    part = finding.partial_aliases[0]
-    return names, f"; {part.name} could stand for its {part.part}"

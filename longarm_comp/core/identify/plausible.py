@@ -72,18 +72,15 @@ def check_carries_over(
         )
 
 
-def check_placed(model: Model, session: Session) -> None:
-    """What a model leaves is learned only where the arm is where it says.
-
-    Args:
-        model: predicts.
-        session: the rows.
-
-    Raises:
-        JobError: the base, or the tip, is somewhere else.
-    """
-    if far := displaced(model, session):
-        raise JobError(far, session=session.source)
+def displaced(model: Model, session: Session) -> str:
+    """How far the arm is from where a model puts it, in words; empty where it is there."""
+    off = _off(model, session)
+    return (
+        f"the arm is {1e3 * off:.3g} mm from where the model expects it; "
+        "calibrate first, which finds base and tip, and use that model"
+        if off
+        else ""
+    )
 
 
 def check_fits(model: Model, session: Session) -> None:
@@ -102,17 +99,6 @@ def check_fits(model: Model, session: Session) -> None:
             "check their order, the units and the names of joints and anchors",
             session=session.source,
         )
-
-
-def displaced(model: Model, session: Session) -> str:
-    """How far the arm is from where a model puts it, in words; empty where it is there."""
-    off = _off(model, session)
-    return (
-        f"the arm is {1e3 * off:.3g} mm from where the model expects it; "
-        "calibrate first, which finds base and tip, and use that model"
-        if off
-        else ""
-    )
 
 
 def _off(model: Model, session: Session) -> float:

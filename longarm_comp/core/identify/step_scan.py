@@ -14,7 +14,7 @@ import numpy as np
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.evidence import FitColumns
+from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import slots_of
 
@@ -30,18 +30,16 @@ BEST = 8
 """Peaks of the first look, which leaves out what geometry takes up, that are looked at closely."""
 
 
-def scan(
-    fitted: ModelFit, columns: FitColumns, kind: type[Effect], need: float
-) -> tuple[Candidate, ...]:
+def scan(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, ...]:
     """The best step of every joint that declares none and has none in the model.
 
     Args:
         fitted: geometry, and what was found so far.
-        columns: of candidates at its rows.
         kind: the effect (`Effect.of_step`).
         need: log evidence that a step must have, its own price paid.
     """
-    arm, marginal, kept = fitted.model.arm, columns.without(()), fitted.weights > 0
+    arm, kept, columns = fitted.model.arm, fitted.weights > 0, columns_at(fitted)
+    marginal = columns.without(())
     have = {joint for t in fitted.model.effects if isinstance(t, kind) for joint in t.joints}
     rows = [row for row in arm.commanded if row not in have]
     motions = [JointZero(row) for row in rows]

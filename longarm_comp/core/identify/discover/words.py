@@ -88,59 +88,49 @@ class Traits:
         return tuple(dict.fromkeys(held))
 
 
-@dataclass(frozen=True)
-class Likeness:
-    """A physical cause that would look like it."""
-
-    words: str
-    fits: Callable[[Traits], bool]
-
-
-READINGS = (
-    Likeness("an error of what is measured, not of the arm", lambda t: t.camera),
-    Likeness(
+READINGS: tuple[tuple[str, Callable[[Traits], bool]], ...] = (
+    ("an error of what is measured, not of the arm", lambda t: t.camera),
+    (
         "a common supply that sags as the loads add up",
         lambda t: t.quantity(LoadSum) and len(t.places) > 1,
     ),
-    Likeness("play or friction", lambda t: t.quantity(JointSide)),
-    Likeness(
+    ("play or friction", lambda t: t.quantity(JointSide)),
+    (
         "a seat or clearance that flips with the load",
         lambda t: t.switched_by(JointLoad, Moment, Gravity),
     ),
-    Likeness("a spring or cable between the two places", lambda t: t.quantity(Span)),
-    Likeness("a contact, a stop or a taut cable", lambda t: t.shape(Above, Below)),
-    Likeness("a part that changes over at one position", lambda t: t.shape(Switch)),
-    Likeness("something thermal", lambda t: t.quantity(Warmth)),
-    Likeness("drift", lambda t: TIME in t.columns),
-    Likeness("something that depends on the recorded column", lambda t: bool(t.columns)),
-    Likeness(
+    ("a spring or cable between the two places", lambda t: t.quantity(Span)),
+    ("a contact, a stop or a taut cable", lambda t: t.shape(Above, Below)),
+    ("a part that changes over at one position", lambda t: t.shape(Switch)),
+    ("something thermal", lambda t: t.quantity(Warmth)),
+    ("drift", lambda t: TIME in t.columns),
+    ("something that depends on the recorded column", lambda t: bool(t.columns)),
+    (
         "a hose, chain or cable that is lifted",
         lambda t: t.acts(Weight) and t.quantity(JointPosition),
     ),
-    Likeness("a mass that is not declared", lambda t: t.acts(Weight)),
-    Likeness("a soft part that yields under load", lambda t: t.acts(Give)),
-    Likeness(
+    ("a mass that is not declared", lambda t: t.acts(Weight)),
+    ("a soft part that yields under load", lambda t: t.acts(Give)),
+    (
         "a hose or cable that pulls",
         lambda t: t.acts(Wrench) and t.quantity(JointPosition),
     ),
-    Likeness(
-        "an eccentric gear, pulley or encoder", lambda t: t.shape(Cosine, Sine) and t.acts(Turn)
-    ),
-    Likeness(
+    ("an eccentric gear, pulley or encoder", lambda t: t.shape(Cosine, Sine) and t.acts(Turn)),
+    (
         "a soft part that yields under load",
         lambda t: t.acts(Turn) and t.quantity(JointLoad, Moment, LoadSum),
     ),
-    Likeness("an undeclared weight or spring", lambda t: t.acts(Force) and not t.shapes),
-    Likeness("a joint that does not turn as commanded", lambda t: t.acts(Turn)),
+    ("an undeclared weight or spring", lambda t: t.acts(Force) and not t.shapes),
+    ("a joint that does not turn as commanded", lambda t: t.acts(Turn)),
 )
-"""What fits, the most telling first."""
+"""Physical causes that would look like it, and whether they fit; the most telling first."""
 
 
 def reading(terms: Sequence[Found]) -> str:
     """What terms behave like together; never what they are."""
     traits = Traits(terms)
-    words = next((r.words for r in READINGS if r.fits(traits)), "no known cause")
-    return f"behaves like {words}" if words != "no known cause" else words
+    words = (f"behaves like {words}" for words, fits in READINGS if fits(traits))
+    return next(words, "no known cause")
 
 
 def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> str:

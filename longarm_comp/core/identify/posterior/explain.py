@@ -17,9 +17,9 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
-from longarm_comp.core.identify.evidence import FitColumns, columns_at
+from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit, unfitted
-from longarm_comp.core.identify.give import with_give, with_usual
+from longarm_comp.core.identify.give import TOLERANCES, Slack, with_give, with_usual
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
@@ -34,11 +34,9 @@ from longarm_comp.core.identify.posterior.offered_effects import Explained, Offe
 from longarm_comp.core.identify.posterior.offers import offered
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
-from longarm_comp.core.identify.posterior.tolerance import BARE, TOLERANCES, Slack
 from longarm_comp.core.identify.step_scan import scan
 from longarm_comp.core.model.model import Model
 
-Functions = Callable[[ModelFit, Sequence[FoundEffect]], tuple[Proposition, ...]]
 ROUNDS = 8
 """Of posterior and fit, at most, of the library and then of functions; three are usual."""
 REFORMED = 3
@@ -67,7 +65,7 @@ class ExplainedSession:
     doubtful: tuple[FoundEffect, ...]
     noise: NoiseEstimate
     candidates: tuple[Candidate, ...]
-    tolerance: Slack = BARE[-1]
+    tolerance: Slack = TOLERANCES[1]
 
     @property
     def chosen(self) -> tuple[Term, ...]:
@@ -116,11 +114,6 @@ class _State:
     fit: ModelFit
     noise: NoiseEstimate
 
-    @property
-    def columns(self) -> FitColumns:
-        """Of candidates at that fit."""
-        return columns_at(self.fit)
-
 
 @dataclass
 class _Search:
@@ -136,14 +129,13 @@ class _Search:
 
     def run(self, functions: bool, say: Callable[[str], None]) -> ExplainedSession:
         say("geometry")
-        state = self._repeated(self._fitted(self.base, (), None), say, None)
-        state = self._repeated(self._levelled(state), say, None)
+        state = self._repeated(self._fitted(self.base, (), None), say)
+        state = self._repeated(self._levelled(state), say)
         if functions:
-            state = self._repeated(state, say, propositions)
+            state = self._repeated(state, say, functions=True)
         state, doubtful, changed = self._compared(state)
         if changed:
-            offered_last = self.propositions
-            state = self._repeated(state, say, lambda *_: offered_last)
+            state = self._repeated(state, say)
             state, again, _ = self._compared(state)
             held = {t.key for f in (*state.found, *again) for t in f.terms}
             left = (f for f in doubtful if held.isdisjoint(t.key for t in f.terms))
@@ -161,12 +153,13 @@ class _Search:
         )
 
     def _repeated(
-        self, state: _State, say: Callable[[str], None], functions: Functions | None
+        self, state: _State, say: Callable[[str], None], functions: bool = False
     ) -> _State:
-        """Explain and fit as long as a better explanation is found."""
+        """Explain and fit as long as a better explanation is found, by new functions or the last."""
         for _ in range(ROUNDS):
             self._scan(state)
-            self.propositions = functions(state.fit, state.found) if functions else ()
+            if functions:
+                self.propositions = propositions(state.fit, state.found)
             explained = self._explained(state)
             if explained is None:
                 break
@@ -183,7 +176,9 @@ class _Search:
 
     def _explained(self, state: _State) -> Explained | None:
         """The best explanation by any tolerance, where it is better than what stands."""
-        first, *others = sorted(self._offered(state), key=lambda bank: -bank.standing)
+        first, *others = sorted(
+            self._offered(state.fit, state.found), key=lambda bank: -bank.standing
+        )
         begun = first.explained()
         best = max((begun, *(o.explained(begun) for o in others)), key=lambda e: e.evidence)
         return best if best.evidence >= first.standing + BETTER else None
@@ -209,10 +204,7 @@ class _Search:
         self, fitted: ModelFit, found: Sequence[FoundEffect], near: ModelFit | None = None
     ) -> tuple[float, Slack]:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
-        every = offered(
-            fitted, self.candidates, self.propositions, found,
-            TOLERANCES if found else BARE, others=False, near=near,
-        )  # fmt: skip
+        every = self._offered(fitted, found, others=False, near=near)
         return max((bank.pruned, bank.tolerance) for bank in every)
 
     def _compared(self, state: _State) -> tuple[_State, tuple[FoundEffect, ...], bool]:
@@ -222,7 +214,7 @@ class _Search:
         that all else must be explained anew.
         """
         state = self._robust(state)
-        banks = self._offered(state)
+        banks = self._offered(state.fit, state.found)
         found, doubtful = max(banks, key=lambda b: b.standing).judged(state.found, banks)
         sure = tuple(f for f in found if f.there >= CREDIBLE)
         if len(sure) < len(found) and (fewer := self._taken(state, sure)) is not None:
@@ -252,20 +244,27 @@ class _Search:
         try:
             model = self._with(state.fit.model, terms)
             begun = self._begun(model, state.fit, near=state.fit)
-            return self._standing(begun, found, state.fit)[0]
+            return self._standing(begun, found)[0]
         except JobError:
             return -math.inf
 
-    def _offered(self, state: _State) -> list[OfferedEffects]:
+    def _offered(
+        self,
+        fitted: ModelFit,
+        found: Sequence[FoundEffect],
+        others: bool = True,
+        near: ModelFit | None = None,
+    ) -> list[OfferedEffects]:
         """By tolerance; forms count where something is in the model."""
-        tried = TOLERANCES if state.found else BARE
-        library, functions = self.candidates, self.propositions
-        return offered(state.fit, library, functions, state.found, tried)
+        tried = TOLERANCES if found else TOLERANCES[:2]
+        return offered(
+            fitted, self.candidates, self.propositions, found, tried, others=others, near=near
+        )
 
     def _scan(self, state: _State) -> None:
         """Offer the steps that the residual shows."""
         need = NONE + math.log(max(len(self.candidates), 1))
-        shown = [c for kind in self.stepped for c in scan(state.fit, state.columns, kind, need)]
+        shown = [c for kind in self.stepped for c in scan(state.fit, kind, need)]
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
 
     def _taken(self, state: _State, found: tuple[FoundEffect, ...]) -> _State | None:
@@ -296,7 +295,7 @@ class _Search:
             first = fit(model, self.session)
             at = columns_at(first)
         else:
-            first, at = unfitted(model, self.session, before.fit), before.columns
+            first, at = unfitted(model, self.session, before.fit), columns_at(before.fit)
         held = {t.key for f in found for t in f.terms}
         judged, weights = noise_step.from_residual(first, at.of(distinct(self.candidates, held)))
         noise = judged if self.known is None else noise_step.agreed(self.known, judged)
@@ -336,7 +335,7 @@ class _Search:
         if not term.scales():
             return term
         fitted = next(t for t in state.fit.model.terms if t.key == term.key)
-        return refined(state.fit, state.columns, fitted, self.candidates)
+        return refined(state.fit, fitted, self.candidates)
 
 
 def _loose(found: FoundEffect) -> FoundEffect:

@@ -10,11 +10,12 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.evidence import FitColumns, shift_of
+from longarm_comp.core.identify.evidence import columns_at, shift_of
 from longarm_comp.core.identify.linear import OUTLIER
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
@@ -29,28 +30,23 @@ BETTER = 1.0
 the model."""
 
 
-def refined(
-    fit: ModelFit, columns: FitColumns, term: Term, candidates: Sequence[Candidate]
-) -> Term:
+def refined(fit: ModelFit, term: Term, candidates: Sequence[Candidate]) -> Term:
     """The term in the form of highest evidence: of those that were tried, then between them.
 
     As it is, where that is hardly better: a refit costs more than it brings.
 
     Args:
         fit: that holds the term.
-        columns: of candidates at the fit's rows.
         term: as it is in the model.
         candidates: their values of the scales are the tried ones.
     """
-    marginal = columns.without({term.key})
+    marginal = columns_at(fit).without({term.key})
 
     def evidence(terms: Sequence[Term]) -> np.ndarray:
         each = [Candidate(term.name, (t,)) for t in terms]
         return evidence_of_each(fit, marginal, each)
 
-    def agreement(terms: Sequence[Term]) -> np.ndarray:
-        return _agreement(fit, columns, term, terms)
-
+    agreement = partial(_agreement, fit, term)
     scales = term.scales()
     if (fit.weights == 0).any():
         ends = [(float(getattr(term, field)), low) for field, (low, _) in scales.items()]
@@ -93,8 +89,9 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
     return here if best > least else term
 
 
-def _agreement(fit: ModelFit, columns: FitColumns, now: Term, then: Sequence[Term]) -> np.ndarray:
+def _agreement(fit: ModelFit, now: Term, then: Sequence[Term]) -> np.ndarray:
     """(T,) log likelihood of all rows with other forms of a term, none beyond an outlier's."""
+    columns = columns_at(fit)
     columns.of(then)  # all at once: much faster
     here, noise = shift_of(fit, columns, [now]), fit.uneven(fit.session)[:, None] * fit.sigma
     made = []

@@ -13,6 +13,7 @@ from scipy.special import expit
 
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.discover.inputs import levels_of
+from longarm_comp.core.identify.give import Slack
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.found import (
@@ -22,7 +23,6 @@ from longarm_comp.core.identify.posterior.found import (
     smallest_set,
 )
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank, SingleEffect
-from longarm_comp.core.identify.posterior.tolerance import Slack
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
 
@@ -224,7 +224,7 @@ class OfferedEffects:
         price = math.log(max(len(offers[k].keys), 1))
         here = self.bank.evidence(offers) if len(offers[k].keys) > 1 else 0.0
         while len(offers[k].keys) > 1:
-            fewer = [_less(offers[k], key) for key in offers[k].keys]
+            fewer = [offers[k].without({key}) for key in offers[k].keys]
             tried = self.bank.evidences([[*offers[:k], o, *offers[k + 1 :]] for o in fewer])
             least = int(np.argmax(tried))
             if here - tried[least] >= price:
@@ -295,11 +295,3 @@ class OfferedEffects:
                     made.setdefault(name, set()).add(other)
                     made.setdefault(other, set()).add(name)
         return made
-
-
-def _less(offer: Offer, key: object) -> Offer:
-    left = [(k, c) for k, c in zip(offer.keys, offer.columns, strict=True) if k != key]
-    keys, columns = zip(*left, strict=True)
-    return Offer(
-        offer.name, keys, columns, offer.log_prior, offer.sizes, offer.chances, offer.fixed
-    )

@@ -18,14 +18,13 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import columns_at, shift_of
-from longarm_comp.core.identify.give import a_little
+from longarm_comp.core.identify.give import Slack, a_little
 from longarm_comp.core.identify.linear import CHANCES, SIZES, Marginal, marginalised
-from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
-from longarm_comp.core.identify.posterior.tolerance import Slack
 from longarm_comp.core.identify.structure import smooth_in
 from longarm_comp.core.model.model import slots_of
 
@@ -182,7 +181,7 @@ def _beside(
     fitted_now = {t.key for t in fitted.model.terms} - {t.key for f in found for t in f.terms}
     usual = [t for t in distinct(library, fitted_now) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
-    made, sizes = [columns_at(fitted).scaled(usual).b], [every * shares]
+    made, sizes = [columns_at(fitted).white(usual)], [every * shares]
     if any(slack.give for slack in slacks):
         little, size = a_little(columns_at(near or fitted), library)
         made.append(little)
@@ -245,7 +244,7 @@ def _raw(fitted: ModelFit, listed: Sequence[_Listed]) -> _Raw:
         of_term.setdefault(slot.term, []).append(k)
     where = {terms[t].variant: tuple(own) for t, own in of_term.items()}
     columns = columns_at(fitted)
-    scaled = columns.scaled([terms[t] for t in of_term])
+    widths = priors(slots)
     whole = [term for t, term in enumerate(terms) if t not in of_term]
     where |= {term.variant: (len(slots) + k,) for k, term in enumerate(whole)}
     shifts = [fitted.whitened(columns.shift([term])[..., None]) for term in whole]
@@ -257,10 +256,10 @@ def _raw(fitted: ModelFit, listed: Sequence[_Listed]) -> _Raw:
         for k, s in enumerate(slots)
     ]
     return _Raw(
-        np.concatenate([scaled.b, *shifts], axis=1),
+        np.concatenate([columns.white([terms[t] for t in of_term]), *shifts], axis=1),
         where,
-        np.concatenate([np.maximum(scaled.lower, -most), -free]),
-        np.concatenate([np.minimum(scaled.upper, most), free]),
-        np.concatenate([scaled.widths, np.ones(len(whole))]),
+        np.concatenate([np.maximum([s.parameter.lower for s in slots] / widths, -most), -free]),
+        np.concatenate([np.minimum([s.parameter.upper for s in slots] / widths, most), free]),
+        np.concatenate([widths, np.ones(len(whole))]),
         np.array([*like, *range(len(slots), len(slots) + len(whole))], dtype=int),
     )

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Container, Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -59,11 +59,14 @@ class Offer:
 
         One place of several is an offer of its own already.
         """
-        if held.isdisjoint(self.keys):
+        left = sum(key not in held for key in self.keys)
+        if left == len(self.keys):
             return self
+        return None if left < 2 else self.without(held)
+
+    def without(self, held: Container[Hashable]) -> Offer:
+        """It at its other places."""
         left = [(k, c) for k, c in zip(self.keys, self.columns, strict=True) if k not in held]
-        if len(left) < 2:
-            return None
         keys, columns = zip(*left, strict=True)
         return dataclasses.replace(self, keys=keys, columns=columns)
 
