@@ -11,7 +11,7 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE / "made_by")]
 
-from longarm_comp.version import __version__  # noqa: E402  (of this checkout)
+from longarm_comp.version import __version__  # noqa: E402  (of this checkout
 
 project = "longarm_comp"
 author = "longarm_comp developers"

@@ -21,7 +21,7 @@ from touching import (
 )
 
 import longarm_comp as la
-from longarm_comp.core.arm.arm import Tolerance
+from longarm_comp.core.arm.parts import Tolerance
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, errors, posture, spreads

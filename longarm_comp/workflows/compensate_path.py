@@ -17,11 +17,10 @@ from longarm_comp.core.compensation.path import MAX_LONGER
 from longarm_comp.core.compensation.path import compensate_path as solve_path
 from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.compensation.result import CompensationOptions, Method
-from longarm_comp.core.compensation.retime import MotionLimits
+from longarm_comp.core.compensation.retime import CubicPath, MotionLimits
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
-from longarm_comp.math.cubic_path import CubicPath
 from longarm_comp.sessions.csv import joint_names
 from longarm_comp.sessions.targets import Targets
 from longarm_comp.workflows import compensate as points

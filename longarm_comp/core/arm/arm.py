@@ -32,45 +32,19 @@ from longarm_comp.core.arm.parts import (
     Beam,
     Box,
     Cylinder,
-    NonNegative,
+    Mimic,
+    Payload,
+    PointMass,
     Pose,
     Positive,
+    Tip,
+    Tolerance,
     Vec3,
-    called,
 )
-from longarm_comp.core.arm.spatial import IDENTITY, Frame, rpy_frame
+from longarm_comp.core.arm.spatial import IDENTITY
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
-
-
-class Tip(Declared):
-    """The point (and orientation) that is commanded and measured."""
-
-    frame: int = Field(description="row whose frame carries the tip")
-    position_m: Vec3 = (0.0, 0.0, 0.0)
-    rpy_deg: Vec3 = (0.0, 0.0, 0.0)
-
-    def pose(self) -> Frame:
-        """The tip in its frame."""
-        return rpy_frame(self.position_m, tuple(map(math.radians, self.rpy_deg)))  # type: ignore[arg-type]
-
-
-class Mimic(Declared):
-    """URDF's mimic: this joint's value is ``multiplier * joint + offset``."""
-
-    joint: int | str = Field(description="id or name of the commanded joint")
-    multiplier: float = 1.0
-    offset: float = Field(default=0.0, description="rad or m")
-
-
-class Tolerance(Declared):
-    """Prior standard deviations of a row's geometry, from the drawing or the print."""
-
-    a_m: Positive | None = None
-    d_m: Positive | None = None
-    alpha_deg: Positive | None = None
-    theta_deg: Positive | None = None
 
 
 class Joint(Declared):
@@ -180,27 +154,6 @@ class Joint(Declared):
     def step(self) -> float:
         """The servo's step in rad or m; 0 where the joint is continuous."""
         return math.radians(self.step_deg) if self.step_deg is not None else self.step_m or 0.0
-
-
-class PointMass(Declared):
-    """A lumped mass fixed to a frame (servo, gripper, a link given by its centre of mass)."""
-
-    name: str
-    frame: int = Field(ge=0)
-    position_m: Vec3 = (0.0, 0.0, 0.0)
-    mass_kg: NonNegative
-    position_columns: tuple[str, str, str] | None = Field(
-        default=None,
-        description="session columns (m, in the frame) where the mass is, instead of position_m",
-    )
-
-
-class Payload(Declared):
-    """What the arm carries; a session's `payload_kg` column overrides the mass."""
-
-    mass_kg: NonNegative = 0.0
-    frame: int = Field(ge=0)
-    position_m: Vec3 = (0.0, 0.0, 0.0)
 
 
 class Arm(Declared):
@@ -315,7 +268,17 @@ class Arm(Declared):
     def called(self) -> dict[str, str]:
         """What people read for a place that is a row of arm.yaml, where they have another name:
         ``luff (q2)`` for ``joint 4``, ``frame luff`` for ``frame 4``."""
-        return called(self.joints, self.commanded)
+        made: dict[str, str] = {}
+        numbers = {row: f"q{k}" for k, row in enumerate(self.commanded, 1)}
+        for joint in self.joints:
+            row, number = joint.id, numbers.get(joint.id)
+            own = joint.name not in (None, f"joint{row}", f"joint_{row}", number)
+            if own:
+                made |= {f"{kind} {row}": f"{kind} {joint.name}" for kind in ("row", "frame")}
+                made[f"joint {row}"] = f"{joint.name} ({number})" if number else str(joint.name)
+            elif number and number != f"q{row}":
+                made[f"joint {row}"] = f"joint {number}"
+        return made
 
     @cached_property
     def lower(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What `arm.yaml` declares beside rows: placements, beams, cylinders, boxes; names of places."""
+"""What `arm.yaml` declares beside rows: placements, masses, beams, cylinders, boxes."""
 
 from __future__ import annotations
 
@@ -28,6 +28,56 @@ class Pose(Declared):
     def frame(self) -> Frame:
         """As a frame in its parent."""
         return rpy_frame(self.xyz_m, tuple(map(math.radians, self.rpy_deg)))  # type: ignore[arg-type]
+
+
+class Tip(Declared):
+    """The point (and orientation) that is commanded and measured."""
+
+    frame: int = Field(description="row whose frame carries the tip")
+    position_m: Vec3 = (0.0, 0.0, 0.0)
+    rpy_deg: Vec3 = (0.0, 0.0, 0.0)
+
+    def pose(self) -> Frame:
+        """The tip in its frame."""
+        return rpy_frame(self.position_m, tuple(map(math.radians, self.rpy_deg)))  # type: ignore[arg-type]
+
+
+class Mimic(Declared):
+    """URDF's mimic: this joint's value is ``multiplier * joint + offset``."""
+
+    joint: int | str = Field(description="id or name of the commanded joint")
+    multiplier: float = 1.0
+    offset: float = Field(default=0.0, description="rad or m")
+
+
+class Tolerance(Declared):
+    """Prior standard deviations of a row's geometry, from the drawing or the print."""
+
+    a_m: Positive | None = None
+    d_m: Positive | None = None
+    alpha_deg: Positive | None = None
+    theta_deg: Positive | None = None
+
+
+class PointMass(Declared):
+    """A lumped mass fixed to a frame (servo, gripper, a link given by its centre of mass)."""
+
+    name: str
+    frame: int = Field(ge=0)
+    position_m: Vec3 = (0.0, 0.0, 0.0)
+    mass_kg: NonNegative
+    position_columns: tuple[str, str, str] | None = Field(
+        default=None,
+        description="session columns (m, in the frame) where the mass is, instead of position_m",
+    )
+
+
+class Payload(Declared):
+    """What the arm carries; a session's `payload_kg` column overrides the mass."""
+
+    mass_kg: NonNegative = 0.0
+    frame: int = Field(ge=0)
+    position_m: Vec3 = (0.0, 0.0, 0.0)
 
 
 class Tube(Declared):
@@ -199,21 +249,6 @@ class Box(Declared):
 
 _Rows: TypeAlias = Sequence[Any]
 """`Arm.joints`; arm.py reads this file."""
-
-
-def called(joints: _Rows, commanded: Sequence[int]) -> dict[str, str]:
-    """As `Arm.called`, of rows and the ids of those that are commanded."""
-    made: dict[str, str] = {}
-    numbers = {row: f"q{k}" for k, row in enumerate(commanded, 1)}
-    for joint in joints:
-        row, number = joint.id, numbers.get(joint.id)
-        own = joint.name not in (None, f"joint{row}", f"joint_{row}", number)
-        if own:
-            made |= {f"{kind} {row}": f"{kind} {joint.name}" for kind in ("row", "frame")}
-            made[f"joint {row}"] = f"{joint.name} ({number})" if number else str(joint.name)
-        elif number and number != f"q{row}":
-            made[f"joint {row}"] = f"joint {number}"
-    return made
 
 
 def link_places(joints: _Rows) -> list[tuple[int, str, float]]:

@@ -13,9 +13,8 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import (
-    BLEND,
-    GATES,
     JointTerm,
+    RestingTerm,
     by_drive,
     typical_loads,
     with_prior,
@@ -111,15 +110,10 @@ class GuideCurvature(JointTerm):
 
 
 @dataclass(frozen=True)
-class ServoDroop(JointTerm):
+class ServoDroop(RestingTerm):
     """Proportional sag plus deadband: ``sag * torque + deadband * side``.
 
     With no deadband only a reading of the joint tells it from `joint_compliance`.
-
-    Attributes:
-        gate: load under which friction decides the side of the deadband (`JointTerm.side`);
-            0 where the load always does.
-        blend: share of that load over which the two change over.
     """
 
     name = "servo_droop"
@@ -133,12 +127,9 @@ class ServoDroop(JointTerm):
         motor="Raise the gain of the position controller, or add integral action.",
         cable="Raise the gain of the position controller, or measure the angle at the joint.",
     )
-    loaded = True
     aliases = ("joint_compliance",)  # a sag is a compliance
     limit_aliases = ("backlash",)  # without sag
 
-    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
-    blend: float = form(BLEND, lower=0.01, upper=0.5)
     sag: float = parameter("rad/(N m)", "proportional droop per torque", prior=4e-3, lower=0.0)
     deadband: float = parameter("rad", "half-width of the deadband", prior=5e-3, lower=0.0)
 
@@ -157,7 +148,7 @@ class ServoDroop(JointTerm):
             raise InputError(self.name, "approach", "missing", "a recorded column of the session")
 
     def twists(self, posture: Posture) -> Twists:
-        resting = self.deadband * self.side(posture, self.gate, self.blend)
+        resting = self.deadband * self.side(posture)
         return self.motion(posture, self.sag * self.load(posture) + resting)
 
 

@@ -16,11 +16,11 @@ from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import play
 from longarm_comp.core.arm.posture import Chain, Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar, Twist
-from longarm_comp.core.effects.effect import Drive, Effect, Parameter, Sites, place
+from longarm_comp.core.effects.effect import Drive, Effect, Parameter, Sites, form, place
 from longarm_comp.core.effects.sites import moving_joints
 
 GATES = (0.0, 0.03, 0.075, 0.15, 0.3, 0.75)
-"""Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
+"""Loads below which friction may hold a joint (`RestingTerm.side`), of the arm's typical ones."""
 BLEND = 1 / 6
 """Share of such a load over which friction and load change over, where it is not known."""
 _POSES = 64
@@ -98,29 +98,6 @@ class JointTerm(Effect):
         """Its `joint_load`."""
         return joint_load(posture, self.joint)
 
-    def side(self, posture: Posture, gate: float, blend: float = BLEND) -> Scalar:
-        """Resting side of a joint with play or a deadband, -1 to +1.
-
-        Above a threshold the load pushes the joint to its side.  Below it, friction holds the
-        joint where its motion left it: it lags, on the side it came from.  The transition is
-        gradual, as under a nearly balanced load.
-
-        Args:
-            gate: the threshold, as a share of the arm's typical torque (`typical_loads`), or of
-                a quarter of its weight for a slide.
-            blend: share of the threshold over which the side changes over.
-        """
-
-        def found() -> Scalar:
-            load = self.load(posture)
-            force, torque = typical_loads(posture.arm)
-            threshold = gate * (force / 4 if self.slides(posture.arm) else torque)
-            settled = (abs(load) - threshold - _RESTING) / (blend * threshold + 0.1 * _RESTING)
-            share = 0.5 + 0.5 * spatial.tanh(settled)
-            return share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
-
-        return posture.once(("side", self.joint, gate, blend), found)
-
     def direction(self, posture: Posture) -> Scalar:
         """Side that the joint arrived from, -1, 0 (unknown) or +1."""
         return self._history(posture, "approach")[0]
@@ -139,6 +116,41 @@ class JointTerm(Effect):
 
     def _history(self, posture: Posture, name: str) -> tuple[Scalar, ...]:
         return posture.context.of_joint(name, posture.arm.commanded.index(self.joint))
+
+
+@dataclass(frozen=True)
+class RestingTerm(JointTerm):
+    """An effect of a joint with play or a deadband, which rests on one side of it.
+
+    Attributes:
+        gate: threshold of the load under which friction decides the side, as a share of the arm's
+            typical torque (`typical_loads`), or of a quarter of its weight for a slide; 0: the
+            load always does.
+        blend: share of the threshold over which the side changes over.
+    """
+
+    loaded = True
+
+    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
+    blend: float = form(BLEND, lower=0.01, upper=0.5)
+
+    def side(self, posture: Posture) -> Scalar:
+        """Resting side, -1 to +1.
+
+        Above the threshold the load pushes the joint to its side.  Below it, friction holds the
+        joint where its motion left it: it lags, on the side it came from.  The transition is
+        gradual, as under a nearly balanced load.
+        """
+
+        def found() -> Scalar:
+            load = self.load(posture)
+            force, torque = typical_loads(posture.arm)
+            threshold = self.gate * (force / 4 if self.slides(posture.arm) else torque)
+            settled = (abs(load) - threshold - _RESTING) / (self.blend * threshold + 0.1 * _RESTING)
+            share = 0.5 + 0.5 * spatial.tanh(settled)
+            return share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
+
+        return posture.once(("side", self.joint, self.gate, self.blend), found)
 
 
 def joint_load(posture: Posture, joint: int) -> Scalar:

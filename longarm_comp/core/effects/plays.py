@@ -11,9 +11,8 @@ from longarm_comp.core.arm.parts import Beam
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import (
-    BLEND,
-    GATES,
     JointTerm,
+    RestingTerm,
     by_drive,
     typical_loads,
     with_prior,
@@ -21,15 +20,10 @@ from longarm_comp.core.effects.joint_term import (
 
 
 @dataclass(frozen=True)
-class Backlash(JointTerm):
+class Backlash(RestingTerm):
     """``+-width/2`` to the side of the gravity torque where that exceeds a threshold.
 
-    Below the threshold friction holds the joint on the side it came from (`JointTerm.side`).
-
-    Attributes:
-        gate: load under which the approach direction decides, as a share of the arm's
-            typical torque (`typical_loads`), or of a quarter of its weight for a slide.
-        blend: share of that load over which the two change over.
+    Below the threshold friction holds the joint on the side it came from.
     """
 
     name = "backlash"
@@ -41,11 +35,8 @@ class Backlash(JointTerm):
         cable="Raise the cables' pretension; look for worn sheaves.",
     )
     needs = ("approach",)
-    loaded = True
     limit_aliases = ("friction_hysteresis",)  # load decides nowhere
 
-    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
-    blend: float = form(BLEND, lower=0.01, upper=0.5)
     width: float = parameter("rad", "full width of the play", prior=0.02, lower=0.0)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
@@ -55,21 +46,18 @@ class Backlash(JointTerm):
         return self.declared()
 
     def twists(self, posture: Posture) -> Twists:
-        return self.motion(posture, (0.5 * self.width) * self.side(posture, self.gate, self.blend))
+        return self.motion(posture, (0.5 * self.width) * self.side(posture))
 
 
 @dataclass(frozen=True)
-class CylinderPlay(JointTerm):
+class CylinderPlay(RestingTerm):
     """As `Backlash`, but worn pins shift the cylinder: the joint turns by play over lever."""
 
     name = "cylinder_play"
     title = "play in the cylinder's pins"
     action = "Renew the pins and bushes of the cylinder."
     needs = ("approach",)
-    loaded = True
 
-    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
-    blend: float = form(BLEND, lower=0.01, upper=0.5)
     width: float = parameter("m", "play of both pins along the cylinder", prior=1e-3, lower=0.0)
 
     @classmethod
@@ -80,8 +68,7 @@ class CylinderPlay(JointTerm):
         cylinder = posture.arm.joints[self.joint - 1].cylinder
         assert cylinder is not None
         lever = spatial.absolute(cylinder.lever(self.command(posture)))
-        side = self.side(posture, self.gate, self.blend)
-        return self.motion(posture, 0.5 * self.width / lever * side)
+        return self.motion(posture, 0.5 * self.width / lever * self.side(posture))
 
 
 @dataclass(frozen=True)

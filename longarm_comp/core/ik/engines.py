@@ -26,7 +26,7 @@ from longarm_comp.core.ik.kernel import Kernel, kernel_of, tip_and_jacobian
 from longarm_comp.core.model.model import Model
 
 _FEW = 4  # number of targets up to which plain Python is faster than arrays
-_NOTHING = Context.empty().layout
+NOTHING = Context.empty().layout
 _THIN = 0.7  # share of active columns below which the finished ones are removed
 
 
@@ -288,7 +288,7 @@ def rows_of(blocks: np.ndarray, kernel: Kernel, name: str, count: int) -> np.nda
 
 def _model(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
     """The search on arrays, with the model's own code and all load passes at every step."""
-    kernel = kernel_of(Model(model.arm), _NOTHING)
+    kernel = kernel_of(Model(model.arm), NOTHING)
     out = kernel.slice("out")
 
     def evaluate(s: np.ndarray) -> None:

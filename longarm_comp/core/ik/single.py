@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.context import Context, Layout
-from longarm_comp.core.ik.engines import Engine, is_compiled
+from longarm_comp.core.ik.engines import NOTHING, Engine, is_compiled
 from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.model.model import Model
 
 _Key = tuple[Layout | None, int, float, int]  # layout, equations, tolerance, iterations
 # joints (n,); position (m) and angle (rad) residuals, iterations, fault
 _Found = tuple[np.ndarray, list[float]]
-
-_NOTHING = Context.empty().layout
 
 
 class _Workspace:
@@ -90,7 +88,7 @@ def solve_compiled(
     tasks: dict[Any, _Task] = model.__dict__.setdefault("_tasks", {})
     task = tasks.get(key)
     if task is None:
-        layout = key[0] or _NOTHING
+        layout = key[0] or NOTHING
         if not layout.traceable or not options[1] > 0:
             return None
         kernel = kernel_of(model, layout)

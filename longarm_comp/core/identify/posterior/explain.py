@@ -155,7 +155,7 @@ class _Search:
     def _repeated(
         self, state: _State, say: Callable[[str], None], functions: bool = False
     ) -> _State:
-        """Explain and fit as long as a better explanation is found, by new functions or the last."""
+        """Explain and fit while a better explanation is found, by new functions or the last."""
         for _ in range(ROUNDS):
             self._scan(state)
             if functions:
