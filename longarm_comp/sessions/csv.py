@@ -17,7 +17,7 @@ import yaml
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.arm.measuring import KnownDistance, Touches, known_distances
-from longarm_comp.core.data.kinds import KINDS
+from longarm_comp.core.data.kinds import KINDS, Kind
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
@@ -56,13 +56,27 @@ def _read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.nd
     joints = (KINDS[name] for name in table.header if re.fullmatch(r"read_q[1-9]\d*", name))
     for kind in (*_FURTHER, *joints):
         if table.has(kind.cells):  # none of a kind that a text measures
-            readings[kind.name] = table.block(kind.cells, kind.unit, True)
+            readings[kind.name] = _read(table, kind)
             if kind.sigma in table.cells:
                 unit = f"{kind.unit}, above 0"
                 sigmas[kind.name] = table.numbers(kind.sigma, unit, True, lambda v: v > 0)
         elif kind.sigma and kind.sigma in table.cells:
             check_header(table.where, table.header, kind.cells)
     return readings, sigmas
+
+
+def _read(table: Table, kind: Kind) -> np.ndarray:
+    """Readings of one kind; what the session refuses of a row is refused here by its line."""
+    values = table.block(kind.cells, kind.unit, True)
+    blank = np.isnan(values)
+    for row in np.flatnonzero(blank.any(axis=1) & ~blank.all(axis=1)):
+        column = kind.cells[int(np.argmax(blank[row]))]
+        raise table.error(row, column, f"a number; {', '.join(kind.cells)} all blank where none")
+    nameless = table.blank(kind.label) if kind.label else np.zeros(len(table), dtype=bool)
+    for row in np.flatnonzero(nameless & ~blank.any(axis=1)):
+        field = f"line {table.lines[row]}, {kind.label}"
+        raise InputError(table.where, field, "blank", f"a name beside {kind.cells[0]}")
+    return values
 
 
 def _written_readings(session: Session) -> dict[str, Sequence[object] | np.ndarray]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag
-from typing import TYPE_CHECKING
 
 from longarm_comp.core.errors import JobError
 
@@ -52,10 +51,6 @@ class ServoModel:
     friction: float | None = None
     """Share of full effort that turns it free: its current then over that at a stall; None: its
     data sheet does not say. It bounds what its load tells of a payload."""
-
-
-if TYPE_CHECKING:
-    from longarm_comp.devices.servo_bus.state import ServoState
 
 
 class ServoBusError(JobError):
