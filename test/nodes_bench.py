@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,7 +23,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 ROOT = Path(__file__).resolve().parents[1]
 
-_ASK_AGAIN_S, _MATCHED_S = 8.0, 0.1
+_ASK_AGAIN_S, _MATCHED_S, _TOLD_S = 8.0, 0.1, 2.0
 
 PATIENCE_S = 300.0
 """With what will come: far above what it takes, so that no busy machine fails a test."""
@@ -96,6 +96,22 @@ class Bench:
     def connected(self, publisher: Any) -> None:
         """Wait until somebody listens."""
         self.spin(lambda: publisher.get_subscription_count() > 0)
+
+    def matched(self, publisher: Any, target: Any, stories: Sequence[Any]) -> None:
+        """Publish a target until kinematics tells of it; no other one is on its way then.
+
+        What is sent before the subscriber has matched the publisher too is lost.
+        """
+        header = target.header
+
+        def told() -> bool:
+            return any(story.target.header == header for story in stories)
+
+        while not told():
+            header.stamp = self.node.get_clock().now().to_msg()
+            publisher.publish(target)
+            by = time.monotonic() + _TOLD_S
+            self.spin(lambda by=by: told() or time.monotonic() > by)
 
     def call(self, client: Any, request: Any, within: float = PATIENCE_S) -> Any:
         """The answer of a service.

@@ -15,7 +15,6 @@ from nodes_bench import Bench, bench
 from publishing import publishing
 from rclpy.action import ActionClient
 from rclpy.clock import ClockType, ROSClock
-from rclpy.publisher import Publisher
 from rclpy.time import Time
 from test_nodes_driver_link import ARM, Driver
 from test_nodes_kinematics import pose, request
@@ -70,16 +69,6 @@ class Stand:
         self.stage.spin(lambda: self.stage.call(self.client, ask).success)
         self.stage.spin(lambda: self.stories and self.stories[-1].accepted)
         del self.driver.got[:], self.stories[:]
-
-    def matched(self, targets: Publisher) -> None:
-        """Wait until targets of a publisher arrive, and no other one is on its way."""
-        sent = pose(self.target)
-        heard = lambda: self.stories and self.stories[-1].target.header == sent.header  # noqa: E731
-        while not heard():
-            sent.header.stamp = self.stage.node.get_clock().now().to_msg()
-            targets.publish(sent)
-            by = time.monotonic() + 2.0
-            self.stage.spin(lambda by=by: heard() or time.monotonic() > by)
 
     def facts(self) -> dict[str, int]:
         """The counts of a report that is made from now on."""
@@ -172,7 +161,7 @@ def test_a_flood_of_targets_starves_neither_a_service_nor_the_last_of_them(
     stand = Stand(stage, arm, target_max_age_s=60.0)
     targets, sent = graph.TARGET_POSE.publisher(stage.node), 0
     stand.goes()
-    stand.matched(targets)
+    stage.matched(targets, pose(stand.target), stand.stories)
     before, asked_before = stand.facts(), stage.asked[stand.client]
     poses = [pose(matrix) for matrix in slow_path(arm, 97)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,7 +21,9 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from longarm_comp.nodes.clock import stamp_of
 from longarm_comp.nodes.health import OK, WARN
-from longarm_comp.nodes.monitoring import TipMonitor
+from longarm_comp.nodes.messages import joints_message, trajectory_message
+from longarm_comp.nodes.monitoring import RingTeller, TipMonitor
+from longarm_interfaces.msg import Motion
 
 
 def monitor_of(settle_s: float = 0.0) -> TipMonitor:
@@ -100,3 +103,37 @@ def test_images_of_the_way_that_come_late_are_no_rest_pose() -> None:
     assert monitor.on_tip(PoseWithCovarianceStamped()) is None  # no stamp: it is of now
     monitor._state.now_s = 20.6
     assert monitor.on_tip(PoseWithCovarianceStamped()) is not None
+
+
+@pytest.mark.parametrize("missing", ["a free worker", "a circumstance"])
+def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -> None:
+    """By a model in which nothing bends: only when it is told is asked here."""
+    jobs: list[Callable[[], None]] = []
+    known = [Context.empty()]
+    worker = SimpleNamespace(waiting=0, submit=jobs.append)
+    state = SimpleNamespace(
+        arm=ARM, worker=worker, known=lambda: known[0], driver=SimpleNamespace(acknowledged=True),
+        files=SimpleNamespace(loaded=SimpleNamespace(model=Model(ARM))),
+    )  # fmt: skip
+    teller = RingTeller(state, shaped=False)
+    path = trajectory_message(ARM, np.stack([ARM.mid, ARM.upper]), 0.5, stamp_of(0))
+    taken = Motion(id="a", event=Motion.ACCEPTED, start=joints_message(ARM, ARM.lower))
+    taken.points = path.points
+    if missing == "a free worker":
+        worker.waiting = 1
+    else:
+        known[0] = None
+    teller.told(taken)
+    teller.told(Motion(id="a", event=Motion.REACHED))
+
+    def worked() -> str:
+        """What is said after the worker has done its jobs."""
+        while jobs:
+            jobs.pop()()
+        return teller.report().message
+
+    assert worked() == worked() == "not known, because no move has ended"
+    worker.waiting, known[0] = 0, Context.empty()
+    teller.report()
+    assert worked() == "by this model nothing bends"
+    assert not jobs

@@ -125,8 +125,10 @@ def agree(model, layout, q, context, ways):
         np.testing.assert_allclose(made, want, rtol=0, atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(BUILT_IN))
 def test_each_effect_traced_is_the_effect(arm, name):
+    """Which one it is, where all at once are not the same."""
     q, context = situation(arm)
     own = effects(arm, name)
     if not own:

@@ -249,7 +249,7 @@ class TipMonitor:
 
 
 class RingTeller:
-    """Computes on the worker, when a move has ended and nothing else waits.
+    """Computes on the worker, when a move has ended and as soon as nothing else waits.
 
     Args:
         shaped: whether the driver splits moves so that they leave little ring.
@@ -258,6 +258,7 @@ class RingTeller:
     def __init__(self, state: ArmState, shaped: bool) -> None:
         self._state, self._shaped = state, shaped
         self._move: Any = None
+        self._due: Any = None  # the move whose ring is still to be computed
         self._last: MoveRing | None = None
         self._said = "not known, because no move has ended"
         if not state.driver.acknowledged:
@@ -265,20 +266,25 @@ class RingTeller:
 
     def told(self, motion: Motion) -> None:
         if motion.event == Motion.ACCEPTED:
-            self._move = motion
+            self._move, self._due = motion, None
         elif motion.event == Motion.REACHED and self._move is not None:
-            move = self._move
-            if move.id == motion.id and not self._state.worker.waiting:
-                self._state.worker.submit(partial(self._compute, move))
+            if self._move.id == motion.id:
+                self._due = self._move
+                self._begin()
         elif motion.event in (Motion.REPLACED, Motion.BROKEN_OFF):
-            self._move, self._last = None, None
+            self._move, self._due, self._last = None, None, None
             self._said = "not known, because it did not end at rest"
+
+    def _begin(self) -> None:
+        if self._due is not None and not self._state.worker.waiting:
+            self._state.worker.submit(partial(self._compute, self._due))
 
     def _compute(self, move: Any) -> None:
         state, arm = self._state, self._state.arm
         context = state.known()
-        if move is not self._move or context is None:
+        if move is not self._due or context is None:
             return
+        self._due = None
         try:
             start = joints_of(move.start, arm, "start of motion")
             way = JointTrajectory(joint_names=move.start.name, points=move.points)
@@ -295,6 +301,8 @@ class RingTeller:
             self._said = self._last.said()
 
     def report(self) -> Report:
+        """The last one, for diagnostics; one that is due is begun again."""
+        self._begin()
         ring = None if self._shaped else self._last
         facts: dict[str, object] = {} if ring is None else {
             "frequency [Hz]": ring.hz, "size [m]": ring.size_m, "settles in [s]": ring.settle_s,
