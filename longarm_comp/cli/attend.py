@@ -140,11 +140,10 @@ def view(namespace: str, port: int, show: bool) -> None:
     from longarm_comp.cli.signals import stop_on_signals
 
     try:
-        import viser  # noqa: F401
+        from longarm_comp.view import run
     except ModuleNotFoundError as error:
         wanted = "pip install 'longarm_comp[view]'"
         raise JobError(f"longarm view needs {error.name}: {wanted}") from error
-    from longarm_comp.view import run
 
     def opened(link: Callable[[], str]) -> None:
         click.echo(link())

@@ -60,10 +60,10 @@ def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
 
 def as_text(data: object) -> str:
     """Results as JSON text; NaN becomes null."""
-    from pydantic_core import to_json
+    from pydantic import TypeAdapter
 
-    text = to_json(data, indent=2, inf_nan_mode="null", fallback=lambda array: array.tolist())
-    return text.decode()
+    written = TypeAdapter(Any).dump_json(data, indent=2, fallback=lambda array: array.tolist())
+    return written.decode()
 
 
 def print_json(data: object) -> None:
