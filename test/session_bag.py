@@ -15,9 +15,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
+from longarm_comp.sessions.csv import write_touches
 from longarm_comp.sessions.message_buffer import TYPES
 from longarm_comp.sessions.message_types import message_types, offered
-from longarm_comp.sessions.csv import write_touches
 
 _STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 PERIOD_S = 10.0  # between rows of a session that has no times
