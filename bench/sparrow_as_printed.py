@@ -9,33 +9,34 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from longarm_comp.core.learn.sparrow import CANONICAL, Array, Flock, diagonal_step
+from longarm_comp.core.learn.sparrow import CANONICAL, Array, Flock, Rules, diagonal_step
 
 
-def _follow(rng: np.random.Generator, position: Array, leader: Array) -> Array:
-    return position + diagonal_step(rng, position, leader)
+class Printed(Rules):
+    """Those of the paper; discoverers move as in the reference."""
+
+    def follow(self, rng: np.random.Generator, position: Array, leader: Array) -> Array:
+        return position + diagonal_step(rng, position, leader)
+
+    def starve(self, rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
+        quantity = rng.standard_normal((len(position), 1))
+        alpha = 1.0 - rng.random((len(position), 1))
+        moved: Array = quantity * np.exp((flock.worst - position) / (alpha * flock.horizon))
+        return moved
+
+    def watch(
+        self, rng: np.random.Generator, position: Array, fitness: Array, flock: Flock
+    ) -> Array:
+        beta = rng.standard_normal((len(position), 1))
+        k = rng.uniform(-1.0, 1.0, (len(position), 1))
+        towards = flock.best + beta * np.abs(position - flock.best)
+        gap = (fitness - flock.worst_fitness)[:, None]
+        away = position + k * np.exp(np.abs(flock.worst - position) / (gap + 1e-50))
+        moved: Array = np.where((fitness > flock.best_fitness)[:, None], towards, away)
+        return moved
 
 
-def _starve(rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
-    quantity = rng.standard_normal((len(position), 1))
-    alpha = 1.0 - rng.random((len(position), 1))
-    moved: Array = quantity * np.exp((flock.worst - position) / (alpha * flock.horizon))
-    return moved
-
-
-def _watch(rng: np.random.Generator, position: Array, fitness: Array, flock: Flock) -> Array:
-    beta = rng.standard_normal((len(position), 1))
-    k = rng.uniform(-1.0, 1.0, (len(position), 1))
-    towards = flock.best + beta * np.abs(position - flock.best)
-    gap = (fitness - flock.worst_fitness)[:, None]
-    away = position + k * np.exp(np.abs(flock.worst - position) / (gap + 1e-50))
-    moved: Array = np.where((fitness > flock.best_fitness)[:, None], towards, away)
-    return moved
-
-
-PRINTED = replace(CANONICAL, follow=_follow, starve=_starve, watch=_watch)
+PRINTED = Printed()
 RULES = {"canonical": CANONICAL, "printed": PRINTED}

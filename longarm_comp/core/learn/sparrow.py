@@ -53,27 +53,6 @@ class Flock:
     horizon: int  # T, iterations in all
 
 
-@dataclass(frozen=True)
-class Rules:
-    """The four moves of the algorithm; each takes and returns (m, D) positions."""
-
-    discover: Callable[..., Array]  # (rng, position, rank (m,), horizon, alarmed)
-    follow: Callable[..., Array]  # (rng, position, leader (D,))
-    starve: Callable[..., Array]  # (rng, position, rank (m,), flock)
-    watch: Callable[..., Array]  # (rng, position, fitness (m,), flock)
-
-
-def _discover(
-    rng: np.random.Generator, position: Array, rank: Array, horizon: int, alarmed: bool
-) -> Array:
-    """Eq. (6): contract while calm, jump along the diagonal when alarmed."""
-    if alarmed:
-        return position + rng.standard_normal((len(position), 1))
-    alpha = 1.0 - rng.random(len(position))  # (0, 1]
-    shrink: Array = np.exp(-rank / (alpha * horizon))
-    return position * shrink[:, None]
-
-
 def diagonal_step(rng: np.random.Generator, position: Array, leader: Array) -> Array:
     """``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension."""
     sign = 1.0 - 2.0 * rng.integers(0, 2, position.shape, dtype=np.int8)
@@ -81,27 +60,40 @@ def diagonal_step(rng: np.random.Generator, position: Array, leader: Array) -> A
     return step
 
 
-def _follow(rng: np.random.Generator, position: Array, leader: Array) -> Array:
-    return leader + diagonal_step(rng, position, leader)
+class Rules:
+    """The four moves of the algorithm; each takes and returns (m, D) positions."""
+
+    def discover(
+        self, rng: np.random.Generator, position: Array, rank: Array, horizon: int, alarmed: bool
+    ) -> Array:
+        """Eq. (6): contract while calm, jump along the diagonal when alarmed."""
+        if alarmed:
+            return position + rng.standard_normal((len(position), 1))
+        alpha = 1.0 - rng.random(len(position))  # (0, 1]
+        shrink: Array = np.exp(-rank / (alpha * horizon))
+        return position * shrink[:, None]
+
+    def follow(self, rng: np.random.Generator, position: Array, leader: Array) -> Array:
+        return leader + diagonal_step(rng, position, leader)
+
+    def starve(self, rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
+        quantity = rng.standard_normal((len(position), 1))
+        moved: Array = quantity * np.exp((flock.worst - position) / rank[:, None] ** 2)
+        return moved
+
+    def watch(
+        self, rng: np.random.Generator, position: Array, fitness: Array, flock: Flock
+    ) -> Array:
+        beta = rng.standard_normal(position.shape)
+        k = rng.uniform(-1.0, 1.0, (len(position), 1))
+        towards = flock.best + beta * np.abs(position - flock.best)
+        gap = (fitness - flock.worst_fitness)[:, None]
+        away = position + np.where(gap < 0, k * np.abs(position - flock.worst) / (gap - _TINY), 0.0)
+        moved: Array = np.where((fitness > flock.best_fitness)[:, None], towards, away)
+        return moved
 
 
-def _starve(rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
-    quantity = rng.standard_normal((len(position), 1))
-    moved: Array = quantity * np.exp((flock.worst - position) / rank[:, None] ** 2)
-    return moved
-
-
-def _watch(rng: np.random.Generator, position: Array, fitness: Array, flock: Flock) -> Array:
-    beta = rng.standard_normal(position.shape)
-    k = rng.uniform(-1.0, 1.0, (len(position), 1))
-    towards = flock.best + beta * np.abs(position - flock.best)
-    gap = (fitness - flock.worst_fitness)[:, None]
-    away = position + np.where(gap < 0, k * np.abs(position - flock.worst) / (gap - _TINY), 0.0)
-    moved: Array = np.where((fitness > flock.best_fitness)[:, None], towards, away)
-    return moved
-
-
-CANONICAL = Rules(_discover, _follow, _starve, _watch)
+CANONICAL = Rules()
 
 
 @dataclass(frozen=True)
