@@ -75,6 +75,14 @@ def test_refused_targets_are_counted(rng: np.random.Generator) -> None:
     assert (run.refused, mixed.refused) == (0, 2)
 
 
+def test_a_run_that_comes_nearer_gains_against_the_one_before(rng: np.random.Generator) -> None:
+    target, error = rng.normal(size=(12, 3)), 1e-3 * rng.normal(size=(12, 3))
+    far, near = trial(target, 3.0 * error), trial(target, error)
+    gain = near.against(far)
+    assert gain.helps and gain.gain_m == pytest.approx(2.0 * np.linalg.norm(error, axis=1).mean())
+    assert not far.against(near).helps
+
+
 def test_targets_of_a_file_are_handed_out_once() -> None:
     given = np.arange(15.0).reshape(5, 3)
     draw = one_by_one(given)
