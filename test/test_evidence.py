@@ -14,7 +14,7 @@ from longarm_comp.core.effects.joint_term import reach, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
@@ -29,7 +29,7 @@ def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
     fitted = fit(Model(DEMO, (LinkDeflection(),)), session_of(DEMO, 7), sigma=np.full(3, 4e-4))
     rigid = scale * (truth.tip(fitted.session.q) - fitted.model.tip(fitted.session.q))
     softer = Candidate("link_stiffness", (LinkStiffness(beam=DEMO.links[-1].name),))
-    columns = columns_at(fitted)
+    columns = FitColumns(fitted)
     marginal = Marginal(fitted.design, fitted.data + fitted.whitened(rigid[..., None])[:, 0])
     white = fitted.whitened(columns.of(softer.terms))[:, 0]
     u = np.linspace(-0.9 / 0.5, 8.0, 400_001)

@@ -29,7 +29,7 @@ from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.give import Slack
 from longarm_comp.core.identify.linear import Marginal
@@ -135,7 +135,7 @@ def test_a_form_may_err_by_a_share_of_its_own_shift() -> None:
 def test_what_every_arm_has_is_there_and_no_finding() -> None:
     """A lean of 5 mrad about each axis, on top of which one of 30 must explain something."""
     fitted, _ = planted()
-    columns, leaning = columns_at(fitted), Candidate("gravity_direction", (GravityDirection(),))
+    columns, leaning = FitColumns(fitted), Candidate("gravity_direction", (GravityDirection(),))
     usual = tolerances(fitted, [leaning], (), Slack(0.1, False))
     slots = leaning.slots(DEMO)
     np.testing.assert_allclose(usual, fitted.whitened(columns.unscaled(slots) * 5e-3), atol=1e-9)
@@ -311,5 +311,5 @@ def test_a_unit_of_a_functions_prior_moves_the_rows_by_one_noise() -> None:
     )
     (term,) = next(p.terms for p in propositions(fitted, ()) if len(p.terms) == 1)
     inside = fitted.weights > 0
-    white = columns_at(fitted).of([term])[inside, :, 0] / fitted.sigma
+    white = FitColumns(fitted).of([term])[inside, :, 0] / fitted.sigma
     assert np.sqrt((white**2).sum() / inside.sum()) == pytest.approx(1.0, rel=0.02)
