@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
+import weakref
 
 import numpy as np
 import pytest
@@ -38,6 +40,22 @@ def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
     whole = np.trapezoid(np.exp(log - log.max()), u) / np.trapezoid(np.exp(-0.5 * u * u), u)
     (found,) = evidence_of_each(fitted, marginal, [softer])
     assert found == pytest.approx(np.log(whole) + log.max(), abs=0.02)
+
+
+def test_columns_are_computed_once_and_go_with_their_fit() -> None:
+    """Without the collector, which comes by far too late for a few large arrays."""
+    fitted = fit(Model(DEMO, (LinkDeflection(),)), session_of(DEMO, 7), sigma=np.full(3, 4e-4))
+    softer = (LinkStiffness(beam=DEMO.links[-1].name),)
+    first = FitColumns(fitted).white(softer)
+    assert FitColumns(fitted).white(softer) is first
+    gone = weakref.ref(fitted)
+    gc.collect()
+    gc.disable()
+    try:
+        del fitted
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_loads_are_known_where_a_mass_is_where_a_column_says() -> None:
