@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
+import weakref
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from longarm_comp.core.effects.compliances import LinkStiffness
 from longarm_comp.core.effects.joint_term import reach, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
@@ -29,7 +31,7 @@ def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
     fitted = fit(Model(DEMO, (LinkDeflection(),)), session_of(DEMO, 7), sigma=np.full(3, 4e-4))
     rigid = scale * (truth.tip(fitted.session.q) - fitted.model.tip(fitted.session.q))
     softer = Candidate("link_stiffness", (LinkStiffness(beam=DEMO.links[-1].name),))
-    columns = columns_at(fitted)
+    columns = FitColumns(fitted)
     marginal = Marginal(fitted.design, fitted.data + fitted.whitened(rigid[..., None])[:, 0])
     white = fitted.whitened(columns.of(softer.terms))[:, 0]
     u = np.linspace(-0.9 / 0.5, 8.0, 400_001)
@@ -38,6 +40,22 @@ def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
     whole = np.trapezoid(np.exp(log - log.max()), u) / np.trapezoid(np.exp(-0.5 * u * u), u)
     (found,) = evidence_of_each(fitted, marginal, [softer])
     assert found == pytest.approx(np.log(whole) + log.max(), abs=0.02)
+
+
+def test_columns_are_computed_once_and_go_with_their_fit() -> None:
+    """Without the collector, which comes by far too late for a few large arrays."""
+    fitted = fit(Model(DEMO, (LinkDeflection(),)), session_of(DEMO, 7), sigma=np.full(3, 4e-4))
+    softer = (LinkStiffness(beam=DEMO.links[-1].name),)
+    first = FitColumns(fitted).white(softer)
+    assert FitColumns(fitted).white(softer) is first
+    gone = weakref.ref(fitted)
+    gc.collect()
+    gc.disable()
+    try:
+        del fitted
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_loads_are_known_where_a_mass_is_where_a_column_says() -> None:

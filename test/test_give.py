@@ -17,7 +17,7 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.candidates import distinct, library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import CALIBRATED, WITH_EFFECTS, Diagnosis
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.give import GIVE, LITTLE, a_little, giving
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, slots_of
@@ -64,7 +64,7 @@ def test_the_parts_are_joints_seats_and_links() -> None:
 
 def test_all_else_is_a_tenth_as_much_off_as_what_gives_way() -> None:
     fitted = found(0.0).search.fit
-    columns, offered = columns_at(fitted), found(0.0).search.candidates
+    columns, offered = FitColumns(fitted), found(0.0).search.candidates
     every = distinct(offered)
     white, sizes = a_little(columns, offered)
     np.testing.assert_allclose(white, columns.white(every))

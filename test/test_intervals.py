@@ -18,7 +18,7 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.intervals import Interval, _slopes, intervals
 from longarm_comp.core.identify.model_fit import ModelFit, priors
@@ -92,7 +92,7 @@ def test_a_scale_of_a_form_may_be_half_the_way_to_the_next() -> None:
     (term,) = (t for t in rows.model.terms if isinstance(t, Backlash))
     tried = [Backlash(6, gate=g, blend=b) for g, b in ((0.1, 0.2), (0.4, 0.2), (0.3, 0.5))]
     forms = [Candidate(play.name, (t,)) for t in tried]
-    gate, blend = _slopes(rows, columns_at(rows), [term], forms)
+    gate, blend = _slopes(rows, FitColumns(rows), [term], forms)
     for found, field, way in ((gate, "gate", -0.15), (blend, "blend", 0.245)):
         here, known = getattr(term, field), rows.session.context()
         other = dataclasses.replace(term, **{field: here + way})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawn_reports import in_doubt
 
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import priors
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
@@ -44,7 +44,7 @@ def test_the_odds_of_the_rows_alone_are_half_the_square_of_what_nothing_else_exp
     keys = {t.key for t in found.terms}
     own = [s for s in fitted.slots if s.owner.key in keys]
     values = np.array([getattr(s.owner, s.parameter.name) for s in own]) / priors(tuple(own))
-    columns = columns_at(fitted)
+    columns = FitColumns(fitted)
     rival = next(r for r in found.alternatives if r.candidate.name not in found.names[1:2])
     alone = columns.without(keys)
     beside = columns.white(rival.candidate.terms)

@@ -31,7 +31,7 @@ from longarm_comp.core.effects.masses import GravityDirection
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.give import Slack, with_usual
 from longarm_comp.core.identify.linear import Marginal
@@ -153,7 +153,7 @@ def test_what_every_arm_has_stays_beside_more_of_it() -> None:
     before, _ = planted()
     leaning = Candidate("gravity_direction", (GravityDirection(),))
     fitted = fit(before.model.plus(*leaning.terms), before.session)
-    columns, found = columns_at(fitted), FoundEffect(leaning.terms, 1.0, (), 0.0)
+    columns, found = FitColumns(fitted), FoundEffect(leaning.terms, 1.0, (), 0.0)
     assert tolerances(fitted, [leaning], (), Slack(0.1, False)).shape[1] == 0
     beside = tolerances(fitted, [leaning], (found,), Slack(0.1, False))
     slots = leaning.slots(DEMO)
@@ -329,5 +329,5 @@ def test_a_unit_of_a_functions_prior_moves_the_rows_by_one_noise() -> None:
     )
     (term,) = next(p.terms for p in propositions(fitted, ()) if len(p.terms) == 1)
     inside = fitted.weights > 0
-    white = columns_at(fitted).of([term])[inside, :, 0] / fitted.sigma
+    white = FitColumns(fitted).of([term])[inside, :, 0] / fitted.sigma
     assert np.sqrt((white**2).sum() / inside.sum()) == pytest.approx(1.0, rel=0.02)

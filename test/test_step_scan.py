@@ -18,7 +18,7 @@ from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 from longarm_comp.core.model.model_file import load_model, save_model, store
@@ -103,7 +103,7 @@ def test_a_step_that_was_looked_for_pays_for_the_looking() -> None:
     assert odd.price(ARM) == pytest.approx(math.log(4 * wide / STEP))
     assert listed.price(ARM) == declared.price(ARM) == 0.0
     fitted = looked(session(n=60)).fit
-    columns = columns_at(fitted)
+    columns = FitColumns(fitted)
     marginal = columns.without(())
     (found,) = evidence_of_each(fitted, marginal, [Candidate(odd.name, (odd,))])
     shift = fitted.whitened(columns.shift([odd])[..., None])[:, 0]

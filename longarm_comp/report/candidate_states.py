@@ -8,7 +8,7 @@ from typing import Any
 
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 from longarm_comp.core.identify.visible_size import Smallest, detectable
@@ -56,7 +56,7 @@ def _row(at: Label, value: float | None, state: str, why: str) -> dict[str, Any]
 def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
     """Rows of the effects that the search added, each place against the model without it."""
     result = diagnosis.search
-    columns = columns_at(result.fit)
+    columns = FitColumns(result.fit)
     accepted = {}
     for term in result.chosen:
         single = Candidate(term.name, (term,))

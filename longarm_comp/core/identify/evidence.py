@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from typing import cast
 
 import numpy as np
 
@@ -13,21 +12,16 @@ from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import slots_of
 
 
-def columns_at(fitted: ModelFit) -> FitColumns:
-    """Columns of any candidate at the rows and the solution of a fit; kept with it."""
-    held = fitted.__dict__.get("_candidates")
-    if held is None:
-        held = fitted.__dict__["_candidates"] = FitColumns(fitted)
-    return cast(FitColumns, held)
-
-
 class FitColumns(CandidateColumns):
-    """Columns of candidates at a fit, each computed once."""
+    """Columns of any candidate at the rows and the solution of a fit, each computed once.
+
+    They are kept with the fit and go with it.
+    """
 
     def __init__(self, fitted: ModelFit) -> None:
         super().__init__(fitted.model, fitted.posture, fitted.session)
         self._fitted = fitted
-        self._white: dict[tuple[object, ...], np.ndarray] = {}
+        self._known, self._shifts, self._white = fitted.known_columns
 
     def without(self, places: Container[tuple[str, str]]) -> Marginal:
         """Evidence on top of the fit, the terms at some places taken out of it.

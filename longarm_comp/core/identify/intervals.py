@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.posterior.forms import neighbours
 
@@ -99,7 +99,7 @@ def _block_rows(equations: int, width: int) -> list[slice]:
 
 def _otherwise(fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]) -> np.ndarray:
     """(dM, k) whitened, prior-scaled columns."""
-    columns = columns_at(fit)
+    columns = FitColumns(fit)
     made = [columns.of(tuple(_dropped(fit, found, candidates).values()))]
     made += _slopes(fit, columns, found, candidates)
     return fit.whitened(np.concatenate(made, axis=-1))

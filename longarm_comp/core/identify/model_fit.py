@@ -13,6 +13,8 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.linear import whiten
 from longarm_comp.core.model.model import Model, Slot
 
+Columns = dict[tuple[object, ...], np.ndarray]
+
 
 @dataclass(frozen=True)
 class ModelFit:
@@ -86,6 +88,11 @@ class ModelFit:
     def posture(self) -> Posture:
         """The arm at the rows."""
         return posture(self.model, self.session)
+
+    @cached_property
+    def known_columns(self) -> tuple[Columns, Columns, Columns]:
+        """Columns of candidates at the rows, their shifts and white columns, as far as computed."""
+        return {}, {}, {}
 
     @cached_property
     def metres(self) -> np.ndarray:

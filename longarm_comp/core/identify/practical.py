@@ -20,7 +20,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.candidates import Term
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.intervals import BLOCKS
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.posterior.found import FoundEffect
@@ -109,7 +109,7 @@ def practical(
 
 def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
     """The model without the terms at some places, all others fitted again to first order."""
-    marginal = columns_at(fitted).without(places)
+    marginal = FitColumns(fitted).without(places)
     kept = tuple(s for s in fitted.slots if s.owner.key not in places)
     scale = priors(kept)
     lower = np.array([s.parameter.lower for s in kept]) / scale

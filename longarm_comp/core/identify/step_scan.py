@@ -14,7 +14,7 @@ import numpy as np
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import slots_of
 
@@ -38,7 +38,7 @@ def scan(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, 
         kind: the effect (`Effect.of_step`).
         need: log evidence that a step must have, its own price paid.
     """
-    arm, kept, columns = fitted.model.arm, fitted.weights > 0, columns_at(fitted)
+    arm, kept, columns = fitted.model.arm, fitted.weights > 0, FitColumns(fitted)
     marginal = columns.without(())
     have = {joint for t in fitted.model.effects if isinstance(t, kind) for joint in t.joints}
     rows = [row for row in arm.commanded if row not in have]
@@ -83,7 +83,8 @@ def _looked(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.ndarra
         return np.asarray((along.astype(digits) @ teeth - square / counts) / counts)
 
     counts = np.arange(COARSEST, FINEST, APART)
-    gains = gain(counts, np.float32)  # twice as fast, and good to a ten thousandth of a step
+    parts = np.array_split(counts, COARSEST)  # single precision: good to a ten thousandth of a step
+    gains = np.concatenate([gain(part, np.float32) for part in parts])
     inner = gains[1:-1]
     peaks = 1 + np.flatnonzero((inner >= gains[:-2]) & (inner >= gains[2:]))
     first = counts[peaks[np.argsort(-gains[peaks])[:BEST]]]

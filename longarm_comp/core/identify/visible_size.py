@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.evidence import columns_at, rms_shift
+from longarm_comp.core.identify.evidence import FitColumns, rms_shift
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
@@ -53,7 +53,7 @@ def detectable(
         candidates: the hypotheses.
         threshold: log Bayes factor to reach.
     """
-    columns = columns_at(fit)
+    columns = FitColumns(fit)
     marginal = columns.without(())
     worth = evidence_of_each(fit, marginal, candidates).tolist()
     made = []

@@ -17,7 +17,7 @@ from longarm_comp.core.arm.history import SLIDE
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, distinct
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import from_residual
@@ -74,7 +74,7 @@ def run_up(
     if not terms or not rows(0.0).told.any():
         return 0.0
     fitted = fit(model, rows(0.0))
-    columns = columns_at(fitted)
+    columns = FitColumns(fitted)
     beside = columns.of(distinct(candidates, {t.key for t in terms}))
     noise, weights = from_residual(fitted, np.concatenate([beside, columns.of(terms)], axis=-1))
     fitted = dataclasses.replace(fitted, sigma=noise.sigma, rho=noise.rho, weights=weights)

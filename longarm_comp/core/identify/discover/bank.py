@@ -119,18 +119,23 @@ class Bank:
         made = np.array([h.log_prior for h in listed])
         counts = np.array([len(h.members) for h in listed], dtype=int)
         for count in np.unique(counts).tolist():
-            mine = np.flatnonzero(counts == count).tolist()
-            members = [member for n in mine for member in listed[n].members]
-            white = self._white(members)
-            unit = white * (np.concatenate([listed[n].decay for n in mine]) / self._rms(white))
-            t = (marginal.py @ unit).reshape(len(mine), count)
-            several = unit.reshape(len(unit), len(mine), count).transpose(1, 2, 0)
-            projected = marginal.project(unit).reshape(several.shape[2], len(mine), count)
-            s = several @ projected.transpose(1, 0, 2)
-            values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
-            z = np.einsum("cij,ci->cj", turned, t)
-            made[mine] += _averaged(_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
+            alike = np.flatnonzero(counts == count)
+            for portion in np.array_split(alike, max(len(alike) * count // SHORTLIST, 1)):
+                made[portion] += self._worth(marginal, [listed[n] for n in portion.tolist()])
         return made
+
+    def _worth(self, marginal: Marginal, listed: Sequence[Hypothesis]) -> np.ndarray:
+        """(C,) log evidence of candidates of the same number r of members."""
+        count = len(listed[0].members)
+        white = self._white([member for h in listed for member in h.members])
+        unit = white * (np.concatenate([h.decay for h in listed]) / self._rms(white))
+        t = (marginal.py @ unit).reshape(len(listed), count)
+        several = unit.reshape(len(unit), len(listed), count).transpose(1, 2, 0)
+        projected = marginal.project(unit).reshape(len(unit), len(listed), count)
+        s = several @ projected.transpose(1, 0, 2)
+        values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
+        z = np.einsum("cij,ci->cj", turned, t)
+        return _averaged(_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
 
     def sizes(self, hypothesis: Hypothesis) -> np.ndarray:
         """(r,) rms shift of the rows by a unit of each column, in units of the noise."""

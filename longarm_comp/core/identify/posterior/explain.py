@@ -17,7 +17,7 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
-from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.give import TOLERANCES, Slack, with_give, with_usual
 from longarm_comp.core.identify.intervals import LOOSE
@@ -293,9 +293,9 @@ class _Search:
         """The noise judged by all that the library could explain, then a fit."""
         if before is None or not found:
             first = fit(model, self.session)
-            at = columns_at(first)
+            at = FitColumns(first)
         else:
-            first, at = unfitted(model, self.session, before.fit), columns_at(before.fit)
+            first, at = unfitted(model, self.session, before.fit), FitColumns(before.fit)
         held = {t.key for f in found for t in f.terms}
         judged, weights = noise_step.from_residual(first, at.of(distinct(self.candidates, held)))
         noise = judged if self.known is None else noise_step.agreed(self.known, judged)

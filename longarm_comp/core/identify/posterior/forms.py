@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.evidence import columns_at, shift_of
+from longarm_comp.core.identify.evidence import FitColumns, shift_of
 from longarm_comp.core.identify.linear import OUTLIER
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
@@ -40,7 +40,7 @@ def refined(fit: ModelFit, term: Term, candidates: Sequence[Candidate]) -> Term:
         term: as it is in the model.
         candidates: their values of the scales are the tried ones.
     """
-    marginal = columns_at(fit).without({term.key})
+    marginal = FitColumns(fit).without({term.key})
 
     def evidence(terms: Sequence[Term]) -> np.ndarray:
         each = [Candidate(term.name, (t,)) for t in terms]
@@ -91,7 +91,7 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
 
 def _agreement(fit: ModelFit, now: Term, then: Sequence[Term]) -> np.ndarray:
     """(T,) log likelihood of all rows with other forms of a term, none beyond an outlier's."""
-    columns = columns_at(fit)
+    columns = FitColumns(fit)
     columns.of(then)  # all at once: much faster
     here, noise = shift_of(fit, columns, [now]), fit.uneven(fit.session)[:, None] * fit.sigma
     made = []

@@ -17,7 +17,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
-from longarm_comp.core.identify.evidence import columns_at, shift_of
+from longarm_comp.core.identify.evidence import FitColumns, shift_of
 from longarm_comp.core.identify.give import Slack, a_little
 from longarm_comp.core.identify.linear import CHANCES, SIZES, Marginal, marginalised
 from longarm_comp.core.identify.model_fit import ModelFit, priors
@@ -58,7 +58,7 @@ def offered(
         kept = {_variant(f.terms) for f in found}
         listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
     raw = _raw(fitted, listed)
-    marginal = columns_at(fitted).without({t.key for f in found for t in f.terms})
+    marginal = FitColumns(fitted).without({t.key for f in found for t in f.terms})
     beside, sizes = _beside(fitted, library, found, slacks, near)
     gram, along = marginal.normal(np.concatenate([beside, raw.b], axis=1))
     moving, offers = _priced(fitted.model.arm, np.diag(gram)[beside.shape[1] :], raw, listed)
@@ -181,16 +181,16 @@ def _beside(
     fitted_now = {t.key for t in fitted.model.terms} - {t.key for f in found for t in f.terms}
     usual = [t for t in distinct(library, fitted_now) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
-    made, sizes = [columns_at(fitted).white(usual)], [every * shares]
+    made, sizes = [FitColumns(fitted).white(usual)], [every * shares]
     if any(slack.give for slack in slacks):
-        little, size = a_little(columns_at(near or fitted), library)
+        little, size = a_little(FitColumns(near or fitted), library)
         made.append(little)
         sizes.append(np.array([[slack.give] for slack in slacks]) * size)
     held = {t.key: t for t in fitted.model.terms}
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
-            shift = shift_of(fitted, columns_at(fitted), terms)
+            shift = shift_of(fitted, FitColumns(fitted), terms)
             made.append(fitted.whitened(shift[:, :, None] * ways[:, None, :]))
             sizes.append(forms[:, None] * np.ones(ways.shape[1]))
             for term in terms:
@@ -202,7 +202,7 @@ def _beside(
 
 def _undecided(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
     """(N, d, k) what a form's tolerance changes at single rows: more than its share of all."""
-    columns = columns_at(fitted)
+    columns = FitColumns(fitted)
     largest = np.abs(shift_of(fitted, columns, [term])).max()
     made = []
     for field, (low, high) in term.scales().items():
@@ -243,7 +243,7 @@ def _raw(fitted: ModelFit, listed: Sequence[_Listed]) -> _Raw:
     for k, slot in enumerate(slots):
         of_term.setdefault(slot.term, []).append(k)
     where = {terms[t].variant: tuple(own) for t, own in of_term.items()}
-    columns = columns_at(fitted)
+    columns = FitColumns(fitted)
     widths = priors(slots)
     whole = [term for t, term in enumerate(terms) if t not in of_term]
     where |= {term.variant: (len(slots) + k,) for k, term in enumerate(whole)}
