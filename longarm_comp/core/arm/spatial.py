@@ -12,7 +12,7 @@ translation first (m), rotation second (rad), both seen in the frame it acts in.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -259,6 +259,16 @@ def turned(a: Frame, b: Frame) -> Vec:
 def add_twists(a: Twist, b: Twist) -> Twist:
     """Sum of two small twists in one frame."""
     return tuple([_plus(x, y) for x, y in zip(a, b, strict=True)])  # type: ignore[return-value]
+
+
+def summed(parts: Iterable[Mapping[int, Twist]]) -> dict[int, Twist]:
+    """Sum of twists by station."""
+    total: dict[int, Twist] = {}
+    for part in parts:
+        for station, twist in part.items():
+            held = total.get(station)
+            total[station] = twist if held is None else add_twists(held, twist)
+    return total
 
 
 def _plus(x: Scalar, y: Scalar) -> Scalar:

@@ -50,23 +50,20 @@ class JointTrust:
         except InputError as error:
             self.distrust(str(error))
             self._last = before
-        else:
-            if before is not None:
-                self._compare(before, q, at_s)
+            return False
+        if before is not None:
+            range_, dt = self._arm.upper - self._arm.lower, max(at_s - before[1], 0.0)
+            share = np.abs(q - before[0]) / np.where(range_ > 0, range_, math.inf)
+            k = int(np.argmax(share))
+            # Share of a joint's range that two readings may differ by, however soon they follow
+            if share[k] > 0.1 + self._rate * dt:
+                name, was, now = self._arm.joint_names[k], before[0][k], q[k]
+                self.distrust(
+                    f"joint_states: {name} jumped from {was:.4g} to {now:.4g} within {dt:.3f} s; "
+                    "does another node publish joint_states?"
+                )
         return not self.doubt
 
     def distrust(self, why: str) -> None:
         """Doubt the joints until three readings agree."""
         self._agreeing, self._why = 0, why
-
-    def _compare(self, before: tuple[np.ndarray, float], q: np.ndarray, at_s: float) -> None:
-        range_, dt = self._arm.upper - self._arm.lower, max(at_s - before[1], 0.0)
-        share = np.abs(q - before[0]) / np.where(range_ > 0, range_, math.inf)
-        k = int(np.argmax(share))
-        # Share of a joint's range that two readings may differ by, however soon they follow
-        if share[k] > 0.1 + self._rate * dt:
-            name, was, now = self._arm.joint_names[k], before[0][k], q[k]
-            self.distrust(
-                f"joint_states: {name} jumped from {was:.4g} to {now:.4g} within {dt:.3f} s; "
-                "does another node publish joint_states?"
-            )

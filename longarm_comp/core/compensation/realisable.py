@@ -155,7 +155,10 @@ def choose(
         locked: 0-based numbers of joints that stay at their ideal value.
     """
     held = np.isin(np.arange(arm.n), locked)
-    low, high = _whole_limits(arm, lattice)
+    # Lowest and highest k inside the limits; of a continuous joint, of no use
+    step = np.where(lattice.step > 0, lattice.step, 1.0)
+    low = np.ceil((arm.lower - lattice.offset) / step - _EDGE)
+    high = np.floor((arm.upper - lattice.offset) / step + _EDGE)
     declared = (lattice.step > 0) & ~held
     stepped = declared & lattice.known & (low <= high)
     slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
@@ -175,13 +178,6 @@ def choose(
         joints, problem.ideal, problem.rounded, errors[0], errors[1], errors[2], nodes, stepped,
         "" if better else why, note,
     )  # fmt: skip
-
-
-def _whole_limits(arm: Arm, lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest k inside the limits, (n,); of a continuous joint, of no use."""
-    step = np.where(lattice.step > 0, lattice.step, 1.0)
-    low = np.ceil((arm.lower - lattice.offset) / step - _EDGE)
-    return low, np.floor((arm.upper - lattice.offset) / step + _EDGE)
 
 
 def _note(arm: Arm, unknown: np.ndarray, empty: np.ndarray) -> str:

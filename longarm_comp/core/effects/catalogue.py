@@ -15,7 +15,6 @@ import re
 import sys
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import TypeVar
 
 from longarm_comp.core.effects.camera_errors import CameraDrift, CameraRadial, CameraScale
@@ -150,7 +149,8 @@ def load_file(path: str | Path) -> tuple[Kind, ...]:
             del sys.modules[name]
             said = f"{type(error).__name__}: {error}"
             raise InputError(path, "effects", said, "a Python file that can be executed") from error
-    kinds = _effects_in(module)
+    own = [kind for kind in vars(module).values() if _is_kind(kind) and hasattr(kind, "name")]
+    kinds = [kind for kind in own if kind.__module__ == module.__name__]
     if not kinds:
         raise InputError(path, "effects", "none", "a class with a name, of Effect or Bias")
     return tuple(register(kind, f"file {path.name}") for kind in kinds)
@@ -166,11 +166,6 @@ def _load_entry_points() -> None:
 def _file(kind: Kind) -> str:
     """The file that defines a class. Only this file may define it again."""
     return getattr(sys.modules.get(kind.__module__), "__file__", None) or kind.__module__
-
-
-def _effects_in(module: ModuleType) -> tuple[Kind, ...]:
-    own = (value for value in vars(module).values() if _is_kind(value) and hasattr(value, "name"))
-    return tuple(value for value in own if value.__module__ == module.__name__)
 
 
 def _is_kind(value: object) -> bool:

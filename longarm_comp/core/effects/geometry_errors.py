@@ -10,7 +10,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.arm.spatial import Scalar, Twist, Vec
+from longarm_comp.core.arm.spatial import Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, Sites, form, parameter, place
 from longarm_comp.core.effects.joint_term import JointTerm, by_drive, reach, with_prior
 from longarm_comp.core.effects.sites import moving_joints, rows
@@ -196,10 +196,7 @@ class KindDirection(Effect):
 
     def twists(self, posture: Posture) -> Twists:
         """The twists of its parts, which are linear in their values, times the amount."""
-        made: dict[int, Twist] = {}
-        for term in self.terms:
-            for station, twist in term.twists(posture).items():
-                grown: Twist = tuple(self.amount * v for v in twist)  # type: ignore[assignment]
-                held = made.get(station)
-                made[station] = grown if held is None else spatial.add_twists(held, grown)
-        return made
+        return spatial.summed(
+            {s: tuple(self.amount * v for v in t) for s, t in term.twists(posture).items()}  # type: ignore[misc]
+            for term in self.terms
+        )

@@ -151,7 +151,9 @@ def _beam(posture: Posture, element: Element) -> tuple[Scalar, float, tuple[floa
     length = abs_(signed)
     sign = -1.0 if signed is not length and signed != length else 1.0
     first, second, torsion = element.beam.stiffness
-    return length, sign, _by_axis(element.axis, 1 / first, 1 / second, 1 / torsion)
+    across = 1 / first, 1 / second
+    along = 1 / torsion
+    return length, sign, (along, *across) if element.axis == 0 else (*across, along)
 
 
 def _axes(axis: int) -> tuple[int, int, int]:
@@ -188,8 +190,3 @@ def _bend(
     bend = (sag[0] * inverse[0], sag[1] * inverse[1], sag[2] * inverse[2])
     d = {axis: 0.0, **_across(axis, -sign, bend)}
     return (d[0], d[1], d[2]), (slope[0] * inverse[0], slope[1] * inverse[1], slope[2] * inverse[2])
-
-
-def _by_axis(axis: int, first: float, second: float, along: float) -> tuple[float, float, float]:
-    """Compliances about x, y, z of a beam along x (axis 0) or z (axis 2)."""
-    return (along, first, second) if axis == 0 else (first, second, along)

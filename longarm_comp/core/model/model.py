@@ -31,7 +31,6 @@ from longarm_comp.core.model.tip_motion import (
     TwistChange,
     moved,
     stack,
-    summed,
 )
 from longarm_comp.core.model.uncertainty import ModelUncertainty
 
@@ -219,7 +218,7 @@ class Model:
     def _standing(self, context: Context) -> Twists:
         """Twists of the placement alone."""
         bare = self.unplaced((), context)
-        return summed(effect.twists(bare) for effect in self.effects if effect.seen_only)
+        return spatial.summed(effect.twists(bare) for effect in self.effects if effect.seen_only)
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """The arm at q with given twists (by station), and its loads."""
@@ -244,7 +243,7 @@ class Model:
 
     def twists(self, posture: Posture) -> Twists:
         """Sum of all effects' twists, by station."""
-        return summed(effect.twists(posture) for effect in self.effects)
+        return spatial.summed(effect.twists(posture) for effect in self.effects)
 
     def tip_frame(self, posture: Posture) -> Frame:
         """Pose of the tip (of the marker that the context names) in the base frame."""

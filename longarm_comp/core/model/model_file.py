@@ -147,10 +147,13 @@ def store(
         )  # fmt: skip
         sides[side].append(stored)
     arm = _ArmReference(name=model.arm.name, hash=model.arm.hash)
+    # Effects from outside the package, which the user must provide again
+    known = {f"{term.name}_from": origin(type(term)) for term in model.terms}
+    outside = {name: source for name, source in known.items() if source}
     return StoredModel(
         schema="longarm/model/1", version=version, arm=arm, passes=model.passes,
         elements_per_beam=model.elements_per_beam, arrivals=model.arrivals,
-        provenance={**(provenance or {}), **_sources(model)}, placement=_bases(model),
+        provenance={**(provenance or {}), **outside}, placement=_bases(model),
         uncertainty=_stored_uncertainty(model), **sides,
     )  # fmt: skip
 
@@ -191,12 +194,6 @@ def _bases(model: Model) -> dict[str, _StoredBase]:
             roll, pitch, yaw = (round(math.degrees(v), 6) for v in roll_pitch_yaw(matrix[:3, :3]))
             made[effect.where] = _StoredBase(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
     return made
-
-
-def _sources(model: Model) -> dict[str, str]:
-    """Origins of effects from outside the package, which the user must provide again."""
-    known = {term.name: origin(type(term)) for term in model.terms}
-    return {f"{name}_from": source for name, source in known.items() if source}
 
 
 def save_model(path: str | Path, stored: StoredModel) -> None:
@@ -253,8 +250,7 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
             term = kind(**entry.form, **values)
         except TypeError as error:
             raise InputError(where, entry.effect, entry.form, str(error)) from error
-        _check_form(term, where)
-        _check_place(term, arm, where)
+        _check_placement(term, arm, where)
         term.check(arm, where)
         same = (term.name, *map(str, term.placement.items()))
         if same in held:
@@ -267,9 +263,12 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
             if not p.lower <= value <= p.upper:
                 raise InputError(where, field, value, f"{p.lower}..{p.upper}")
         terms.append(term)
+    if stored.arrivals and len(stored.arrivals) != arm.n:
+        allowed = f"two numbers for each of {arm.n} joints, or none"
+        raise InputError(where, "arrivals", f"of {len(stored.arrivals)} joints", allowed)
     bare = Model(
         arm, passes=stored.passes, elements_per_beam=stored.elements_per_beam,
-        arrivals=_arrivals(stored, arm, where),
+        arrivals=stored.arrivals,
     )  # fmt: skip
     model = bare.with_terms(terms)
     return dataclasses.replace(model, uncertainty=_uncertainty(stored, model, where))
@@ -297,15 +296,8 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
     return ModelUncertainty(names, factor, stretch, structure, noise, given.largest_m, given.rows)
 
 
-def _arrivals(stored: StoredModel, arm: Arm, where: str) -> tuple[tuple[int, int], ...]:
-    if stored.arrivals and len(stored.arrivals) != arm.n:
-        allowed = f"two numbers for each of {arm.n} joints, or none"
-        raise InputError(where, "arrivals", f"of {len(stored.arrivals)} joints", allowed)
-    return stored.arrivals
-
-
-def _check_form(term: Effect | Bias, where: str) -> None:
-    """Check that places and forms are of the declared kind, and forms on their scale."""
+def _check_placement(term: Effect | Bias, arm: Arm, where: str) -> None:
+    """Places and forms are of the declared kind, forms on their scale, places on this arm."""
     kinds = get_type_hints(type(term))
     for name, value in term.placement.items():
         kind = kinds[name]
@@ -316,11 +308,6 @@ def _check_form(term: Effect | Bias, where: str) -> None:
     for name, (lower, upper) in term.scales().items():
         if not lower <= getattr(term, name) <= upper:
             raise InputError(where, f"{term.name}.{name}", getattr(term, name), f"{lower}..{upper}")
-
-
-def _check_place(term: Effect | Bias, arm: Arm, where: str) -> None:
-    """Check that the place named in the file exists on this arm."""
-    for name, allowed in term.allowed_places().items():
-        value, exist = term.places[name], list(allowed(arm))
-        if value not in exist:
-            raise InputError(where, f"{term.name}.{name}", value, exist)
+    for name, places in term.allowed_places().items():
+        if term.places[name] not in (exist := list(places(arm))):
+            raise InputError(where, f"{term.name}.{name}", term.places[name], exist)

@@ -8,7 +8,7 @@ side moves what is reported of a tip that stays.  A kind of measurement
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -17,7 +17,7 @@ import numpy as np
 
 from longarm_comp.core.arm import spatial, stacked
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.posture import PLACEMENT, Posture, Twists
+from longarm_comp.core.arm.posture import PLACEMENT, Posture
 from longarm_comp.core.arm.spatial import IDENTITY, Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model import encoders
@@ -201,16 +201,6 @@ class TipMotion:
         return spatial.scale(change.per, spatial.turned(ends[0], ends[1]))
 
 
-def summed(parts: Iterable[Twists]) -> Twists:
-    """Sum of twists by station."""
-    total: dict[int, spatial.Twist] = {}
-    for part in parts:
-        for station, twist in part.items():
-            held = total.get(station)
-            total[station] = twist if held is None else spatial.add_twists(held, twist)
-    return total
-
-
 def moved(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) -> list[_Moved]:
     """Eq. (5): the tip's motion under changes of twists.
 
@@ -237,7 +227,7 @@ def _sum(vectors: list[np.ndarray]) -> Vec:
 
 def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
     """Station, component of its twist (0 to 5), and by how much it changes, where it does."""
-    raised, lowered = (summed(twists for _, twists in part) for part in end[:2])
+    raised, lowered = (spatial.summed(twists for _, twists in part) for part in end[:2])
     for station in sorted({*raised, *lowered}):
         up = raised.get(station, spatial.ZERO_TWIST)
         down = lowered.get(station, spatial.ZERO_TWIST)
