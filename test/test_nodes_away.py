@@ -171,7 +171,11 @@ def test_a_flood_of_targets_starves_neither_a_service_nor_the_last_of_them(
 
     def flood(client: GraphClient, step: int) -> None:
         nonlocal sent
-        for _ in range(20 if sent < FLOOD else not served()):
+        if sent < FLOOD:
+            count = 20
+        else:
+            count = 0 if served() else 1
+        for _ in range(count):
             targets.publish(poses[sent % len(poses)])
             sent += 1
 
