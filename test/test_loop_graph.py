@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
 from hidden_arm import at
-from nodes_bench import bench, own_graph
+from nodes_bench import PATIENCE_S, bench, own_graph
 from quick_arm import QuickArm, quick_arm
 from small_arm import ARM
 
@@ -65,14 +65,14 @@ def files(running: tuple[Path, QuickArm]) -> Path:
 @pytest.fixture
 def client(files: Path) -> Iterator[ArmClient]:
     with ArmClient(ARM, name="test") as made:
-        made.ready(120.0)
+        made.ready(PATIENCE_S)
         yield made
 
 
 @pytest.fixture
 def runner(client: ArmClient) -> TargetRunner:
     made = TargetRunner(client, PACE)
-    made.ready(Model(ARM).tip(ARM.mid), 120.0)
+    made.ready(Model(ARM).tip(ARM.mid), PATIENCE_S)
     return made
 
 

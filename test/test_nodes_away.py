@@ -171,10 +171,13 @@ def test_a_flood_of_targets_starves_neither_a_service_nor_the_last_of_them(
 
     def flood(client: GraphClient, step: int) -> None:
         nonlocal sent
-        if sent < FLOOD or not served():
-            for _ in range(20):
-                targets.publish(poses[sent % len(poses)])
-                sent += 1
+        if sent < FLOOD:
+            count = 20
+        else:
+            count = 0 if served() else 1
+        for _ in range(count):
+            targets.publish(poses[sent % len(poses)])
+            sent += 1
 
     ask = request(stand.target, arm)
     with publishing(flood):

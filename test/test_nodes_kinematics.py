@@ -175,7 +175,8 @@ def test_every_refusal_has_a_status_and_a_reason(
     box = {"min_m": (lamp - 0.01).tolist(), "max_m": (lamp + 0.01).tolist()}
     declared = dict(read_yaml(demo_arm_path)) | {"keep_out": {"lamp": box}}
     (tmp_path / "arm.yaml").write_text(yaml.safe_dump(declared))
-    node = stage.start("kinematics", {"arm": tmp_path / "arm.yaml"})
+    given = {"arm": tmp_path / "arm.yaml", "joints_max_age_s": 60.0}  # a busy machine
+    node = stage.start("kinematics", given)
     trajectories = stage.collect(graph.JOINT_TRAJECTORY)
     stories = stage.collect(graph.COMPENSATION)
     client = graph.COMPENSATE.client(stage.node)

@@ -14,6 +14,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from cli_shell import Shell
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
+from nodes_bench import PATIENCE_S
 from rclpy.action import ActionClient
 
 from longarm_comp.core.arm.arm import Arm
@@ -33,9 +34,9 @@ def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.
     """The result of a goal, sent again while it was too old when it was taken up."""
     for _ in range(20):
         sent = reach.send_goal_async(Reach.Goal(target=pose, position_only=True))
-        client.until(sent.done, 300.0, "goal")
+        client.until(sent.done, PATIENCE_S, "goal")
         done = sent.result().get_result_async()
-        client.until(done.done, 120.0, "result")
+        client.until(done.done, PATIENCE_S, "result")
         result = done.result().result
         if result.status != Compensate.Response.STALE_TARGET:
             assert result.success, result.message
@@ -65,7 +66,7 @@ def arm_at_work(
     )
     tips = graph.TIP_BY_READINGS
     with running(bringup), ArmClient(Arm.load(demo_arm_path), tips=tips) as client:
-        client.ready(120.0)
+        client.ready(PATIENCE_S)
         yield client, request.param
 
 
@@ -90,12 +91,12 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
     pose.header.frame_id = "base"
     pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = want.tolist()
     reach = ActionClient(client.node, Reach, graph.REACH.name)
-    client.until(reach.server_is_ready, 300.0, "reach")
+    client.until(reach.server_is_ready, PATIENCE_S, "reach")
     for _ in range(2):  # the second starts from what the first one trimmed
         result = reached(client, reach, pose)
     assert "by the readings the tip is" in result.message and ", within " in result.message
     del truth[:], client.sightings[:]
-    client.until(lambda: len(truth) > 2 and len(client.sightings) > 1, 300.0, "tips")
+    client.until(lambda: len(truth) > 2 and len(client.sightings) > 1, PATIENCE_S, "tips")
     off, by_readings = truth[-1] - want, client.sightings[-1][1]
     assert np.linalg.norm(by_readings - truth[-1]) < 3e-4
     if trim:
@@ -109,10 +110,10 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
         lambda m: rings.extend(s.message for s in m.status if s.name.endswith(f": {RING_SAID}")),
         20,
     )
-    client.until(lambda: rings and "the tip swings by" in rings[-1], 300.0, "the ring")
+    client.until(lambda: rings and "the tip swings by" in rings[-1], PATIENCE_S, "the ring")
     assert "mm at most" in rings[-1] and "Hz; within 0.1 mm after" in rings[-1]
     shell = Shell(tmp_path, capsys)
-    client.until(lambda: shell("status") == 0 and TIP_STANDS in shell.out, 300.0, shell.out)
+    client.until(lambda: shell("status") == 0 and TIP_STANDS in shell.out, PATIENCE_S, shell.out)
     verified = shell("verify", demo_arm_path, "-n", 2, "--by", "readings", "--move", 0.2, "--json")
     assert shell.out, shell.err
     report = json.loads(shell.out)

@@ -22,7 +22,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from longarm_comp.nodes.clock import stamp_of
 from longarm_comp.nodes.health import OK, WARN
 from longarm_comp.nodes.messages import joints_message, trajectory_message
-from longarm_comp.nodes.monitoring import RingTeller, TipMonitor
+from longarm_comp.nodes.monitoring import ReadingsTeller, RingTeller, TipMonitor
 from longarm_interfaces.msg import Motion
 
 
@@ -137,3 +137,34 @@ def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -
     teller.report()
     assert worked() == "by this model nothing bends"
     assert not jobs
+
+
+class Quick:
+    """A worker that has done a job before `submit` returns, or takes none."""
+
+    takes = True
+
+    def submit(self, job: Callable[[], None]) -> bool:
+        if self.takes:
+            job()
+        return self.takes
+
+
+def test_the_tip_by_readings_goes_on_whatever_the_worker_does() -> None:
+    ticks: list[Callable[[], None]] = []
+    told: list[object] = []
+    node = SimpleNamespace(
+        create_publisher=lambda *given, **more: SimpleNamespace(publish=told.append),
+        every=lambda name, tick: ticks.append(tick),
+    )
+    state = SimpleNamespace(
+        node=node, worker=Quick(), standing=(Model(ARM), ARM.mid, Context.empty()),
+        stamp=stamp_of(0), base_frame="base",
+    )  # fmt: skip
+    ReadingsTeller(state)
+    (tick,) = ticks
+    tick()  # where the joints are; whether they rest the next one knows
+    for takes, count in ((True, 1), (True, 2), (False, 2), (True, 3)):
+        state.worker.takes = takes
+        tick()
+        assert len(told) == count

@@ -82,6 +82,7 @@ class ArmClient(GraphClient):
         """(stamp ns, tip (3,) m or NaN, variance (3,)), newest last."""
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
+        self._tips = tips
         tips.subscription(self.node, self._on_tip)
         self._driver: DriverState | None = None
         self._stamps = Stamps(self.node.get_clock())
@@ -117,8 +118,10 @@ class ArmClient(GraphClient):
         self.until(self._driver_hears, within_s, "no driver listens to joint_trajectory")
         self.until(self.driver_takes, within_s, "the driver is not ready (`longarm status`)")
         if tip:
-            pictures = "do the cameras publish left|right/image_raw and camera_info?"
-            self.until(lambda: self.sightings, within_s, f"no tip_measured ({pictures})")
+            hint = ""
+            if self._tips is graph.TIP_MEASURED:
+                hint = " (do the cameras publish left|right/image_raw and camera_info?)"
+            self.until(lambda: self.sightings, within_s, f"no {self._tips.name}{hint}")
 
     def _driver_hears(self) -> bool:
         """Whether everybody who listens to commands is matched, and not only kinematics does."""

@@ -57,7 +57,9 @@ class ReadingsTeller:
         self._before = q
         rests = q is not None and before is not None and np.abs(q - before).max() <= JOINT_REST
         if rests and not self._waits:
-            self._waits = self._state.worker.submit(self._in_turn)
+            self._waits = True  # before the worker can be done with it
+            if not self._state.worker.submit(self._in_turn):
+                self._waits = False
 
     def _in_turn(self) -> None:
         self._waits = False
