@@ -122,6 +122,7 @@ def test_an_answer_that_came_while_it_was_stopped_counts(stage: Bench, arm: Arm)
     stand = Stand(stage, arm, acknowledge_s=0.3)
     withdrawn = stage.collect(graph.WITHDRAWN)
     stand.goes()
+    del withdrawn[:]  # of a first try that a busy machine answered late
     took = stand.driver.tell
 
     def stops(event: int, name: str, taken: JointTrajectory | None = None) -> None:
