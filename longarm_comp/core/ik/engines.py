@@ -283,7 +283,9 @@ def filled_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
 
 def rows_of(blocks: np.ndarray, kernel: Kernel, name: str, count: int) -> np.ndarray:
     """(K, k): the quantity of a name in such states."""
-    return blocks[:, kernel.slice(name)].swapaxes(1, 2).reshape(-1, len(kernel.place[name]))[:count]
+    groups, _, lanes = blocks.shape
+    each = blocks[:, kernel.slice(name)].swapaxes(1, 2)
+    return each.reshape(groups * lanes, len(kernel.place[name]))[:count]
 
 
 def _model(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
