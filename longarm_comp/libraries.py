@@ -11,7 +11,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 
 NEEDED = {
-    "pydantic": ("pydantic>=2.6", "pydantic"),
+    "pydantic": ("pydantic>=2.10", "pydantic"),
     "OpenCV": ("opencv-python-headless>=4.10", "cv2"),
 }
 """Of each library what pip installs, and the module that it brings."""

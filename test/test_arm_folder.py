@@ -175,7 +175,7 @@ def test_nothing_is_overwritten(shell: Shell) -> None:
 
 FAULTS = {
     "an arm in millimetres": ("arm.yaml", r"a_m: 0.16", "a_m: 160.0", "implausible", "arm.yaml"),
-    "an unknown key": ("arm.yaml", "tip:", "top:", "implausible", "arm.yaml: tip"),
+    "an unknown key": ("arm.yaml", "tip:", "top:", "implausible", "arm.yaml: top"),
     "a soft tube": ("arm.yaml", r"E_pa: [\d.e+]+", "E_pa: 2.1e6", "implausible", "arm.yaml: links"),
     "other limits": ("servo_driver.yaml", r"upper: [\d.]+", "upper: 0.9", "implausible",
                      "servo_driver.yaml: joints.joint1"),

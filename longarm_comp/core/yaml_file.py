@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
 
-__all__ = ["RANGES", "Declared", "Misdeclared", "parse_declared", "range_of", "read_yaml"]
+__all__ = ["RANGES", "Closed", "Declared", "Misdeclared", "parse_declared", "range_of", "read_yaml"]
 
 T = TypeVar("T", bound=BaseModel)
 
@@ -37,20 +37,30 @@ RANGES: Mapping[str, tuple[float, float]] = {
 wrong (gravity in mm/s^2), and powers of it leave the range of numbers."""
 
 
-class Declared(BaseModel):
-    """Frozen. Unknown keys, non-finite numbers, true or false for a number, and numbers beyond
-    `RANGES` are errors."""
+class Closed(BaseModel):
+    """Frozen. Unknown keys are errors that say the known ones, and so are non-finite numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     @model_validator(mode="before")
     @classmethod
-    def _known_keys_without_booleans(cls, data: Any) -> Any:
-        known = {field.alias or name: field for name, field in cls.model_fields.items()}
+    def _known_keys(cls, data: Any) -> Any:
+        known = {field.alias or name for name, field in cls.model_fields.items()}
         for key, given in data.items() if isinstance(data, dict) else ():
             if key not in known:
                 raise Misdeclared(str(key), given, f"known keys: {', '.join(sorted(known))}")
-            if "bool" in str(known[key].annotation):
+        return data
+
+
+class Declared(Closed):
+    """True or false for a number, and numbers beyond `RANGES`, are errors too."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_booleans(cls, data: Any) -> Any:
+        for key, given in data.items() if isinstance(data, dict) else ():
+            field = cls.model_fields.get(key)
+            if field is None or "bool" in str(field.annotation):
                 continue
             for path, value in _leaves(key, given):
                 if isinstance(value, bool):

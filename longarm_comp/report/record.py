@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.yaml_file import parse_declared
+from longarm_comp.core.yaml_file import Closed, parse_declared
 
 SCHEMA = "longarm/diagnosis/1"
 DIGITS = 12
@@ -25,14 +25,9 @@ Stage = Literal[
 Interval = tuple[float, float]
 
 
-class _Record(BaseModel):
+class _Record(Closed):
     # What is written has every key, so the schema requires each
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        allow_inf_nan=False,
-        json_schema_serialization_defaults_required=True,
-    )
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
 
 
 class FindingParameter(_Record):
@@ -84,7 +79,7 @@ class ReportFinding(_Record):
     tip_mm: TipSize | None = None
     seen_mm: Interval | None = None
     commanded_mm: Interval | None = None
-    doubts: list[str] = []
+    doubts: list[str] = Field(default_factory=list)
     action: str = ""
 
     @property
@@ -156,7 +151,7 @@ class HeldOut(_Record):
     after: Stage | None = None
     before_after_ci95_mm: Interval | None = None
     commanded_ci95_mm: Interval | None = None
-    not_commanded: list[str] = []
+    not_commanded: list[str] = Field(default_factory=list)
 
 
 class Outlier(_Record):
@@ -193,7 +188,7 @@ class ReportDiscovered(_Record):
     frame: str
     component: str
     set: list[str]
-    names: dict[str, float] = {}
+    names: dict[str, float] = Field(default_factory=dict)
     probability: float | None = Field(default=None, ge=0, le=1)
     formula: str
     terms: list[DiscoveredTerm]
@@ -202,7 +197,7 @@ class ReportDiscovered(_Record):
     reading: str
     title: str = ""
     action: str = ""
-    doubts: list[str] = []
+    doubts: list[str] = Field(default_factory=list)
     log_evidence: float
     tip_mm: TipShift
     held_out_rms_mm: tuple[float, float]
@@ -253,8 +248,8 @@ class DiagnosisReport(_Record):
     discovered: list[ReportDiscovered] = Field(default_factory=list)
     none_of_these: float | None = Field(default=None, ge=0, le=1)
     written: Written | None = None
-    doubtful: list[Doubtful] = []
-    called: dict[str, str] = {}
+    doubtful: list[Doubtful] = Field(default_factory=list)
+    called: dict[str, str] = Field(default_factory=dict)
     provenance: ReportProvenance
 
     def for_people(self) -> DiagnosisReport:
