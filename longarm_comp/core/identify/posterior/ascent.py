@@ -56,15 +56,17 @@ def explain(
     Args:
         bank: what is on offer.
         known: the offers that were found before.
-        begun: what explains the same offers by another tolerance: where the ascent starts, then.
+        begun: what explains the same offers by another tolerance. The ascent starts from it, too,
+            and has no restart of its own: what they bring, they brought there.
     """
     most = len(known) + AT_ONCE
-    if begun is not None:
-        return _pruned(_grown(bank, begun, frozenset(), most))
     starts = [_grown(bank, (), frozenset(), most)]
-    if known:
-        starts.append(_grown(bank, _standing(bank, known), frozenset(), most))
+    if begun or known:
+        standing = begun or _standing(bank, known)
+        starts.append(_grown(bank, standing, frozenset(), most))
     best = max(map(_pruned, starts), key=lambda e: e.evidence)
+    if begun is not None:
+        return best
     shut_once: set[int] = set()
     while left := [e for e in best.effects if e.best not in shut_once]:
         effect = left[0]
