@@ -31,39 +31,48 @@ _Rows = np.ndarray | Sequence[int] | slice
 
 @dataclass(frozen=True, eq=False)
 class Session(MeasuredRows):
-    """N measurements of an arm with n commanded joints. Arrays are read-only."""
+    """N measurements of an arm with n commanded joints. Arrays are read-only.
 
-    index: np.ndarray  # (N,) counter of the recording. A step other than 0 or 1 is a gap.
-    q: np.ndarray  # (N, n) commanded joints, rad and m
-    xyz: np.ndarray  # (N, 3) measured tip, m. NaN is a coordinate that was not measured.
+    Attributes:
+        index: (N,) counter of the recording. A step other than 0 or 1 is a gap.
+        q: (N, n) commanded joints, rad and m.
+        xyz: (N, 3) measured tip, m. NaN is a coordinate that was not measured.
+        approach: (N, n) side each joint arrived from: +1 from below, -1 from above, 0 unknown.
+        repeat_id: (N,) rows with the same number revisit one pose; -1 for none.
+        sigma: (N, 3) standard deviation of the measurement in m, or None.
+        columns: further numbers by name, (N,) each, finite: `t_s`, `temperature_c`,
+            `payload_kg`, `incl_<frame>_x`, any other quantity that was recorded.
+        labels: text by name, (N,) each: `group`, `marker`, `role`, any other.
+        source: file or bag from which it was read, for messages.
+        legs: (N, n, LEGS) signed ways of each joint from turn to turn, rad and m, the latest
+            first (`core/arm/history.py`); 0 where unknown.
+        told: (N, n) of +-1 if only the side of arrival was recorded, with a run-up of unknown
+            length, else 0.
+        readings: what else was measured, by kind (`core/data/kinds.py`), (N, c) each; a row of
+            NaN was not. `orientation`: x, y, z, w; `distance`: m, to the row's `anchor`.
+        sigmas: standard deviations of these, by kind, (N,) each in m or rad.
+        touch_distances: known distances between touched points (`core/data/touched.py`).
+        blocks: the channels of the equations; a part of a session keeps those of the whole.
+        lost: why rows of the recording hold no measurement, by index, if known; a part of a session
+            keeps those of the whole.
+    """
+
+    index: np.ndarray
+    q: np.ndarray
+    xyz: np.ndarray
     approach: np.ndarray
-    """(N, n) side each joint arrived from: +1 from below, -1 from above, 0 unknown."""
-    repeat_id: np.ndarray  # (N,) rows with the same number revisit one pose; -1 for none
-    sigma: np.ndarray | None = None  # (N, 3) standard deviation of the measurement in m, or None
+    repeat_id: np.ndarray
+    sigma: np.ndarray | None = None
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Further numbers by name, (N,) each, finite: `t_s`, `temperature_c`, `payload_kg`,
-    `incl_<frame>_x`, any other quantity that was recorded."""
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Text by name, (N,) each: `group`, `marker`, `role`, any other."""
-    source: str = "session"  # file or bag from which it was read, for messages
+    source: str = "session"
     legs: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """(N, n, LEGS) signed ways of each joint from turn to turn, rad and m, the latest first
-    (`core/arm/history.py`); 0 where unknown."""
     told: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """(N, n) of +-1 if only the side of arrival was recorded, with a run-up of unknown length,
-    else 0."""
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """What else was measured, by kind (`core/data/kinds.py`), (N, c) each; a row of NaN was not.
-    `orientation`: x, y, z, w; `distance`: m, to the row's `anchor`."""
     sigmas: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Standard deviations of these, by kind, (N,) each in m or rad."""
     touch_distances: tuple[KnownDistance, ...] = ()
-    """Known distances between touched points (`core/data/touched.py`)."""
     blocks: tuple[ChannelBlock, ...] = ()
-    """The channels of the equations; a part of a session keeps those of the whole."""
     lost: Mapping[int, str] = field(default_factory=dict)
-    """Why rows of the recording hold no measurement, by index, if known; a part of a session keeps
-    those of the whole."""
 
     def __post_init__(self) -> None:
         q = _joints(self.source, self.q)
