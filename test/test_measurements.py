@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from discover_rows import DEMO
 from scipy.spatial.transform import Rotation
 from sensed_arm import (
     ANCHORS,
@@ -328,3 +329,11 @@ def test_what_is_no_rotation_has_no_rotation_vector() -> None:
     found = rotation_vector(np.stack([2.0 * turn, mirrored, broken]))
     assert found[0] == pytest.approx([0.1, 0.2, -0.3])
     assert np.isnan(found[1:]).all()
+
+
+def test_rows_that_say_no_position_leave_no_errors_of_a_bending_arm() -> None:
+    model = declared_model(DEMO)
+    q = DEMO.lower + (DEMO.upper - DEMO.lower) * np.random.default_rng(3).random((4, DEMO.n))
+    axes = Rotation.from_matrix(np.stack([model.pose(row)[:3, :3] for row in q])).as_quat()
+    session = Session.record(q, np.full((4, 3), np.nan), readings={"orientation": axes})
+    assert errors(model, session).shape == (0, 3)

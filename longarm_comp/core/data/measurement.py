@@ -74,9 +74,11 @@ def errors(model: Model, session: Session, near: Posture | None = None) -> np.nd
     posture at the M rows (`near`) saves time.
     """
     placed = session.take(session.placed)
+    if not len(placed):
+        return np.zeros((0, 3))
     at = posture(model, placed) if near is None else model.posture_near(near)
     positions = np.asarray(placed.xyz - model.measured_at(at))
-    if placed.plain or not len(placed):
+    if placed.plain:
         return positions
     found = equations(model, placed, at, ())
     moved = np.linalg.pinv(found.pull, rcond=1e-6) @ found.residual[..., None]
