@@ -43,7 +43,7 @@ def test_libraries_that_are_too_old_are_refused_in_one_line(program: str, tmp_pa
     old = "sys.modules['cv2'] = types.SimpleNamespace(__version__='4.6.0')"
     assert refused(program, tmp_path, old).splitlines() == [
         "longarm_comp: pydantic 1.10.14 is too old; OpenCV 4.6.0 is too old; "
-        "run: pip install 'pydantic>=2.6' 'opencv-python-headless>=4.10'"
+        "run: pip install 'pydantic>=2.10' 'opencv-python-headless>=4.10'"
     ]
 
 

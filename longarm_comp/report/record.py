@@ -79,7 +79,7 @@ class ReportFinding(_Record):
     tip_mm: TipSize | None = None
     seen_mm: Interval | None = None
     commanded_mm: Interval | None = None
-    doubts: list[str] = Field(default_factory=list)
+    doubts: list[str] = Field(default=[])
     action: str = ""
 
     @property
@@ -151,7 +151,7 @@ class HeldOut(_Record):
     after: Stage | None = None
     before_after_ci95_mm: Interval | None = None
     commanded_ci95_mm: Interval | None = None
-    not_commanded: list[str] = Field(default_factory=list)
+    not_commanded: list[str] = Field(default=[])
 
 
 class Outlier(_Record):
@@ -188,7 +188,7 @@ class ReportDiscovered(_Record):
     frame: str
     component: str
     set: list[str]
-    names: dict[str, float] = Field(default_factory=dict)
+    names: dict[str, float] = Field(default={})
     probability: float | None = Field(default=None, ge=0, le=1)
     formula: str
     terms: list[DiscoveredTerm]
@@ -197,7 +197,7 @@ class ReportDiscovered(_Record):
     reading: str
     title: str = ""
     action: str = ""
-    doubts: list[str] = Field(default_factory=list)
+    doubts: list[str] = Field(default=[])
     log_evidence: float
     tip_mm: TipShift
     held_out_rms_mm: tuple[float, float]
@@ -248,8 +248,8 @@ class DiagnosisReport(_Record):
     discovered: list[ReportDiscovered] = Field(default_factory=list)
     none_of_these: float | None = Field(default=None, ge=0, le=1)
     written: Written | None = None
-    doubtful: list[Doubtful] = Field(default_factory=list)
-    called: dict[str, str] = Field(default_factory=dict)
+    doubtful: list[Doubtful] = Field(default=[])
+    called: dict[str, str] = Field(default={})
     provenance: ReportProvenance
 
     def for_people(self) -> DiagnosisReport:
