@@ -258,3 +258,17 @@ def test_a_joint_far_softer_than_its_prior_has_its_value() -> None:
     found = soft_joint(20.0)
     assert places(found) == [("joint_compliance", "joint 2")]
     assert found.chosen[0].compliance == pytest.approx(20.0, rel=0.1)  # type: ignore[union-attr]
+
+
+def test_the_same_with_fewer_places_takes_the_place_of_what_has_too_many() -> None:
+    """At first a leaning base looks like a soft joint 5; then only joint 6 is needed."""
+    arm, rng = Arm.load(folder("config") / "arm_demo.yaml"), np.random.default_rng([26, 11])
+    hidden = [
+        readings._at(6, name, arm, 0.3 * readings.SIZE_MM, rng)
+        for name in ("servo_droop", "joint_compliance")
+    ]
+    found = diagnose(arm, readings.measured(arm, hidden, rng, 240)).findings
+    assert {(f.names, f.where) for f in found} == {
+        (("servo_droop",), ("joint 6",)),
+        (("joint_compliance",), ("joint 6",)),
+    }

@@ -33,7 +33,7 @@ from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.give import Slack, with_usual
+from longarm_comp.core.identify.give import Slack
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, instead
@@ -134,35 +134,19 @@ def test_a_form_may_err_by_a_share_of_its_own_shift() -> None:
     assert np.linalg.norm(large[np.abs(white) < 1e-12]) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_every_arm_has_is_fitted_and_no_finding() -> None:
+def test_what_every_arm_has_is_there_and_no_finding() -> None:
     """A lean of 5 mrad about each axis, on top of which one of 30 must explain something."""
     fitted, _ = planted()
-    leaning = Candidate("gravity_direction", (GravityDirection(),))
-    level = with_usual(fitted.model, [leaning])
-    assert level.without({leaning.terms[0].key}) == fitted.model
-    assert [s.parameter.prior for s in level.slots if s.owner.key == leaning.terms[0].key] == [
-        pytest.approx(5e-3)
-    ] * 2
-    found = fitted.model.plus(*leaning.terms)
-    assert with_usual(found, [leaning]) == found
-    assert with_usual(found, [leaning]).slots == found.slots
-
-
-def test_what_every_arm_has_stays_beside_more_of_it() -> None:
-    """Else a lean of 5 mrad would be counted for the finding."""
-    before, _ = planted()
-    leaning = Candidate("gravity_direction", (GravityDirection(),))
-    fitted = fit(before.model.plus(*leaning.terms), before.session)
-    columns, found = FitColumns(fitted), FoundEffect(leaning.terms, 1.0, (), 0.0)
-    assert tolerances(fitted, [leaning], (), Slack(0.1, False)).shape[1] == 0
-    beside = tolerances(fitted, [leaning], (found,), Slack(0.1, False))
+    columns, leaning = FitColumns(fitted), Candidate("gravity_direction", (GravityDirection(),))
+    usual = tolerances(fitted, [leaning], (), Slack(0.1, False))
     slots = leaning.slots(DEMO)
-    usual = fitted.whitened(columns.unscaled(slots) * 5e-3)
-    np.testing.assert_allclose(beside[:, :2], usual, atol=1e-9)
-    bank = offered(fitted, [leaning], (), (found,), [Slack(0.1, False)])[0]
-    rest = [s.owner.key != leaning.terms[0].key for s in fitted.slots]
-    whole = Marginal(np.concatenate([fitted.design[:, rest], beside], axis=1), fitted.data)
+    np.testing.assert_allclose(usual, fitted.whitened(columns.unscaled(slots) * 5e-3), atol=1e-9)
+    bank = offered(fitted, [leaning], (), (), [Slack(0.1, False)])[0]
+    whole = Marginal(np.concatenate([fitted.design, usual], axis=1), fitted.data)
     assert bank.base == pytest.approx(whole.evidence)
+    assert (
+        bank.bank.gram[0, 0] < 0.9 * (fitted.whitened(columns.of(leaning.terms))[:, 0] ** 2).sum()
+    )
 
 
 def test_what_its_own_form_may_leave_has_less_evidence() -> None:

@@ -26,7 +26,7 @@ class Parameter:
         unknown: nothing is known beforehand: the fit's prior is too wide to pull (`FLAT`).
         like: shared by parameters of one effect that are nearly equal beforehand (`ALIKE`). It
             counts where explanations are compared; a fit takes each by itself.
-        usual: standard deviation of what every arm has of it: fitted, and no finding.
+        usual: standard deviation of what every arm has of it: no finding, and never fitted.
     """
 
     name: str

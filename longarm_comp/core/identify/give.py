@@ -18,7 +18,7 @@ from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.model.model import Model, slots_of
+from longarm_comp.core.model.model import slots_of
 
 GIVE = 0.03
 """Size of what gives way at every place of an arm, in the size of a finding.  On UR5 and three
@@ -53,19 +53,6 @@ def giving(library: Sequence[Candidate]) -> tuple[Term, ...]:
     return tuple(t for t in distinct(library) if t.elastic)
 
 
-def with_usual(model: Model, library: Sequence[Candidate]) -> Model:
-    """A model with what every arm has (`Parameter.usual`) where it holds no more of it.
-
-    It is fitted with the geometry: by first order alone, what it does with every other effect
-    would show as effects that are not there.
-    """
-    held = {t.key for t in model.terms}
-    slots = [s for s in slots_of(model.arm, distinct(library, held)) if s.parameter.usual]
-    terms = {s.owner.key: s.owner for s in slots}
-    sizes = tuple((s.identity, s.parameter.usual / s.parameter.width) for s in slots)
-    return dataclasses.replace(model.plus(*terms.values()), beyond=(*model.beyond, *sizes))
-
-
 def a_little(columns: FitColumns, library: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
     """(m, k) whitened columns of what every real arm has, and (k,) the size of each."""
     every = distinct(library)
@@ -74,11 +61,14 @@ def a_little(columns: FitColumns, library: Sequence[Candidate]) -> tuple[np.ndar
 
 
 def with_give(fitted: ModelFit, library: Sequence[Candidate]) -> ModelFit:
-    """A fit with what gives way besides, as much as the rows ask for; same noise."""
+    """A fit with what gives way besides, as much as the rows ask for; same rows and noise."""
     held = {t.key for t in fitted.model.terms}
     added = [t for t in giving(library) if t.key not in held]
     model = fitted.model.plus(*added)
     keys = {t.key for t in added}
     small = tuple((s.identity, GIVE) for s in model.slots if s.owner.key in keys)
     model = dataclasses.replace(model, beyond=(*model.beyond, *small))
-    return fit(model, fitted.session, sigma=fitted.sigma, rho=fitted.rho, near=fitted)
+    return fit(
+        model, fitted.session, sigma=fitted.sigma, rho=fitted.rho, weights=fitted.weights,
+        near=fitted,
+    )  # fmt: skip

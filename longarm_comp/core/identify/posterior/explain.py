@@ -19,7 +19,7 @@ from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.fit import fit, unfitted
-from longarm_comp.core.identify.give import TOLERANCES, Slack, with_give, with_usual
+from longarm_comp.core.identify.give import TOLERANCES, Slack, with_give
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
@@ -125,12 +125,10 @@ class _Search:
     known: NoiseEstimate | None
     stepped: Sequence[type[Effect]]
     propositions: tuple[Proposition, ...] = ()
-    usual: Sequence[Candidate] = ()
 
     def run(self, functions: bool, say: Callable[[str], None]) -> ExplainedSession:
         say("geometry")
         state = self._repeated(self._fitted(self.base, (), None), say)
-        state = self._repeated(self._levelled(state), say)
         if functions:
             state = self._repeated(state, say, functions=True)
         state, doubtful, changed = self._compared(state)
@@ -187,11 +185,13 @@ class _Search:
         """Whether the explanation in the model is better, once fitted, than the one before.
 
         Columns are those of small changes: of two effects that need each other, as a load needs
-        what gives way, one seems to do what only both can.
+        what gives way, one seems to do what only both can.  Each counts as it is, with what it
+        does not need: else an explanation could not take the place of the same one with more.
         """
         again = self._begun(before.fit.model, now.fit, begun=before.fit)
-        worth = self._standing(now.fit, now.found)[0]
-        return worth > self._standing(again, before.found, now.fit)[0] + BETTER
+        was = self._offered(again, before.found, others=False, near=now.fit)
+        becomes = self._offered(now.fit, now.found, others=False)
+        return max(b.standing for b in becomes) > max(b.standing for b in was) + BETTER
 
     def _begun(self, model: Model, noise_of: ModelFit, **start: ModelFit) -> ModelFit:
         """A model fitted so far that the next step would be small, with the noise of a fit."""
@@ -200,11 +200,9 @@ class _Search:
             max_iterations=STEPS, close=NEAR, **start,  # type: ignore[arg-type]
         )  # fmt: skip
 
-    def _standing(
-        self, fitted: ModelFit, found: Sequence[FoundEffect], near: ModelFit | None = None
-    ) -> tuple[float, Slack]:
+    def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Slack]:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
-        every = self._offered(fitted, found, others=False, near=near)
+        every = self._offered(fitted, found, others=False)
         return max((bank.pruned, bank.tolerance) for bank in every)
 
     def _compared(self, state: _State) -> tuple[_State, tuple[FoundEffect, ...], bool]:
@@ -213,7 +211,11 @@ class _Search:
         Returns the state, what is doubtful, and whether another effect was better somewhere, so
         that all else must be explained anew.
         """
-        state = self._robust(state)
+        was = state.fit
+        fitted = fit(
+            was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights, begun=was
+        )
+        state = replace(state, fit=fitted)
         banks = self._offered(state.fit, state.found)
         found, doubtful = max(banks, key=lambda b: b.standing).judged(state.found, banks)
         sure = tuple(f for f in found if f.there >= CREDIBLE)
@@ -242,7 +244,7 @@ class _Search:
         if len({t.key for t in terms}) < len(terms):
             return -math.inf
         try:
-            model = self._with(state.fit.model, terms)
+            model = _with(self.base, state.fit.model, terms)
             begun = self._begun(model, state.fit, near=state.fit)
             return self._standing(begun, found)[0]
         except JobError:
@@ -269,23 +271,11 @@ class _Search:
 
     def _taken(self, state: _State, found: tuple[FoundEffect, ...]) -> _State | None:
         """The model fitted with what was found; None where that runs away."""
-        model = self._with(state.fit.model, _known(state.fit.model, found))
+        model = _with(self.base, state.fit.model, _known(state.fit.model, found))
         try:
             return self._fitted(model, found, state)
         except JobError:
             return None
-
-    def _with(self, now: Model, terms: Sequence[Term]) -> Model:
-        """The base model with further terms, the geometry started from a model as it is now."""
-        known = {t.key: t for t in now.terms}
-        geometry = (known.get(t.key, t) for t in self.base.terms)
-        return with_usual(self.base.with_terms([*geometry, *terms]), self.usual)
-
-    def _levelled(self, state: _State) -> _State:
-        """With what every arm has, now that what is large pulls at it no more."""
-        self.usual = self.candidates
-        model = self._with(state.fit.model, _known(state.fit.model, state.found))
-        return self._robust(state, model)
 
     def _fitted(
         self, model: Model, found: tuple[FoundEffect, ...], before: _State | None
@@ -304,13 +294,6 @@ class _Search:
             max_iterations=STEPS, close=NEAR, begun=first,
         )  # fmt: skip
         return _State(found, fitted, noise)
-
-    def _robust(self, state: _State, model: Model | None = None) -> _State:
-        """The fit, or that of another model, taken to its end, without rows that it leaves open."""
-        was = state.fit
-        begun = was if model is None else None
-        done = fit(model or was.model, self.session, sigma=was.sigma, rho=was.rho, begun=begun)
-        return replace(state, fit=done)
 
     def _reformed(self, state: _State, say: Callable[[str], None]) -> _State:
         """Forms on a scale moved to where the evidence is highest, each with the rest as it is."""
@@ -353,3 +336,9 @@ def _known(model: Model, found: Sequence[FoundEffect]) -> list[Term]:
     """The terms of what was found, at the model's values where it holds them."""
     known = {t.variant: t for t in model.terms}
     return [known.get(t.variant, t) for f in found for t in f.terms]
+
+
+def _with(base: Model, now: Model, terms: Sequence[Term]) -> Model:
+    """The base model with further terms, the geometry started from the model as it is now."""
+    known = {t.key: t for t in now.terms}
+    return base.with_terms([*(known.get(t.key, t) for t in base.terms), *terms])

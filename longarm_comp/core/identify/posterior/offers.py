@@ -178,8 +178,7 @@ def _beside(
     arm = fitted.model.arm
     forms = np.array([slack.form for slack in slacks])
     every = np.ones((len(slacks), 1))
-    fitted_now = {t.key for t in fitted.model.terms} - {t.key for f in found for t in f.terms}
-    usual = [t for t in distinct(library, fitted_now) if any(p.usual for p in t.parameters(arm))]
+    usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
     made, sizes = [FitColumns(fitted).white(usual)], [every * shares]
     if any(slack.give for slack in slacks):
