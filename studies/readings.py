@@ -63,7 +63,7 @@ def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator
     for k in range(cases):
         planted, joint = PLANTED[k % 3], JOINTS[k // 3 % len(JOINTS)]
         rng = np.random.default_rng([26, k])
-        effects = [_at(joint, name, arm, share * SIZE_MM, rng) for name in planted]
+        effects = [at_joint(joint, name, arm, share * SIZE_MM, rng) for name in planted]
         found = diagnose(arm, measured(arm, effects, rng, rows)).findings
         said = [(f.names, list(f.where)) for f in found]
         want = [((name,), [f"joint {joint}"]) for name in planted]
@@ -91,7 +91,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
     sessions = [(120, PAYLOADS_KG[1]), (480, PAYLOADS_KG[1]), (480, 4 * PAYLOADS_KG[1])]
     for joint, (rows, load_kg) in itertools.product(JOINTS, sessions):
         rng = np.random.default_rng([26, joint])
-        hidden = _at(joint, "joint_compliance", arm, share * SIZE_MM, rng)
+        hidden = at_joint(joint, "joint_compliance", arm, share * SIZE_MM, rng)
         assert isinstance(hidden, JointCompliance)
         session = measured(arm, [hidden], rng, rows, load_kg)
         soft = SoftJoint(joint, compliance=float(hidden.compliance[arm.commanded.index(joint)]))
@@ -158,7 +158,9 @@ def session_of(columns: dict[str, np.ndarray], n: int) -> Session:
     )  # fmt: skip
 
 
-def _at(joint: int, name: str, arm: Arm, size_mm: float, rng: np.random.Generator) -> HiddenEffect:
+def at_joint(
+    joint: int, name: str, arm: Arm, size_mm: float, rng: np.random.Generator
+) -> HiddenEffect:
     """Droop or softness of one joint, of a size at the tip."""
     place = np.array([float(row == joint) for row in arm.commanded])
     made: HiddenEffect = JointCompliance(1e-3 * place)

@@ -30,6 +30,7 @@ from longarm_comp.core.effects.plays import TelescopeClearance
 from longarm_comp.core.effects.slow_changes import Creep, ThermalGrowth, ThermalSoftening
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.model.model import Model
@@ -37,6 +38,7 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import drives, loads
 from longarm_comp.sim.hidden import geometry as true_geometry
 from longarm_comp.sim.hidden.base import HiddenEffect
+from studies import readings
 
 KINDS = (JointCompliance, JointGain, GearEccentricity, ThermalGrowth)
 ELASTIC = (BaseCompliance, BearingTilt, JointCompliance, LinkStiffness)
@@ -262,12 +264,12 @@ def test_a_joint_far_softer_than_its_prior_has_its_value() -> None:
 
 def test_the_same_with_fewer_places_takes_the_place_of_what_has_too_many() -> None:
     """At first a leaning base looks like a soft joint 5; then only joint 6 is needed."""
-    arm, rng = Arm.load(folder("config") / "arm_demo.yaml"), np.random.default_rng([26, 11])
+    rng = np.random.default_rng([26, 11])
     hidden = [
-        readings._at(6, name, arm, 0.3 * readings.SIZE_MM, rng)
+        readings.at_joint(6, name, DEMO, 0.3 * readings.SIZE_MM, rng)
         for name in ("servo_droop", "joint_compliance")
     ]
-    found = diagnose(arm, readings.measured(arm, hidden, rng, 240)).findings
+    found = diagnose(DEMO, readings.measured(DEMO, hidden, rng, 240)).findings
     assert {(f.names, f.where) for f in found} == {
         (("servo_droop",), ("joint 6",)),
         (("joint_compliance",), ("joint 6",)),
