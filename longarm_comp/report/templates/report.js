@@ -14,7 +14,9 @@
     const ends = [0, 1, 2].map((k) => points.map((p) => p[k]))
       .map((values) => [Math.min(...values), Math.max(...values)]);
     const middle = ends.map(([low, high]) => (low + high) / 2);
-    const scale = 0.8 * plot.height / Math.hypot(...ends.map(([low, high]) => high - low), 1e-3);
+    const far = points.map((p) => Math.hypot(...p.map((value, k) => value - middle[k])));
+    const scale = 0.45 * plot.height / Math.max(...far, 1e-3); // whichever way it is turned
+    pen.lineJoin = "round";
     let [turn, tilt] = [-0.9, 0.4];
     const seen = (p) => {
       const [x, y, z] = p.map((value, k) => value - middle[k]);
@@ -58,11 +60,11 @@
         return;
       }
       const zoom = plot.width / plot.clientWidth;
-      const far = tips.map(seen).map(([x, y]) =>
+      const off = tips.map(seen).map(([x, y]) =>
         Math.hypot(x / zoom - event.offsetX, y / zoom - event.offsetY));
-      const near = far.indexOf(Math.min(...far));
+      const near = off.indexOf(Math.min(...off));
       const mm = chosen().errors[near].map((value) => (1e3 * value).toFixed(2)).join(", ");
-      plot.title = far[near] < 8 ? `row ${rows[near]}: (${mm}) mm` : "";
+      plot.title = off[near] < 8 ? `row ${rows[near]}: (${mm}) mm` : "";
     });
     byId("turning").addEventListener("change", draw);
     draw();
