@@ -18,12 +18,12 @@ from bench.calibration_peers import by_finite_differences, pybotics
 from bench.comparison import Result, alone, beside, missing
 from bench.subprocess_cost import Cost, cost_of
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import Errors, geometry
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.calibrate import Errors, geometry
-from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from studies.real_sessions import declared

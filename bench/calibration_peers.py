@@ -13,9 +13,9 @@ from scipy.optimize import least_squares
 
 from bench.peer_environment import python_of
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.model_fit import priors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.model_fit import priors
 from longarm_comp.core.model.model import Model
 
 PYBOTICS = ("pybotics==3.1.2",)

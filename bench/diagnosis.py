@@ -14,10 +14,10 @@ from bench.arms import demo_arm
 from bench.calibration import synthetic_session
 from bench.comparison import Result, beside
 from bench.subprocess_cost import Cost, cost_of
+from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.plays import Backlash
-from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
 
 GOAL_S = 30.0

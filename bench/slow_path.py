@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.calibration.calibrate import declared_model
 
 _REACH = 0.15  # of each joint's range, to either side of its middle
 _STEP = 0.05  # rad of phase from one target to the next

@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.uncertainty import about_the_mean, uncertainty
 from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.uncertainty import about_the_mean, uncertainty
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes
 from longarm_comp.sessions.read import read_session

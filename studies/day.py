@@ -18,6 +18,10 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.learner import Learner
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.compensation.drift import Monitor
@@ -25,11 +29,7 @@ from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.explain import explain_session
-from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm

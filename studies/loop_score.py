@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.core.calibration.calibrate import declared_model, geometry
+from longarm_comp.core.calibration.candidates import Term, library
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.calibrate import declared_model, geometry
-from longarm_comp.core.identify.candidates import Term, library
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.findings import EffectFinding
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import Model
 from studies.loop_setting import LoopSetting
 from studies.loop_truth import places, values

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import declared_model, geometry
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.linear import Marginal
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.plan import grid, sobol
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import declared_model, geometry
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import PRINTED, Anchor
+from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.math.points import kabsch

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.placement import placed
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import KindDirection
-from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from studies.real_sessions import Measured, justin

@@ -20,6 +20,9 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.path import CompensatedPath, compensate_path
 from longarm_comp.core.compensation.planned_path import PlannedPath
@@ -27,9 +30,6 @@ from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import effect_class
-from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model

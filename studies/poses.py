@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.plan import Plan, grid, random_joints, sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
-from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.optimal_poses import Uncertainty, optimal_poses
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.planning.optimal_poses import Uncertainty, optimal_poses
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import catalogue

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance as SoftJoint
 from longarm_comp.core.effects.drive_errors import ServoDroop
-from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.give import TOLERANCES
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.posterior.offers import offered

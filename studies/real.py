@@ -15,12 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
-from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.geometry_errors import JointZero
-from longarm_comp.core.effects.placements import TipOffset
-from longarm_comp.core.identify.calibrate import (
+from longarm_comp.core.calibration.calibrate import (
     Errors,
     declared_model,
     errors,
@@ -28,11 +23,16 @@ from longarm_comp.core.identify.calibrate import (
     geometry,
     warm,
 )
+from longarm_comp.core.calibration.fit import fit_together
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.placement import placed
+from longarm_comp.core.data.commanded import commanded_errors
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.effects.placements import TipOffset
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import CALIBRATED, Diagnosis
-from longarm_comp.core.identify.fit import fit_together
-from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.model.model import Model, Slot
 from studies.interval import mean_ci95
 from studies.real_sessions import Measured, justin, laser_tracked

@@ -25,6 +25,8 @@ from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.calibration.calibrate import Errors, declared_model, geometry
+from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.compensation.compensate import (
     Method,
     commandable,
@@ -32,8 +34,6 @@ from longarm_comp.core.compensation.compensate import (
 )
 from longarm_comp.core.data.plan import grid, paper_grid, random_joints
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import Errors, declared_model, geometry
-from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model

@@ -17,11 +17,11 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import PRINTED
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, LongarmError
-from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.workflows.diagnose import diagnose
 from studies.interval import mean_ci95

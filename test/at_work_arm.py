@@ -7,11 +7,11 @@ from functools import cache
 import numpy as np
 from small_arm import ARM
 
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.plays import FrictionHysteresis
-from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm

@@ -6,10 +6,10 @@ import numpy as np
 from hidden_arm import white
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import declared_model, stages
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import declared_model, stages
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext

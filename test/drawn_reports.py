@@ -16,8 +16,8 @@ from hidden_arm import at, session, white
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.findings import Rival

@@ -12,6 +12,7 @@ from small_arm import ARM as SMALL
 
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.belonging import MIN_POSES, believe, mistakes
 from longarm_comp.core.data.measurement import errors
@@ -21,7 +22,6 @@ from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.model import Model
 from studies.real_sessions import laser_tracked
 

@@ -9,13 +9,13 @@ import pytest
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.kind_of_arm import KindOfArm
+from longarm_comp.core.calibration.linear import CHANCES, SIZES, sized
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.geometry_errors import DhError
-from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.kind_of_arm import KindOfArm
-from longarm_comp.core.identify.linear import CHANCES, SIZES, sized
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model

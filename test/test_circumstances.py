@@ -18,6 +18,7 @@ from longarm_comp.core.arm.context import LEGS, PER_JOINT, WIDTH, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
+from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import Method, Status, compensate
 from longarm_comp.core.compensation.online import Readings
@@ -29,7 +30,6 @@ from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.ik.engines import compiler_at_hand
 from longarm_comp.core.ik.solver import Engine, solve_many
 from longarm_comp.core.learn.inputs import INPUT_KINDS

@@ -24,10 +24,10 @@ from quick_arm import quick_arm
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.jobs.collect.run import visited
 from longarm_comp.jobs.collect.visits import Visit, visits

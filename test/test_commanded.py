@@ -14,6 +14,7 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.data.commanded import (
     as_commanded,
     commanded_errors,
@@ -27,7 +28,6 @@ from longarm_comp.core.effects.effect import Effect, parameter
 from longarm_comp.core.effects.placements import SensorPlace
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import Creep, ThermalGrowth
-from longarm_comp.core.identify.calibrate import declared_model
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError
 from longarm_comp.core.effects.plays import Backlash, CylinderPlay
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.ik.solver import solve_many
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm

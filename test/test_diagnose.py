@@ -18,7 +18,7 @@ import longarm_comp as la
 from longarm_comp.cli.run import run
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.wind_up import as_fitted
 from longarm_comp.core.model.model_file import load_model, undo

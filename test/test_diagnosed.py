@@ -12,6 +12,7 @@ from small_arm import ARM
 from test_thresholds import session_of
 
 from longarm_comp.core.arm.measuring import CameraPlacement
+from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift, CameraRadial, CameraScale
 from longarm_comp.core.effects.compliances import BearingTilt, LinkStiffness
@@ -21,7 +22,6 @@ from longarm_comp.core.effects.masses import GravityDirection
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
-from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.assemble import assemble

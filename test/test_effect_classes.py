@@ -13,12 +13,12 @@ from small_arm import ARM
 
 import longarm_comp
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY, register, searched
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.effect import Effect, form, moving_joints, parameter, place
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.sim.hidden import drives
 

@@ -14,6 +14,8 @@ from discover_rows import DEMO, measured
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.calibration.calibrate import declared_model, geometry
+from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import (
@@ -28,8 +30,6 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.masses import GravityDirection
 from longarm_comp.core.effects.plays import TelescopeClearance
 from longarm_comp.core.effects.slow_changes import Creep, ThermalGrowth, ThermalSoftening
-from longarm_comp.core.identify.calibrate import declared_model, geometry
-from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.found import FoundEffect

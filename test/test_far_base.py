@@ -29,12 +29,12 @@ from sensed_arm import (
 import longarm_comp as la
 from longarm_comp.cli.calibrate import command as calibrate_command
 from longarm_comp.cli.evaluate import command as evaluate_command
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.standing import untold
 from longarm_comp.core.data.lifted_base import lifted_base, multilaterated
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.standing import untold
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv

@@ -6,10 +6,10 @@ import dataclasses
 
 import pytest
 
+from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
-from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.posterior.found import FoundEffect
 

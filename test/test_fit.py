@@ -13,6 +13,18 @@ from scipy.stats import f, multivariate_normal
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration import linear
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.fit import fit, fit_together
+from longarm_comp.core.calibration.linear import whiten
+from longarm_comp.core.calibration.noise import (
+    NoiseEstimate,
+    agreed,
+    from_repeats,
+    lag_correlation,
+)
+from longarm_comp.core.calibration.placement import placed
+from longarm_comp.core.calibration.standing import frames
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.geometry_errors import DhError, JointZero
@@ -21,18 +33,6 @@ from longarm_comp.core.effects.placements import BasePose, TipOffset
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.fit import fit, fit_together
-from longarm_comp.core.identify.linear import whiten
-from longarm_comp.core.identify.noise import (
-    NoiseEstimate,
-    agreed,
-    from_repeats,
-    lag_correlation,
-)
-from longarm_comp.core.identify.placement import placed
-from longarm_comp.core.identify.standing import frames
 from longarm_comp.core.model.model import Model
 
 SIGMA = 4e-4

@@ -12,6 +12,8 @@ from hidden_arm import SIGMA, at, session
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import declared_model, geometry
+from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
@@ -20,8 +22,6 @@ from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.shapes import Function, Legendre, Linear, Square, Switch
-from longarm_comp.core.identify.calibrate import declared_model, geometry
-from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.discover.causes import POSES, Cause, causes, doubts, proposed
 from longarm_comp.core.identify.discover.functions import Functions, switch

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from touching import ARM
 
+from longarm_comp.core.calibration.candidates import distinct, library
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, LinkBending
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.identify.candidates import distinct, library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import CALIBRATED, WITH_EFFECTS, Diagnosis
 from longarm_comp.core.identify.evidence import FitColumns

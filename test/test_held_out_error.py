@@ -9,8 +9,8 @@ import pytest
 from discover_rows import calibrated, measured
 from small_arm import ARM
 
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.structure import Structure, with_unseen
 
 NOTHING = Structure(False, 0.5, (), 0.0, 1.0, ())

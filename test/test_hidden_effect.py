@@ -14,13 +14,13 @@ from small_arm import ARM
 
 import longarm_comp.sim
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.visible_size import detectable
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, geometry

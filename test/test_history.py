@@ -15,6 +15,7 @@ from wind_up import Sliders, WindUp, there_and_back
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History, onward, play, recorded
+from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.unknown import unknown_history
@@ -25,7 +26,6 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.wind_up import as_fitted
 from longarm_comp.core.model.model import Model

@@ -11,17 +11,17 @@ from hidden_arm import SIGMA, at, session
 from small_arm import ARM
 from test_thresholds import session_of
 
+from longarm_comp.core.calibration.calibrate import declared_model, geometry
+from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.plays import Backlash
-from longarm_comp.core.identify.calibrate import declared_model, geometry
-from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.evidence import FitColumns
-from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.intervals import Interval, _slopes, intervals
-from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.hidden.base import HiddenEffect

@@ -13,14 +13,14 @@ from touching import ARM, EXAMPLE
 import longarm_comp as la
 from longarm_comp.cli.calibrate import command
 from longarm_comp.cli.diagnose import command as diagnose
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded, plain
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.geometry_errors import DhError, JointZero, KindDirection
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.kind_of_arm import KindOfArm, folded, plain
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored

@@ -26,6 +26,10 @@ from sensed_arm import (
 from small_arm import ARM
 
 import longarm_comp as la
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.noise import from_repeats
+from longarm_comp.core.calibration.placement import started
 from longarm_comp.core.data.kinds import rotation_vector
 from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session
@@ -38,10 +42,6 @@ from longarm_comp.core.effects.placements import (
     TipOrientation,
 )
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.placement import started
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.record import checked

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from drawn_reports import in_doubt
 
+from longarm_comp.core.calibration.linear import Marginal
+from longarm_comp.core.calibration.model_fit import priors
 from longarm_comp.core.identify.evidence import FitColumns
-from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.model_fit import priors
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 
 

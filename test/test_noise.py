@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from longarm_comp.core.calibration.noise import from_residual
 from longarm_comp.core.data.measured_rows import ChannelBlock
-from longarm_comp.core.identify.noise import from_residual
 
 NOISE = 2e-5
 """m, of every axis."""

@@ -16,11 +16,11 @@ from hidden_arm import at, session
 
 from longarm_comp.cli.run import run
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.catalogue import BUILT_IN, load_file
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store

@@ -15,13 +15,13 @@ from small_arm import ARM
 import longarm_comp as la
 from longarm_comp.cli.plan import command
 from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.plan import Plan, outside_boxes, random_joints, sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.optimal_poses import Choice, Uncertainty, optimal_poses
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.planning.optimal_poses import Choice, Uncertainty, optimal_poses
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.poses import read_poses
 from longarm_comp.sim.arm_truth import TrueArm

@@ -14,6 +14,11 @@ from test_circumstances import circumstances, models
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.calibration import plausible
+from longarm_comp.core.calibration.calibrate import ladder, stages
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.placement import placed
+from longarm_comp.core.calibration.standing import frames
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
@@ -21,11 +26,6 @@ from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.placements import BasePose, TipOffset
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.identify import plausible
-from longarm_comp.core.identify.calibrate import ladder, stages
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.placement import placed
-from longarm_comp.core.identify.standing import frames
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.sim.arm_truth import TrueArm

@@ -12,16 +12,16 @@ import pytest
 from demo_rows import session_of
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.linear import sized
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, ServoDroop
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.parameters import ALIKE
 from longarm_comp.core.effects.quantities import Span
 from longarm_comp.core.effects.shapes import Cosine, FunctionError
-from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.discover.inputs import arm_inputs
-from longarm_comp.core.identify.linear import sized
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank

@@ -16,6 +16,10 @@ from small_arm import ARM as SMALL
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.noise import from_repeats
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.plan import sobol
@@ -28,15 +32,11 @@ from longarm_comp.core.effects.geometry_errors import Encoder
 from longarm_comp.core.effects.masses import TipPayload
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.optimal_poses import Uncertainty
-from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.planning.optimal_poses import Uncertainty
 from longarm_comp.report.assemble import assemble
 from longarm_comp.report.candidate_states import sizes
 from longarm_comp.report.detail import detail

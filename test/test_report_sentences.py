@@ -19,8 +19,8 @@ import pytest
 from drawn_reports import drawn, in_doubt, justin, panda_3, panda_7, real
 from report_pages import Page
 
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.measurement import errors
-from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.practical import practical
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import assemble, cards, record, verdict

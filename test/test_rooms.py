@@ -29,7 +29,17 @@ IO = ("cv2", "serial", "click", "rich", "matplotlib")
 # through whatever they import.
 CORE_ORDER = (
     *("errors", "files", "strict_yaml", "yaml_file", "arm", "effects", "model"),
-    *("ik", "data", "compensation", "vibration", "learn", "identify", "at_work"),
+    *(
+        "ik",
+        "data",
+        "compensation",
+        "vibration",
+        "learn",
+        "calibration",
+        "planning",
+        "identify",
+        "at_work",
+    ),
 )
 
 

@@ -11,11 +11,11 @@ from hidden_arm import SIGMA, at, session, tip
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import declared_model
+from longarm_comp.core.calibration.candidates import Candidate, library
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import searched
 from longarm_comp.core.effects.drive_errors import JointGain, ServoQuantisation
-from longarm_comp.core.identify.calibrate import declared_model
-from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import FitColumns

@@ -9,7 +9,7 @@ import pytest
 from numpy.polynomial.legendre import Legendre
 from small_arm import ARM, measured
 
-from longarm_comp.core.identify.calibrate import declared_model, stages
+from longarm_comp.core.calibration.calibrate import declared_model, stages
 from longarm_comp.core.identify.structure import Structure, examine
 
 SIGMA = 1e-4

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.compensation.compensate import Method
-from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
 from studies import conditions
 from studies.conditions import ALSO, CONDITIONS, NETWORK, TOGETHER, claims, one_arm, rows_of, table

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.identify.optimal_poses import OptimalPlan
+from longarm_comp.core.planning.optimal_poses import OptimalPlan
 from studies import poses
 from studies.commands.poses import command
 

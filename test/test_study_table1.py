@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import Errors
 from studies import table1, table1_summary
 from studies.commands.table1 import command
 from studies.table1_figure import table1_figure

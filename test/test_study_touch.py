@@ -12,10 +12,10 @@ from click.testing import CliRunner
 from touching import ARM, EXAMPLE, SOCKETS, errors_of_the_drawing, touching
 
 import longarm_comp as la
+from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.declared_model import declared_model
 from studies.commands.touch import command
 from studies.touch import Left, Touched, gains_mm, read

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.candidates import Candidate, library
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.linear import OUTLIER
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.plays import Backlash
-from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.candidates import Candidate, library
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.linear import OUTLIER
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.forms import refined
 from longarm_comp.core.model.model import Model

@@ -21,11 +21,11 @@ from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.effects.drive_errors import ServoDroop
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_term import typical_loads
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
-from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient, Pace

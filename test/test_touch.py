@@ -22,6 +22,11 @@ from touching import (
 
 import longarm_comp as la
 from longarm_comp.core.arm.parts import Tolerance
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.noise import from_repeats
+from longarm_comp.core.calibration.placement import started
+from longarm_comp.core.calibration.standing import untold
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, errors, posture, spreads
@@ -29,16 +34,11 @@ from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.optimal_poses import Uncertainty
-from longarm_comp.core.identify.placement import started
-from longarm_comp.core.identify.standing import untold
-from longarm_comp.core.identify.touch_poses import touch_pool
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
+from longarm_comp.core.planning.optimal_poses import Uncertainty
+from longarm_comp.core.planning.touch_poses import touch_pool
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.poses import read_poses, write_poses
 from longarm_comp.sim.arm_truth import TrueArm

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import declared_model, geometry, ladder
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraRadial
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.drive_errors import JointGain, PrismaticPitch, ServoQuantisation
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, TelescopeClearance
-from longarm_comp.core.identify.calibrate import declared_model, geometry, ladder
-from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.wind_up import with_run_ups
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model

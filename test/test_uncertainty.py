@@ -13,6 +13,16 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.calibration.calibrate import stages
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.uncertainty import (
+    LeftOut,
+    about_the_mean,
+    arm_share,
+    uncertainty,
+    with_uncertainty,
+)
 from longarm_comp.core.compensation.compensate import Method, Status, compensate, judged
 from longarm_comp.core.compensation.expected import expected_miss, of_tolerances
 from longarm_comp.core.compensation.result import Prediction
@@ -22,16 +32,6 @@ from longarm_comp.core.effects.drive_errors import JointGain as Gain
 from longarm_comp.core.effects.masses import TipPayload
 from longarm_comp.core.effects.plays import FrictionHysteresis
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.uncertainty import (
-    LeftOut,
-    about_the_mean,
-    arm_share,
-    uncertainty,
-    with_uncertainty,
-)
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store

@@ -12,6 +12,7 @@ import pytest
 from discover_rows import HELD_OUT, ROWS, calibrated, measured
 from small_arm import ARM
 
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
@@ -19,7 +20,6 @@ from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import PrismaticPitch
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
-from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.practical import expected_commanded, least
 from longarm_comp.core.model.model import Model

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.standing import frames, with_frames
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.standing import frames, with_frames
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.sessions.read import read_session

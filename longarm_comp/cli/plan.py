@@ -79,7 +79,7 @@ def command(
       longarm plan arm.yaml --kind i-optimal -n 60 -o poses.csv
     """
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.identify.optimal_poses import OptimalPlan
+    from longarm_comp.core.planning.optimal_poses import OptimalPlan
     from longarm_comp.sessions.poses import write_poses
     from longarm_comp.workflows.plan import NOISE, plan
 

@@ -16,8 +16,8 @@ import numpy as np
 from geometry_msgs.msg import PointStamped
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.loop import Loop, LoopSettings, Names
 from longarm_comp.jobs.targets import Say, Trial, Witness

@@ -10,11 +10,11 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import KnownDistance
+from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError, LongarmError
-from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.attend import Attendant
 from longarm_comp.jobs.client import ArmClient

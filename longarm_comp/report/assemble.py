@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.data.commanded import commandable, not_commanded
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import WITH_EFFECTS, WITH_FUNCTIONS, Diagnosis
 from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import EffectFinding, left_in_words

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from longarm_comp.core.calibration.candidates import NO_PLACE
 from longarm_comp.core.data.commanded import MEASURING_SIDE
-from longarm_comp.core.identify.candidates import NO_PLACE
 from longarm_comp.report.detail import Detail, SetSplit
 from longarm_comp.report.record import DiagnosisReport, ErrorRow
 from longarm_comp.report.words import change, interval, listed, millimetres, odds

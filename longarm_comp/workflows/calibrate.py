@@ -12,6 +12,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import Rung, ladder, stages
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.plausible import (
+    check_carries_over,
+    check_fits,
+    check_sizes,
+    check_worth,
+)
+from longarm_comp.core.calibration.standing import untold
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import errors, turns
@@ -21,18 +33,6 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
-from longarm_comp.core.identify.calibrate import Rung, ladder, stages
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.kind_of_arm import KindOfArm, folded
-from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.plausible import (
-    check_carries_over,
-    check_fits,
-    check_sizes,
-    check_worth,
-)
-from longarm_comp.core.identify.standing import untold
-from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored, restore, save_model, store

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import Errors
+from longarm_comp.core.calibration.uncertainty import uncertainty
 from longarm_comp.core.data.admission import FEW_POSES
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
@@ -20,10 +22,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify import diagnose as core
-from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.findings import EffectFinding
-from longarm_comp.core.identify.uncertainty import uncertainty
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import Errors
+from longarm_comp.core.calibration.plausible import displaced
+from longarm_comp.core.calibration.standing import standing
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.html_table import html_table
-from longarm_comp.core.identify.calibrate import Errors
-from longarm_comp.core.identify.plausible import displaced
-from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.workflows import inputs

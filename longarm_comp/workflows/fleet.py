@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.kind_of_arm import table
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import write_text
-from longarm_comp.core.identify.kind_of_arm import table
 from longarm_comp.report.record import read_report
 from longarm_comp.version import __version__
 from longarm_comp.workflows.diagnose import diagnose_files

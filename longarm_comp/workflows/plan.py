@@ -13,11 +13,11 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Vec3
 from longarm_comp.core.data.plan import Plan, above, filled, grid, outside_boxes, paper_grid, sobol
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.optimal_poses import POOL, Measure, Uncertainty, optimal_poses
-from longarm_comp.core.identify.touch_poses import touch_pool
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
+from longarm_comp.core.planning.optimal_poses import POOL, Measure, Uncertainty, optimal_poses
+from longarm_comp.core.planning.touch_poses import touch_pool
 from longarm_comp.sessions.poses import read_next_poses
 from longarm_comp.workflows import inputs
 

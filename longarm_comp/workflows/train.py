@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.calibration.calibrate import Errors
+from longarm_comp.core.calibration.plausible import displaced
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.identify.calibrate import Errors
-from longarm_comp.core.identify.plausible import displaced
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import bootstrap
 
+from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.report.plots import at_the_tip
 from longarm_comp.report.style import rc, save
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from bench.dummy_predictor import train_dummy
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import declared_model, stages
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import declared_model, stages
-from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.identify.linear import log_mass
+from longarm_comp.core.calibration.linear import log_mass
 from longarm_comp.core.identify.posterior.found import UNNAMED
 
 _HAZARD = 1e-3

@@ -176,7 +176,7 @@ class Encoder(Bias):
 class KindDirection(Effect):
     """What other arms of the kind share: errors that come together, with one free amount.
 
-    It is fitted in the place of a correlated prior (`core/identify/kind_of_arm.py`) and then
+    It is fitted in the place of a correlated prior (`core/calibration/kind_of_arm.py`) and then
     folded into the errors that it is made of.  No model.yaml holds it.
     """
 

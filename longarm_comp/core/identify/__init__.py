@@ -1,1 +1,1 @@
-"""One step of closing the loop each: fit, noise, structure, trace, confirm, next poses."""
+"""The diagnosis: what the model lacks, the proof, and the poses that would tell more."""

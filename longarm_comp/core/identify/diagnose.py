@@ -9,11 +9,17 @@ from functools import cache
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import declared_model, stages
+from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.noise import from_repeats
+from longarm_comp.core.calibration.plausible import check_fits, check_noise
+from longarm_comp.core.calibration.standing import standing
 from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.calibrate import declared_model, stages
-from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnosis import (
     CALIBRATED,
     WITH_EFFECTS,
@@ -22,18 +28,12 @@ from longarm_comp.core.identify.diagnosis import (
 )
 from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
 from longarm_comp.core.identify.findings import findings
-from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.intervals import intervals
-from longarm_comp.core.identify.kind_of_arm import KindOfArm, folded
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.next_poses import next_poses
-from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.plausible import check_fits, check_noise
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.offers import tolerances
 from longarm_comp.core.identify.practical import expected_commanded, least
 from longarm_comp.core.identify.proof import prove
-from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import examine, with_unseen
 from longarm_comp.core.identify.wind_up import as_fitted, run_up, taken, with_run_ups
 from longarm_comp.core.learn.predictor import Predictor

@@ -10,13 +10,13 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import Errors
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.units import in_names
-from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import EffectFinding, improvement, left_in_words, sentence
 from longarm_comp.core.identify.intervals import Interval
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.identify.posterior.found import FoundEffect

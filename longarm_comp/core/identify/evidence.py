@@ -6,9 +6,9 @@ from collections.abc import Container, Sequence
 
 import numpy as np
 
-from longarm_comp.core.identify.candidates import CandidateColumns, Term
-from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.candidates import CandidateColumns, Term
+from longarm_comp.core.calibration.linear import Marginal
+from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import slots_of
 
 

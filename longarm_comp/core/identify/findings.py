@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from longarm_comp.core.calibration.candidates import Candidate, Term
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.units import for_people
-from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.intervals import Interval
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.structure import Structure

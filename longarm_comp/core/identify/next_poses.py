@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.identify.candidates import CandidateColumns
+from longarm_comp.core.calibration.candidates import CandidateColumns
+from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.identify.findings import EffectFinding, Rival
-from longarm_comp.core.identify.model_fit import ModelFit, priors
-from longarm_comp.core.identify.optimal_poses import POOL, Choice
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.model.model import unstack
+from longarm_comp.core.planning.optimal_poses import POOL, Choice
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 

@@ -3,8 +3,8 @@
 The error of the tip has two parts.  The parameters are known to their covariance, which
 `Model.columns` carries to the tip at any joints: it grows away from the rows.  What no parameter
 explains is the same everywhere: structure of the arm, and noise of the measurement, which is no
-error of the tip.  `core/identify/uncertainty.py` makes the record, `core/compensation/expected.py`
-reads it.
+error of the tip.  `core/calibration/uncertainty.py` makes the record,
+`core/compensation/expected.py` reads it.
 """
 
 from __future__ import annotations

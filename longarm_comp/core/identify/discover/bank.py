@@ -18,6 +18,8 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.linear import Marginal
+from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.effects.discovered import (
     CAMERA,
@@ -33,8 +35,6 @@ from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
 from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.identify.discover.functions import EACH_JOINT, FunctionGroup, Functions
 from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
-from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.posterior.offers import AMPLITUDES
 from longarm_comp.core.model.model import slots_of
 

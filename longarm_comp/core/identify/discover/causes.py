@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.discovered import CAMERA
 from longarm_comp.core.effects.quantities import JointPosition, OfPosture
 from longarm_comp.core.effects.shapes import Shape, Switch
 from longarm_comp.core.identify.discover import words
 from longarm_comp.core.identify.discover.inputs import FEW_LEVELS, levels_of
 from longarm_comp.core.identify.discover.words import Found
-from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.optimal_poses import POOL
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
 from longarm_comp.core.model.model import unstack
+from longarm_comp.core.planning.optimal_poses import POOL
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from longarm_comp.core.identify.candidates import Candidate, Term
+from longarm_comp.core.calibration.candidates import Candidate, Term
 
 CREDIBLE = 0.95
 """Probability that a credible set holds."""

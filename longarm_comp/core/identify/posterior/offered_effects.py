@@ -11,10 +11,10 @@ from functools import cached_property
 import numpy as np
 from scipy.special import expit
 
-from longarm_comp.core.identify.candidates import Candidate, Term
+from longarm_comp.core.calibration.candidates import Candidate, Term
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.identify.discover.inputs import levels_of
 from longarm_comp.core.identify.give import Slack
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from longarm_comp.core.calibration.linear import Marginal
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.discovered import COMPONENTS, Move, Turn
 from longarm_comp.core.effects.quantities import AXES
 from longarm_comp.core.effects.shapes import Function, Shape, Threshold, Wave
@@ -19,8 +21,6 @@ from longarm_comp.core.identify.discover.bank import (
     term_of,
 )
 from longarm_comp.core.identify.discover.functions import nearby
-from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
 
 SCREENED = 12

@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.identify.linear import log_mass, log_prior_mass, root_of, sized
+from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, root_of, sized
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 
 NONE = -math.log(1.0 - CREDIBLE)

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import KindDirection
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import Model, Slot, slots_of
 
 LEAST = 3

@@ -26,10 +26,10 @@ from typing import NamedTuple
 import numpy as np
 
 from longarm_comp.core.arm.measuring import KnownDistance
+from longarm_comp.core.calibration.linear import whiten
+from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.noise import repeat_scatter
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.identify.linear import whiten
-from longarm_comp.core.identify.model_fit import ModelFit, priors
-from longarm_comp.core.identify.noise import repeat_scatter
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import (
     LEVEL,

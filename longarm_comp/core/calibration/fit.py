@@ -13,11 +13,11 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from longarm_comp.core.calibration import linear
+from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.calibration.session_problem import SessionProblem
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.model_fit import ModelFit, priors
-from longarm_comp.core.identify.session_problem import SessionProblem
 from longarm_comp.core.model.model import Model, Slot
 
 CLOSE = 0.01

@@ -12,11 +12,11 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar
+from longarm_comp.core.calibration.linear import believed, freedom, inliers, spread, whiten
+from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.identify.linear import believed, freedom, inliers, spread, whiten
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import Model, unstack
 
 USUAL = 4.0

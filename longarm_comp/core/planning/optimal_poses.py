@@ -16,16 +16,16 @@ from typing import Literal
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.calibrate import geometry
+from longarm_comp.core.calibration.candidates import library
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.linear import whiten
+from longarm_comp.core.calibration.placement import started
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.plan import Plan, at_levels, random_joints, uniform
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.linear import whiten
-from longarm_comp.core.identify.placement import started
 from longarm_comp.core.model.model import Model, Slot
 
 Criterion = Literal["i-optimal", "d-optimal"]

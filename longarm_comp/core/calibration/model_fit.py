@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.calibration.linear import whiten
 from longarm_comp.core.data.measurement import metres, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.linear import whiten
 from longarm_comp.core.model.model import Model, Slot
 
 Columns = dict[tuple[object, ...], np.ndarray]

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.linear import MAD, OUTLIER
 from longarm_comp.core.data import touched
 from longarm_comp.core.data.kinds import KINDS, matrices
 from longarm_comp.core.data.lifted_base import lifted_base, multilaterated
@@ -29,7 +30,6 @@ from longarm_comp.core.effects.placements import (
     TipOrientation,
 )
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.linear import MAD, OUTLIER
 from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.math.points import kabsch
 

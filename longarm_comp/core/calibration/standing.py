@@ -11,12 +11,18 @@ import dataclasses
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.placement import (
+    framed,
+    placed,
+    reference,
+    sensor_frames,
+    started,
+)
 from longarm_comp.core.data.measurement import equations, errors, posture, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.placements import BasePose, TipOffset, TipOrientation
-from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.placement import framed, placed, reference, sensor_frames, started
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 

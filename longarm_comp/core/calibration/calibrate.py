@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.kind_of_arm import KindOfArm
+from longarm_comp.core.calibration.linear import CHANCES, SIZES, sized
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.standing import frames, standing, with_frames
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError, JointZero
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.kind_of_arm import KindOfArm
-from longarm_comp.core.identify.linear import CHANCES, SIZES, sized
-from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.standing import frames, standing, with_frames
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 

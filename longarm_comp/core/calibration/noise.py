@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtri
 
+from longarm_comp.core.calibration import linear
+from longarm_comp.core.calibration.linear import MAD, OUTLIER, mean, median
+from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.linear import MAD, OUTLIER, mean, median
-from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import Model
 
 ENOUGH_REPEATS = 15

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from longarm_comp.core.calibration.noise import ENOUGH_REPEATS
+from longarm_comp.core.calibration.standing import misplaced
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.noise import ENOUGH_REPEATS
-from longarm_comp.core.identify.standing import misplaced
 from longarm_comp.core.model.model import Model
 
 WORSE = 1.5

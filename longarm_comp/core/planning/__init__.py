@@ -1,0 +1,1 @@
+"""Chooses the poses that would tell most."""
