@@ -30,7 +30,7 @@ from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, 
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import Encoder
 from longarm_comp.core.effects.masses import TipPayload
-from longarm_comp.core.effects.plays import Backlash
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -46,7 +46,15 @@ from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.hidden import drives
 
 DROOP = drives.ServoDroop(at(3, 1.5e-3), at(3, 1e-3), 0.0)
-RIVALS = (ServoDroop, JointCompliance, Backlash, BearingTilt, GearEccentricity, JointGain)
+RIVALS = (
+    ServoDroop,
+    JointCompliance,
+    Backlash,
+    FrictionHysteresis,
+    BearingTilt,
+    GearEccentricity,
+    JointGain,
+)
 """What may act at one joint."""
 
 
@@ -212,18 +220,17 @@ def test_poses_to_measure_ask_for_nothing_that_readings_tell() -> None:
     [
         ((soft(3),), "joint_compliance", ["joint 3"]),
         pytest.param(
-            (drives.Backlash(at(3, 3e-3), np.inf),), None, ["joint 3"], marks=pytest.mark.long
+            (drives.Backlash(at(3, 3e-3), np.inf),),
+            "friction_hysteresis",
+            ["joint 3"],
+            marks=pytest.mark.long,
         ),
     ],
 )
 def test_a_reading_names_what_no_pose_can(hidden, name, places) -> None:
     """Droop and softness are one set without readings; play is not in the servo."""
     found = diagnose(ARM, session(hidden), kinds=RIVALS).findings
-    assert [list(f.where) for f in found] == [places]
-    if name is None:
-        assert "servo_droop" not in found[0].names
-    else:
-        assert found[0].names == (name,)
+    assert [(f.names, list(f.where)) for f in found] == [((name,), places)]
 
 
 def test_without_a_reading_droop_and_softness_stay_a_set() -> None:

@@ -10,7 +10,10 @@ from numpy.polynomial.legendre import Legendre
 from small_arm import ARM, measured
 
 from longarm_comp.core.calibration.calibrate import declared_model, stages
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.identify.reading_steps import step_of
 from longarm_comp.core.identify.structure import Structure, examine
+from longarm_comp.core.model.model import Model
 
 SIGMA = 1e-4
 """Noise of `measured`, m."""
@@ -41,3 +44,37 @@ def test_what_moves_one_axis_shows_beside_the_noise_of_the_others(seed: int) -> 
 @pytest.mark.parametrize("seed", [1, 3, 5])
 def test_noise_leaves_none(seed: int) -> None:
     assert not left(seed, 0.0).flag
+
+
+STEP = 2e-3
+"""Of the encoder of joint 1, rad."""
+
+
+def read(off_steps: float) -> Structure:
+    """Of 120 poses at which joint 1 stands a little more than a step further each, and is read.
+
+    What rounding leaves then grows and falls back twice. The joint is off besides by a function of
+    its place.
+    """
+    rng = np.random.default_rng(8)
+    q = ARM.lower + rng.random((120, ARM.n)) * (ARM.upper - ARM.lower)
+    q[:, 0] = STEP * (1 + 2 / 120) * (np.arange(120) - 60)
+    off = off_steps * STEP * np.cos(q[:, 0] * np.pi / np.ptp(q[:, 0]) * 3.0)
+    told = {"read_q1": (np.rint((q[:, 0] + off) / STEP) * STEP)[:, None]}
+    xyz = Model(ARM).tip(q) + SIGMA * rng.standard_normal((120, 3))
+    *_, (_, fitted) = stages(declared_model(ARM), Session.record(q, xyz, readings=told))
+    return examine(fitted, fitted)
+
+
+def test_the_pattern_of_rounded_readings_is_no_structure_and_more_than_steps_is() -> None:
+    assert not read(0.0).flag
+    found = read(3.0)
+    assert found.flag and found.inputs[0] == "q1"
+
+
+def test_the_step_of_readings_is_their_common_divisor() -> None:
+    counts = np.random.default_rng(1).integers(-20000, 20000, 100)
+    assert step_of(0.31 + counts * 7.67e-5) == pytest.approx(7.67e-5, rel=1e-6)
+    assert step_of(np.round(0.31 + counts * 7.67e-5, 7)) == pytest.approx(7.67e-5, rel=1e-3)
+    assert step_of(np.random.default_rng(1).random(100)) < 1e-5
+    assert step_of(np.array([0.2, 0.2])) == step_of(np.array([])) == 0.0

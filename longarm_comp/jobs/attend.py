@@ -154,14 +154,12 @@ def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
 @contextmanager
 def frozen(client: GraphClient, node: str) -> Iterator[int]:
     """A node of a simulated arm's graph stands still, as a process that hangs does; its process."""
+    if node not in KNOWN:
+        raise InputError("sim freeze", "NODE", node, ", ".join(sorted(KNOWN)))
     reports = Reports(client)
-    missing = "no simulated arm reports (`longarm up`)"
-    client.until(lambda: SIMULATED in reports.nodes, _HEARD_S, missing)
-    if node != SIMULATED:
-        client.spin(2.0)
+    missing = f"no simulated arm with a {node} reports (`longarm up`)"
+    client.until(lambda: {SIMULATED, node} <= reports.nodes.keys(), _HEARD_S, missing)
     reports.close()
-    if node not in reports.nodes:
-        raise InputError("sim freeze", "NODE", node, ", ".join(sorted(reports.nodes)))
     told = {pair.key: pair.value for pair in reports.nodes[node]["process"].values}
     process = int(told[INSTANCE].split("-")[0])
     try:

@@ -22,6 +22,7 @@ from longarm_comp.core.calibration.linear import Marginal, inliers, solve
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.identify.reading_steps import read_exactly
 
 SIGNIFICANT = 0.005
 """Chance of structure where there is none."""
@@ -67,7 +68,8 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
     """Test what a fit leaves, as a function of every input.
 
     Each group of columns is held against the rest of the residual (F test), and the smallest
-    chance counts as often as groups were tried.
+    chance counts as often as groups were tried.  Readings that a fit is as near to as their
+    encoder's step do not count.
 
     Args:
         fit: with everything that was named.
@@ -76,13 +78,14 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
     """
     tested = groups(fit)
     design = fit.design if beside is None else np.concatenate([fit.design, beside], axis=1)
-    marginal = Marginal(design, fit.data)
+    counts = ~read_exactly(fit)[fit.weights > 0].reshape(-1)
+    marginal = Marginal(design * counts[:, None], fit.data * counts)
     residual = fit.whitened(fit.residual[..., None])[:, 0]
     left = float(marginal.py @ marginal.py)
-    free = max(len(marginal.py) - fit.effective, 2.0)
+    free = max(float(counts.sum()) - fit.effective, 2.0)
     found: list[tuple[Group, float, float, np.ndarray]] = []
     for group in tested:
-        b = fit.whitened(group.columns)
+        b = fit.whitened(group.columns) * counts[:, None]
         pb = marginal.project(b)
         gram = b.T @ pb
         values, vectors = np.linalg.eigh((gram + gram.T) / 2)
