@@ -61,6 +61,7 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
         "extra": sum(not n & true for n in names),
         "wrong_name": named_wrong,
         "wrong_single": bool(named_wrong) and found.verdict == "named",
+        "told_apart": best is not None and bool(named_wrong) and _told_apart(setting, found),
         "located": _located(setting, found),
         "flag": found.structure.flag,
         "structure": {
@@ -104,13 +105,13 @@ def _best(
 ) -> ModelFit:
     """The likeliest of the combinations of one form per effect."""
     rows = setting.train if session is None else session
-    base = declared_model(setting.arm)
-    base = base.plus(*geometry(setting.arm, rows))
-    fits = []
-    for forms in itertools.product(*menus):
-        model = base.plus(*(t for form in forms for t in form))
-        fits.append(fit(model, rows, sigma=setting.sigma, robust=session is None))
-    return min(fits, key=_misfit)
+    made = (tuple(t for form in forms for t in form) for forms in itertools.product(*menus))
+    return min((_fitted(setting, terms, rows, session is None) for terms in made), key=_misfit)
+
+
+def _fitted(setting: LoopSetting, terms: Sequence[Term], rows: Session, robust: bool) -> ModelFit:
+    model = declared_model(setting.arm).plus(*geometry(setting.arm, rows), *terms)
+    return fit(model, rows, sigma=setting.sigma, robust=robust)
 
 
 def _misfit(fitted: ModelFit) -> float:
@@ -172,6 +173,14 @@ def _minimal(setting: LoopSetting, sets: Sequence[EffectFinding], best: ModelFit
                 if _misfit(other) - least > ALIKE:
                     return False
     return True
+
+
+def _told_apart(setting: LoopSetting, found: Diagnosis) -> bool:
+    """Whether these rows, without noise, tell the effects that were found from the hidden ones."""
+    clean = _clean(setting)
+    terms = [t for f in found.findings for t in f.terms]
+    least = _misfit(true_fit(setting, clean))
+    return _misfit(_fitted(setting, terms, clean, robust=False)) - least > ALIKE
 
 
 def _clean(setting: LoopSetting) -> Session:

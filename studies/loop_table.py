@@ -68,6 +68,10 @@ _ADDED: Measure = ("adds an effect", lambda x: bool(x["result"]["found"]))
 _STRUCTURE: Measure = ("claims structure", lambda x: x["result"]["flag"])
 _DANGEROUS: Measure = ("dangerous verdict", lambda x: x["result"]["dangerous"])
 _WRONG: Measure = ("wrong single name", lambda x: x["result"]["wrong_single"])
+_TOLD: Measure = (
+    "wrong single name that these rows tell from the right one",
+    lambda x: x["result"]["wrong_single"] and x["result"]["told_apart"],
+)
 _NAMING: tuple[Measure, ...] = (
     ("right name, or a set with it", lambda x: x["result"]["covered"]),
     ("exact name", lambda x: x["result"]["exact"]),
@@ -85,6 +89,7 @@ _NAMING: tuple[Measure, ...] = (
 _OTHER: tuple[Measure, ...] = (
     ("flagged: set, partly, unknown or rolled back", _flagged),
     _WRONG,
+    _TOLD,
     _DANGEROUS,
 )
 _MEASURES: dict[str, tuple[Measure, ...]] = {
