@@ -97,7 +97,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         soft = SoftJoint(joint, compliance=float(hidden.compliance[arm.commanded.index(joint)]))
         fitted = fit(declared_model(arm).plus(soft, *geometry(arm, session)), session)
         kinds = library(arm, session.context()).testable
-        there = (FoundEffect((soft,), 1.0, (), 0.0),)
+        there = (FoundEffect((soft,), 1.0, 0.0),)
         every = offered(fitted, kinds, (), there, TOLERANCES)
         of = max(every, key=lambda each: each.standing)
         bank, own = of.bank, of.bank.offers[of.known[0]]

@@ -20,7 +20,7 @@ from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.findings import Rival
+from longarm_comp.core.identify.posterior.found import Rival
 from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import drives, loads

@@ -93,7 +93,7 @@ def test_beams_are_not_seven_bearings() -> None:
     """All beams but the first are softer; seven bearings that tilt alike are hardly likely."""
     soft = [LinkStiffness(beam=beam.name, softness=0.5) for beam in DEMO.links[1:]]
     found = one(explained(session_of(DEMO, 16, *soft), LinkStiffness, BearingTilt, JointCompliance))
-    assert found.name == "link_stiffness" and dict(found.names)["link_stiffness"] > 0.6
+    assert found.name == "link_stiffness" and found.names["link_stiffness"] > 0.6
     assert len(found.where) == 2  # with the first beam, and without
 
 
@@ -102,7 +102,7 @@ def test_a_soft_base_and_the_bearing_above_it_are_a_set() -> None:
     soft = BaseCompliance(about_x=2e-3, about_y=2e-3)
     found = one(explained(session_of(DEMO, 1, soft), *ELASTIC))
     assert set(found.credible) == {"base_compliance", "bearing_tilt"}
-    assert [c.name for c, _ in found.rivals[:1]] == ["bearing_tilt"]
+    assert [r.name for r in found.rivals[:1]] == ["bearing_tilt"]
 
 
 @pytest.mark.parametrize(("lean", "named"), [(5e-3, False), (0.03, True)])
@@ -251,7 +251,7 @@ def test_a_heavy_base_makes_no_soft_joint_implausible() -> None:
     """It was said to be 14 priors large, and gave way to an eccentric gear with a gain."""
     found = soft_joint(2.2)
     assert places(found) == [("joint_compliance", "joint 2")]
-    assert dict(one(found).names)["joint_compliance"] > 0.9
+    assert one(found).names["joint_compliance"] > 0.9
     assert found.chosen[0].compliance == pytest.approx(2.2, rel=0.02)  # type: ignore[union-attr]
 
 

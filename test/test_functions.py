@@ -23,7 +23,7 @@ from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.shapes import Function, Legendre, Linear, Square, Switch
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.discover.causes import POSES, Cause, causes, doubts, proposed
+from longarm_comp.core.identify.discover.causes import Cause, causes, doubts, proposed
 from longarm_comp.core.identify.discover.functions import Functions, switch
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
@@ -241,12 +241,12 @@ def test_poses_lie_in_the_gap_of_a_switch() -> None:
     flip = Function((Switch("q2", 0.2, 1.2, 0.7, 0.05),))
     guess = Discovered("joint 2", "turn z", flip.text, flip.domain)
     assert doubts(fitted, [guess]) == ("it changes somewhere between q2 0.65 and 0.75",)
-    poses = proposed(fitted, [guess], seed=1)
-    assert len(poses) == POSES
+    poses = proposed(fitted, [guess], 6, seed=1)
+    assert len(poses) == 6
     assert (np.abs(poses[:, 1] - 0.7) < 0.05).all()
     smooth = Discovered("joint 2", "turn z")
     assert doubts(fitted, [smooth]) == ()
-    assert proposed(fitted, [smooth], seed=1).shape == (0, SMALL.n)
+    assert proposed(fitted, [smooth], 6, seed=1).shape == (0, SMALL.n)
 
 
 def test_a_ramp_fills_the_gap_of_the_data() -> None:

@@ -94,7 +94,7 @@ def planted(seed: int = 2) -> tuple[ModelFit, FoundEffect]:
     model = Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))).plus(JointGain(5))
     fitted = fit(model, rows, sigma=np.full(3, 4e-4))
     (term,) = (t for t in fitted.model.terms if isinstance(t, JointGain))
-    found = FoundEffect((term,), 1.0, ((term.name, 1.0),), 200.0)
+    found = FoundEffect((term,), 1.0, 200.0)
     return fitted, found
 
 
@@ -172,7 +172,7 @@ def explained_by(rows: Session, *terms: Effect) -> tuple[ModelFit, tuple[FoundEf
     model = Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))).plus(*terms)
     fitted = fit(model, rows, sigma=np.full(3, 4e-4))
     held = {t.key: t for t in fitted.model.terms}
-    found = (FoundEffect((held[t.key],), 1.0, ((t.name, 1.0),), 200.0) for t in terms)
+    found = (FoundEffect((held[t.key],), 1.0, 200.0) for t in terms)
     return fitted, tuple(found)
 
 
@@ -197,13 +197,13 @@ def test_names_that_no_measurement_distinguishes_share_evenly() -> None:
     fitted, found = explained_by(rows, JointCompliance(2))
     kinds = library(DEMO, rows.context(), KINDS).testable
     soft = judged(fitted, kinds, found, 0.01)["joint_compliance"]
-    chances = dict(soft.names)
+    chances = soft.names
     assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)
     assert sum(chances.values()) == pytest.approx(1.0)
-    assert (soft.alike[0], soft.fitted_rivals()) == (("joint_compliance", "servo_droop"), [])
-    ((rival, factor),) = [r for r in soft.rivals if r[0].name == "servo_droop"]
-    assert rival.terms[0].searched
-    assert factor == pytest.approx(soft.log_bayes_factor)
+    assert soft.fitted_rivals == []
+    (droop,) = [r for r in soft.rivals if r.name == "servo_droop"]
+    assert (droop.judged, droop.unnamed) == ("joint_compliance", False)
+    assert droop.log_bayes_factor == pytest.approx(soft.log_bayes_factor)
 
 
 def test_so_do_those_that_stand_in_the_place_of_another() -> None:
@@ -213,15 +213,15 @@ def test_so_do_those_that_stand_in_the_place_of_another() -> None:
     kinds = library(DEMO, rows.context(), KINDS).testable
     twin = judged(fitted, kinds, found, 0.01)["twin"]
     one_name = [c for c in kinds if c.name != "servo_droop"]
-    alone = dict(judged(fitted, one_name, found, 0.01)["twin"].names)
+    alone = judged(fitted, one_name, found, 0.01)["twin"].names
     names = len({c.name for c in kinds})  # every name is as likely as any other
-    both = 2 * dict(twin.names)["joint_compliance"] / dict(twin.names)["twin"] * names
+    both = 2 * twin.names["joint_compliance"] / twin.names["twin"] * names
     assert both == pytest.approx(alone["joint_compliance"] / alone["twin"] * (names - 1), rel=1e-3)
     for made in (twin, twin.against({"joint_compliance": -0.5})[0]):
-        chances = dict(made.names)
+        chances = made.names
         assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)
     assert chances["joint_compliance"] / chances["twin"] == pytest.approx(np.exp(-0.5) / 2)
-    judged_ones = [c.name for c in twin.fitted_rivals()]
+    judged_ones = [r.name for r in twin.fitted_rivals]
     assert "joint_compliance" in judged_ones and "servo_droop" not in judged_ones
 
 
@@ -232,9 +232,9 @@ def test_a_family_pays_for_the_joints_that_it_needs() -> None:
     soft = judged(fitted, [everywhere(Twin), everywhere(JointCompliance)], found, 0.01)[
         "joint_compliance"
     ]
-    assert dict(soft.names)["twin"] == pytest.approx(0.5, abs=0.15)
-    (rival,) = soft.fitted_rivals()
-    assert rival.where == everywhere(Twin).where
+    assert soft.names["twin"] == pytest.approx(0.5, abs=0.15)
+    (rival,) = soft.fitted_rivals
+    assert rival.candidate.where == everywhere(Twin).where
 
 
 def test_a_name_that_is_there_takes_a_further_place_as_one_effect() -> None:
@@ -243,7 +243,7 @@ def test_a_name_that_is_there_takes_a_further_place_as_one_effect() -> None:
     rows = session_of(DEMO, 1, *true)
     fitted, found = explained_by(rows, Twin(2), JointCompliance(4))
     twin = judged(fitted, [everywhere(JointCompliance)], found, 0.01)["twin"]
-    assert dict(twin.names)["joint_compliance"] > 0.9
+    assert twin.names["joint_compliance"] > 0.9
     assert [f.name for f in instead(found, 0, found[1])] == ["joint_compliance"]
 
 

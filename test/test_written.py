@@ -12,6 +12,7 @@ import pytest
 from discover_rows import HELD_OUT, ROWS, calibrated, measured
 from small_arm import ARM
 
+from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.session import Session
@@ -20,7 +21,7 @@ from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import PrismaticPitch
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
-from longarm_comp.core.identify.posterior.found import FoundEffect
+from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
 from longarm_comp.core.identify.practical import expected_commanded, least
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
@@ -32,8 +33,8 @@ FAR = ARM.lower + 0.9 * (ARM.upper - ARM.lower)
 
 
 def single(term: Any, there: float, *others: tuple[str, float]) -> FoundEffect:
-    names = ((term.name, 1.0 - sum(p for _, p in others)), *others)
-    return FoundEffect((term,), there, names, 20.0)
+    rivals = tuple(Rival(Candidate(name, (term,)), 20.0, p) for name, p in others)
+    return FoundEffect((term,), there, 20.0, 1.0 - sum(p for _, p in others), rivals)
 
 
 # ------------------------------------------------------------------ which model

@@ -18,13 +18,13 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.model.tip_motion import stack
+from longarm_comp.core.planning.splitting_poses import SplittingPoses
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import ring_of_moves
 from longarm_comp.core.vibration.shaper import USUAL_DAMPING
@@ -251,7 +251,7 @@ def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> PageTable:
     return PageTable(caption, head, tuple(rows))
 
 
-def _split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
+def _split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
     """A set with the poses that split it; no poses if none would."""
     found = next(f for f in diagnosis.findings if f.name == by.between[0])
     pair = f"{by.between[0]} and {by.between[1]}"

@@ -29,7 +29,6 @@ from longarm_comp.core.identify.diagnosis import (
 from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.intervals import intervals
-from longarm_comp.core.identify.next_poses import next_poses
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.offers import tolerances
 from longarm_comp.core.identify.practical import expected_commanded, least
@@ -38,9 +37,10 @@ from longarm_comp.core.identify.structure import examine, with_unseen
 from longarm_comp.core.identify.wind_up import as_fitted, run_up, taken, with_run_ups
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.planning.splitting_poses import splitting_poses
 
-POSES_TO_SPLIT = 12
-"""Poses proposed for each set: an hour's work."""
+POSES = 12
+"""Poses proposed for each question: an hour's work."""
 MOST_ROWS = 2000
 """Rows that are fitted at most. A hundred parameters are then known to a few percent of the noise;
 further rows cost time and change nothing."""
@@ -127,7 +127,10 @@ def diagnose(
         **{name: fitted.model for name, fitted in fits.items()},
     }
     open_ = [f for f in named if f.alternatives]
-    split_by = tuple(next_poses(found, f, f.alternatives[0], POSES_TO_SPLIT, seed) for f in open_)
+    split_by = tuple(
+        splitting_poses(found.fit, f.candidate, f.alternatives[0].candidate, POSES, seed)
+        for f in open_
+    )
     ends = intervals(final, added, candidates)
     sealed = Sealed(rest)
     finished = _hash(final.model)
@@ -149,7 +152,7 @@ def diagnose(
         network=network,
         split_by=split_by,
         doubts=doubts(found.fit, unnamed),
-        next_q=proposed(found.fit, unnamed, seed),
+        next_q=proposed(found.fit, unnamed, POSES, seed),
         not_testable=offered.not_testable,
         train=train,
         held_out=held_out,

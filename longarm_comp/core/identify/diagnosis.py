@@ -17,7 +17,6 @@ from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import EffectFinding, improvement, left_in_words, sentence
 from longarm_comp.core.identify.intervals import Interval
-from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.practical import Gain
@@ -25,6 +24,7 @@ from longarm_comp.core.identify.proof import NETWORK, Proof
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.planning.splitting_poses import SplittingPoses
 
 CALIBRATED, WITH_EFFECTS, WITH_FUNCTIONS = "calibrated", "with_effects", "with_functions"
 
@@ -69,7 +69,7 @@ class Diagnosis:
     models: Mapping[str, Model]
     proof: Proof
     network: Predictor | None
-    split_by: tuple[NextPoses, ...]
+    split_by: tuple[SplittingPoses, ...]
     doubts: tuple[str, ...]
     next_q: np.ndarray
     not_testable: tuple[tuple[str, str], ...]

@@ -4,30 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.intervals import Interval
-from longarm_comp.core.identify.posterior.found import FoundEffect
+from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.structure import Structure
-
-
-@dataclass(frozen=True)
-class Rival:
-    """Another effect that may stand in the place of a finding.
-
-    Attributes:
-        candidate: its best places and form.
-        log_bayes_factor: of it there, the rest as found.
-        probability: that it is the cause, given that there is one.
-    """
-
-    candidate: Candidate
-    log_bayes_factor: float
-    probability: float
 
 
 @dataclass(frozen=True)
@@ -75,6 +60,11 @@ class EffectFinding:
         return bool(self.alternatives or self.unnamed)
 
     @property
+    def candidate(self) -> Candidate:
+        """Its name and terms."""
+        return Candidate(self.name, self.terms)
+
+    @property
     def where(self) -> tuple[str, ...]:
         """Places, in order."""
         return tuple(dict.fromkeys(t.where for t in self.terms))
@@ -82,7 +72,7 @@ class EffectFinding:
     @property
     def names(self) -> tuple[str, ...]:
         """The credible set: the effect and what cannot be told from it."""
-        return (self.name, *(a.candidate.name for a in self.alternatives))
+        return (self.name, *(a.name for a in self.alternatives))
 
 
 def findings(found: Sequence[FoundEffect]) -> tuple[EffectFinding, ...]:
@@ -104,26 +94,25 @@ def _finding(name: str, parts: Sequence[FoundEffect]) -> EffectFinding:
     some = set.union(*sets) - every
     size = sum(f.log_bayes_factor for f in parts)
     chances: dict[str, float] = {}
-    for f in parts:
-        for other, chance in f.names:
-            chances[other] = chances.get(other, 0.0) + chance * f.log_bayes_factor / size
     rivals: dict[str, Rival] = {}
     for f in parts:
-        for candidate, factor in f.rivals:
-            chance = chances.get(candidate.name, 0.0)
-            loss = f.log_bayes_factor - factor
-            rivals.setdefault(candidate.name, Rival(candidate, size - loss, chance))
+        for other, chance in f.names.items():
+            chances[other] = chances.get(other, 0.0) + chance * f.log_bayes_factor / size
+        for rival in f.rivals:
+            loss = f.log_bayes_factor - rival.log_bayes_factor
+            rivals.setdefault(rival.name, replace(rival, log_bayes_factor=size - loss))
+    rivals = {n: replace(r, probability=chances[n]) for n, r in rivals.items()}
     ordered = sorted(rivals.values(), key=lambda r: -r.probability)
-    named = [r for r in ordered if not _unnamed(r.candidate)]
+    named = [r for r in ordered if not r.unnamed]
     partial = [
         PartialAlias(f"part at {', '.join(dict.fromkeys(t.where for t in f.terms))}", other)
         for f, own in zip(parts, sets, strict=True)
         for other in sorted(own & some)
-        if other in rivals and not _unnamed(rivals[other].candidate)
+        if other in rivals and not rivals[other].unnamed
     ]
-    unnamed = next((r for r in ordered if _unnamed(r.candidate)), None)
+    unnamed = next((r for r in ordered if r.unnamed), None)
     other = ""
-    if unnamed is not None and unnamed.candidate.name in every:
+    if unnamed is not None and unnamed.name in every:
         places = ", ".join(dict.fromkeys(t.place for t in unnamed.candidate.terms))
         other = f"a function without a name explains as much ({places})"
     return EffectFinding(
@@ -132,21 +121,15 @@ def _finding(name: str, parts: Sequence[FoundEffect]) -> EffectFinding:
         size,
         1.0 - math.prod(1.0 - f.there for f in parts),
         tuple(sorted(chances.items(), key=lambda c: -c[1])),
-        tuple(r for r in named if r.candidate.name in every),
+        tuple(r for r in named if r.name in every),
         named[0] if named else None,
         tuple(partial),
         other,
     )
 
 
-def _unnamed(candidate: Candidate) -> bool:
-    return not candidate.terms[0].searched
-
-
 _MOST = 4
 """Number of values in a sentence."""
-_SAME_MM = 0.005
-"""Figures that differ by less read alike."""
 
 
 def sentence(
@@ -195,18 +178,15 @@ def value_in_words(interval: Interval, unit: str) -> str:
 
 def improvement(seen: Gain, commanded: Gain) -> str:
     """Before and after: as a command would have it, and as seen where that differs."""
-    pairs = [(1e3 * g.before, 1e3 * g.after) for g in (commanded, seen)]
-    told = [f"{before:.2f} -> {after:.2f} mm" for before, after in pairs]
-    if all(abs(a - b) < _SAME_MM for a, b in zip(*pairs, strict=True)):
-        return told[0]
-    return f"{told[0]} as commanded ({told[1]} as seen)"
+    told = [f"{1e3 * g.before:.2f} -> {1e3 * g.after:.2f} mm" for g in (commanded, seen)]
+    return told[0] if told[0] == told[1] else f"{told[0]} as commanded ({told[1]} as seen)"
 
 
 def left_in_words(structure: Structure) -> str:
     """What structure is left and where it shows; empty where none is."""
     if not structure.flag:
         return ""
-    size = f"{1e3 * structure.size_m:.2f} mm of structure"
+    size = f"{1e3 * structure.size_m:.2f} mm of "
     moved = f", as if {structure.at} moved" if structure.at else ""
     shows = structure.sign or f"depends on {', '.join(structure.inputs)}"
-    return f"{size if 1e3 * structure.size_m >= _SAME_MM else 'structure'} {shows}{moved}"
+    return f"{'' if size.startswith('0.00') else size}structure {shows}{moved}"

@@ -135,7 +135,7 @@ def expected_commanded(
     ours = 1.0
     for f in found:
         if isinstance(f.terms[0], Bias):
-            ours *= f.there * dict(f.names).get(f.name, 0.0)
+            ours *= f.there * f.chance
     return {name: _expected(fit, ours) for name, fit in fits.items()}
 
 

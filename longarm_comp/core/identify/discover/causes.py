@@ -9,12 +9,12 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.effects import discovered_words as words
 from longarm_comp.core.effects.discovered import CAMERA
+from longarm_comp.core.effects.discovered_words import Found
 from longarm_comp.core.effects.quantities import JointPosition, OfPosture
 from longarm_comp.core.effects.shapes import Shape, Switch
-from longarm_comp.core.identify.discover import words
 from longarm_comp.core.identify.discover.inputs import FEW_LEVELS, levels_of
-from longarm_comp.core.identify.discover.words import Found
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
 from longarm_comp.core.model.model import unstack
 from longarm_comp.core.planning.optimal_poses import POOL
@@ -93,7 +93,7 @@ def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
     return Cause(
         terms,
         _places(terms, found),
-        tuple((name, p) for name, p in found.names if name != found.name and p > 1 - CREDIBLE),
+        tuple((r.name, r.probability) for r in found.rivals if r.probability > 1 - CREDIBLE),
         words.formula(terms, [(v, e, u) for _, _, v, e, u in amounts]),
         words.reading(terms),
         tuple(words.domain(terms)),
@@ -113,10 +113,6 @@ def _places(terms: Sequence[words.Found], found: FoundEffect) -> tuple[str, ...]
     return (*dict.fromkeys((first, *words.seen_alike(terms), *other)),)
 
 
-POSES = 6
-"""Poses for each doubt."""
-
-
 def doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
     """Joints that were measured at few positions, and thresholds that lie in a gap of the data."""
     made = []
@@ -129,8 +125,8 @@ def doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(made))
 
 
-def proposed(fit: ModelFit, found: Sequence[Found], seed: int) -> np.ndarray:
-    """(M, n) poses that would settle the doubts, rad and m; none where there are none."""
+def proposed(fit: ModelFit, found: Sequence[Found], count: int, seed: int) -> np.ndarray:
+    """(M, n) poses that would settle the doubts, `count` each, rad and m; none without doubts."""
     from scipy.stats import qmc  # takes a quarter of a second
 
     arm = fit.model.arm
@@ -142,9 +138,9 @@ def proposed(fit: ModelFit, found: Sequence[Found], seed: int) -> np.ndarray:
     for shape in _shapes(found):
         if isinstance(shape, Switch) and isinstance(shape.quantity, OfPosture):
             away = np.abs(np.asarray(shape.quantity.read(posture)) - shape.threshold)
-            chosen += np.argsort(away + np.zeros(POOL), kind="stable")[:POSES].tolist()
+            chosen += np.argsort(away + np.zeros(POOL), kind="stable")[:count].tolist()
         elif _on_few(fit, shape):
-            chosen += range(POSES)
+            chosen += range(count)
     return np.asarray(pool[list(dict.fromkeys(chosen))])
 
 

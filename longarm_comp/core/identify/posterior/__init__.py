@@ -1,1 +1,1 @@
-"""One posterior over explanations, beside the search until it takes its place."""
+"""One posterior over explanations: a sum of single effects, each with its credible set."""

@@ -141,13 +141,5 @@ def _held(bank: OfferBank, effect: SingleEffect) -> set[Hashable]:
 
 def _pruned(found: Explanation) -> Explanation:
     """Without effects that the others make superfluous, the least first."""
-    while found.effects:
-        fewer = [
-            Explanation(found.bank, tuple(e for e in found.effects if e is not gone))
-            for gone in found.effects
-        ]
-        worth = found.bank.evidences([each.chosen for each in fewer])
-        if worth.max() < found.evidence:
-            break
-        found = fewer[int(np.argmax(worth))]
-    return found
+    kept = found.bank.worth_their_price(found.chosen)
+    return Explanation(found.bank, tuple(found.effects[k] for k in kept))

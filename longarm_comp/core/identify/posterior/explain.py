@@ -49,22 +49,22 @@ NEAR = 0.3
 
 @dataclass(frozen=True)
 class ExplainedSession:
-    """The outcome of a search.
+    """A model with what was found in it, fitted.
 
     Attributes:
-        fit: the final model, fitted, with what gives way besides what was found.
+        fit: the model; at the end with what gives way besides what was found.
         found: the single effects in the model, with their credible sets.
-        doubtful: single effects whose presence is in doubt, not in the model.
         noise: as judged last.
+        doubtful: single effects whose presence is in doubt, not in the model.
         candidates: the library as it was offered last.
         tolerance: what moves the rows besides.
     """
 
     fit: ModelFit
     found: tuple[FoundEffect, ...]
-    doubtful: tuple[FoundEffect, ...]
     noise: NoiseEstimate
-    candidates: tuple[Candidate, ...]
+    doubtful: tuple[FoundEffect, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
     tolerance: Slack = TOLERANCES[1]
 
     @property
@@ -106,18 +106,9 @@ def explain_session(
     return search.run(functions, progress or (lambda _: None))
 
 
-@dataclass(frozen=True)
-class _State:
-    """A model with what was found in it, fitted; the noise."""
-
-    found: tuple[FoundEffect, ...]
-    fit: ModelFit
-    noise: NoiseEstimate
-
-
 @dataclass
 class _Search:
-    """Goes from state to state, each better than the one before."""
+    """Goes from explanation to explanation, each better than the one before."""
 
     base: Model
     session: Session
@@ -141,18 +132,15 @@ class _Search:
         slack = self._standing(state.fit, state.found)[1]
         fitted = with_give(state.fit, self.candidates) if slack.give else state.fit
         known = {t.variant: t for t in fitted.model.terms}
+        found = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
+        left = (f for f in doubtful if f.in_doubt)
         return ExplainedSession(
-            fitted,
-            tuple(replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found),
-            tuple(f for f in doubtful if f.in_doubt),
-            state.noise,
-            tuple(self.candidates),
-            slack,
+            fitted, tuple(found), state.noise, tuple(left), tuple(self.candidates), slack
         )
 
     def _repeated(
-        self, state: _State, say: Callable[[str], None], functions: bool = False
-    ) -> _State:
+        self, state: ExplainedSession, say: Callable[[str], None], functions: bool = False
+    ) -> ExplainedSession:
         """Explain and fit while a better explanation is found, by new functions or the last."""
         for _ in range(ROUNDS):
             self._scan(state)
@@ -172,7 +160,7 @@ class _Search:
             state = taken
         return state
 
-    def _explained(self, state: _State) -> Explained | None:
+    def _explained(self, state: ExplainedSession) -> Explained | None:
         """The best explanation by any tolerance, where it is better than what stands."""
         first, *others = sorted(
             self._offered(state.fit, state.found), key=lambda bank: -bank.standing
@@ -181,7 +169,7 @@ class _Search:
         best = max((begun, *(o.explained(begun) for o in others)), key=lambda e: e.evidence)
         return best if best.evidence >= first.standing + BETTER else None
 
-    def _rose(self, before: _State, now: _State) -> bool:
+    def _rose(self, before: ExplainedSession, now: ExplainedSession) -> bool:
         """Whether the explanation in the model is better, once fitted, than the one before.
 
         Columns are those of small changes: of two effects that need each other, as a load needs
@@ -205,7 +193,9 @@ class _Search:
         every = self._offered(fitted, found, others=False)
         return max((bank.pruned, bank.tolerance) for bank in every)
 
-    def _compared(self, state: _State) -> tuple[_State, tuple[FoundEffect, ...], bool]:
+    def _compared(
+        self, state: ExplainedSession
+    ) -> tuple[ExplainedSession, tuple[FoundEffect, ...], bool]:
         """Take the fit to its end, and compare what may stand in the place of every effect.
 
         Returns the state, what is doubtful, and whether another effect was better somewhere, so
@@ -225,7 +215,8 @@ class _Search:
         here = self._standing(state.fit, sure)[0]
         for k, mine in enumerate(sure):
             worth = {
-                rival.name: self._instead(state, k, rival) - here for rival in mine.fitted_rivals()
+                rival.name: self._instead(state, k, rival.candidate) - here
+                for rival in mine.fitted_rivals
             }
             judged, better = mine.against(worth)
             if better:
@@ -237,7 +228,7 @@ class _Search:
                 state = replace(state, found=found)
         return state, doubtful, False
 
-    def _instead(self, state: _State, number: int, rival: Candidate) -> float:
+    def _instead(self, state: ExplainedSession, number: int, rival: Candidate) -> float:
         """Log evidence with a rival in the place of one effect, fitted."""
         found = instead(state.found, number, replace(state.found[number], terms=rival.terms))
         terms = _known(state.fit.model, found)
@@ -263,13 +254,15 @@ class _Search:
             fitted, self.candidates, self.propositions, found, tried, others=others, near=near
         )
 
-    def _scan(self, state: _State) -> None:
+    def _scan(self, state: ExplainedSession) -> None:
         """Offer the steps that the residual shows."""
         need = NONE + math.log(max(len(self.candidates), 1))
         shown = [c for kind in self.stepped for c in scan(state.fit, kind, need)]
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
 
-    def _taken(self, state: _State, found: tuple[FoundEffect, ...]) -> _State | None:
+    def _taken(
+        self, state: ExplainedSession, found: tuple[FoundEffect, ...]
+    ) -> ExplainedSession | None:
         """The model fitted with what was found; None where that runs away."""
         model = _with(self.base, state.fit.model, _known(state.fit.model, found))
         try:
@@ -278,8 +271,8 @@ class _Search:
             return None
 
     def _fitted(
-        self, model: Model, found: tuple[FoundEffect, ...], before: _State | None
-    ) -> _State:
+        self, model: Model, found: tuple[FoundEffect, ...], before: ExplainedSession | None
+    ) -> ExplainedSession:
         """The noise judged by all that the library could explain, then a fit."""
         if before is None or not found:
             first = fit(model, self.session)
@@ -293,9 +286,9 @@ class _Search:
             first.model, self.session, sigma=noise.sigma, rho=noise.rho, weights=weights,
             max_iterations=STEPS, close=NEAR, begun=first,
         )  # fmt: skip
-        return _State(found, fitted, noise)
+        return ExplainedSession(fitted, found, noise)
 
-    def _reformed(self, state: _State, say: Callable[[str], None]) -> _State:
+    def _reformed(self, state: ExplainedSession, say: Callable[[str], None]) -> ExplainedSession:
         """Forms on a scale moved to where the evidence is highest, each with the rest as it is."""
         for _ in range(REFORMED):
             terms = {t.key: t for f in state.found for t in f.terms}
@@ -314,7 +307,7 @@ class _Search:
             state = taken
         return state
 
-    def _better_form(self, state: _State, term: Term) -> Term:
+    def _better_form(self, state: ExplainedSession, term: Term) -> Term:
         if not term.scales():
             return term
         fitted = next(t for t in state.fit.model.terms if t.key == term.key)

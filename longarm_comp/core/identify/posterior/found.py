@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
+from scipy.special import softmax
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
 
@@ -15,7 +16,6 @@ CREDIBLE = 0.95
 """Probability that a credible set holds."""
 UNNAMED = 1.0 - CREDIBLE
 """Probability, beforehand, of a cause that the library does not hold: what a set may leave out."""
-OVERFLOW = 700.0  # the largest exponent of a float
 
 
 @dataclass(frozen=True)
@@ -32,34 +32,67 @@ class Proposition:
 
 
 @dataclass(frozen=True)
+class Rival:
+    """Another name that may stand in the place of an effect.
+
+    Attributes:
+        candidate: its best places and form.
+        log_bayes_factor: of it there, the rest as found.
+        probability: that it is the cause, given that there is one.
+        judged: the name whose evidence it has. Of names that no measurement distinguishes one is
+            judged, and all share its probability.
+    """
+
+    candidate: Candidate
+    log_bayes_factor: float
+    probability: float
+    judged: str = ""
+
+    @property
+    def name(self) -> str:
+        """Of its effect class."""
+        return self.candidate.name
+
+    @property
+    def unnamed(self) -> bool:
+        """Whether it is a function without a name."""
+        return not self.candidate.terms[0].searched
+
+
+@dataclass(frozen=True)
 class FoundEffect:
     """A single effect that is there.
 
     Attributes:
         terms: the most probable instances, at the values that the posterior gives them.
         there: probability that it is there.
-        names: (name, probability) given that it is there, most probable first; of functions
-            without a name the name of their effect class.
         log_bayes_factor: of it on top of the others.
-        rivals: the best candidate of every other name in the credible set, with its log Bayes
-            factor in the place of this effect.
+        chance: probability of its name, given that it is there.
+        rivals: all other names that may stand in its place, the most probable first.
         where: places that explain it nearly alike; its own first.
-        alike: groups of names that no measurement distinguishes; the first of each is judged, the
-            others share its probability. Its own group comes first.
     """
 
     terms: tuple[Term, ...]
     there: float
-    names: tuple[tuple[str, float], ...]
     log_bayes_factor: float
-    rivals: tuple[tuple[Candidate, float], ...] = ()
+    chance: float = 1.0
+    rivals: tuple[Rival, ...] = ()
     where: tuple[tuple[str, ...], ...] = ()
-    alike: tuple[tuple[str, ...], ...] = ()
 
     @property
     def name(self) -> str:
-        """The most probable name."""
+        """The most probable name; of a function without a name that of its effect class."""
         return self.terms[0].name
+
+    @property
+    def names(self) -> dict[str, float]:
+        """Probability of every name, given that it is there; its own first."""
+        return {self.name: self.chance} | {r.name: r.probability for r in self.rivals}
+
+    @property
+    def credible(self) -> tuple[str, ...]:
+        """The smallest set of names that holds 95 % of the probability."""
+        return smallest_set(self.names)
 
     @property
     def in_doubt(self) -> bool:
@@ -74,63 +107,59 @@ class FoundEffect:
     @property
     def chance_unnamed(self) -> float:
         """Probability, given that it is there, of a cause that has no name."""
-        held = {c.name for c, _ in self.rivals if not c.terms[0].searched}
-        held |= {self.name} if self.unnamed else set()
-        return sum(chance for name, chance in self.names if name in held)
+        others = sum(r.probability for r in self.rivals if r.unnamed)
+        return others + self.chance if self.unnamed else others
 
-    def fitted_rivals(self) -> list[Candidate]:
-        """Rivals whose worth only a fit in its place tells: one of each group.
+    @property
+    def fitted_rivals(self) -> list[Rival]:
+        """Rivals whose worth only a fit in its place tells.
 
         Of what no measurement distinguishes from it, and of functions, which need no other effect,
         the columns tell all.
         """
-        judged = (c for c, _ in self.rivals if c.name == self._group(c.name)[0])
-        return [c for c in judged if c.name not in self._told_by_columns]
-
-    @property
-    def _told_by_columns(self) -> set[str]:
-        functions = (c.name for c, _ in self.rivals if not c.terms[0].searched)
-        return {*self._group(self.name), *functions}
-
-    def _group(self, name: str) -> tuple[str, ...]:
-        """A name and those that no measurement distinguishes from it, the judged one first."""
-        return next((group for group in self.alike if name in group), (name,))
+        judged = (r for r in self.rivals if r.name == r.judged != self.name)
+        return [r for r in judged if not r.unnamed]
 
     def against(self, worth: Mapping[str, float]) -> tuple[FoundEffect, bool]:
         """With the probabilities of fits; what is best leads. Whether that is another effect.
 
         Args:
-            worth: by name of a rival, log evidence in its place, fitted, less the evidence now.
+            worth: by name of a fitted rival, log evidence in its place less the evidence now.
         """
         if not worth:
             return self, False
-        told = self._told_by_columns
-        share = {n: p for n, p in self.names if n in told}
-        total = sum(share.values()) or 1.0
-        odds = {n: math.exp(min(w, OVERFLOW)) for n, w in worth.items()}
-        whole = 1.0 + sum(odds.values())
-        names = {n: p / total / whole for n, p in share.items()}
-        for name, o in odds.items():
-            group = self._group(name)
-            names |= dict.fromkeys(group, o / whole / len(group))
-        factors = [worth.get(self._group(c.name)[0], 0.0) for c, _ in self.rivals]
-        rivals = [
-            (c, self.log_bayes_factor + factor)
-            for (c, _), factor in zip(self.rivals, factors, strict=True)
+        stays, *goes = softmax([0.0, *worth.values()]).tolist()
+        chances = dict(zip(worth, goes, strict=True))
+        told = self.chance + sum(r.probability for r in self.rivals if r.judged not in worth)
+        stays /= told or 1.0
+        shared = Counter(r.judged for r in self.rivals)
+        mine = Rival(
+            Candidate(self.name, self.terms), self.log_bayes_factor, stays * self.chance, self.name
+        )
+        every = [mine] + [
+            replace(
+                r,
+                log_bayes_factor=self.log_bayes_factor + worth.get(r.judged, 0.0),
+                probability=chances[r.judged] / shared[r.judged]
+                if r.judged in worth
+                else stays * r.probability,
+            )
+            for r in self.rivals
         ]
-        best, terms = max(worth, key=lambda name: worth[name]), self.terms
+        best = max(worth, key=lambda name: worth[name])
         better = worth[best] > 0
-        if better:
-            terms = next(c.terms for c, _ in rivals if c.name == best)
-            rivals = [(c, factor) for c, factor in rivals if c.name != best]
-            rivals.insert(0, (Candidate(self.name, self.terms), self.log_bayes_factor))
-        ordered = tuple(sorted(names.items(), key=lambda c: (c[0] != terms[0].name, -c[1])))
-        return replace(self, terms=terms, names=ordered, rivals=tuple(rivals)), better
+        first = next(r for r in every if r.name == best) if better else mine
+        return self.led_by(first, [r for r in every if r is not first]), better
 
-    @property
-    def credible(self) -> tuple[str, ...]:
-        """The smallest set of names that holds 95 % of the probability."""
-        return smallest_set(dict(self.names))
+    def led_by(self, first: Rival, others: Sequence[Rival]) -> FoundEffect:
+        """The same with a name in the first place, and others beside it."""
+        return replace(
+            self,
+            terms=first.candidate.terms,
+            log_bayes_factor=first.log_bayes_factor,
+            chance=first.probability,
+            rivals=tuple(sorted(others, key=lambda r: -r.probability)),
+        )
 
 
 def instead(

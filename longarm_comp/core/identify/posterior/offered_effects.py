@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, softmax
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -18,8 +18,8 @@ from longarm_comp.core.identify.give import Slack
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
-    OVERFLOW,
     FoundEffect,
+    Rival,
     smallest_set,
 )
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank, SingleEffect
@@ -75,9 +75,7 @@ class OfferedEffects:
         offers = self._located(best.chosen)
         evidence, values = self.bank.joint(offers)
         every = [
-            FoundEffect(
-                self._terms(e.best, o, v), e.there, ((o.name, 1.0),), self._worth(offers, k)
-            )
+            FoundEffect(self._terms(e.best, o, v), e.there, self._worth(offers, k))
             for k, (e, o, v) in enumerate(zip(best.effects, offers, values, strict=True))
         ]
         found = tuple(f for f in every if f.there >= CREDIBLE)
@@ -93,14 +91,8 @@ class OfferedEffects:
     def pruned(self) -> float:
         """The same without effects and places that are not worth their price beside the rest."""
         offers = [self.bank.offers[n] for n in self.known]
-        best = self.bank.evidence(offers)
-        while offers:
-            fewer = [[o for o in offers if o is not gone] for gone in offers]
-            worth = self.bank.evidences(fewer)
-            if worth.max() <= best:
-                break
-            best, offers = float(worth.max()), fewer[int(np.argmax(worth))]
-        return self.base + max(best, self.bank.evidence(self._located(offers)))
+        offers = [offers[k] for k in self.bank.worth_their_price(offers)]
+        return self.base + max(map(self.bank.evidence, (offers, self._located(offers))))
 
     def judged(
         self, found: Sequence[FoundEffect], banks: Sequence[OfferedEffects]
@@ -150,30 +142,25 @@ class OfferedEffects:
                     where.setdefault(places, math.exp(min(value, 0.0)))
             elif odds > likeliest.get(offer.name, (-math.inf,))[0]:
                 likeliest[offer.name] = odds, n, offer, rest
-        alike = [(found.name, *self._alike(found.terms))]
-        names = dict.fromkeys(alike[0], 1.0 / len(alike[0]))
-        rivals = [(self._named(n, found.terms), own) for n in alike[0][1:]]
+        first = [self._named(n, found.terms) for n in self._alike(found.terms)]
+        judged = [(0.0, own, [Candidate(found.name, found.terms), *first])]
+        names = {c.name for c in judged[0][2]}
         for odds, n, offer, rest in sorted(likeliest.values(), key=lambda r: -r[0]):
             if offer.name in names:
                 continue
             terms = self._terms(n, offer, self.bank.joint([*rest, offer])[1][-1])
+            shared = [self._named(each, terms) for each in self._alike(terms) if each not in names]
             factor = own + odds - offer.log_prior + offers[k].log_prior
-            shared = (each for each in self._alike(terms) if each not in names)
-            alike.append((offer.name, *shared))
-            names |= dict.fromkeys(alike[-1], math.exp(min(odds, OVERFLOW)) / len(alike[-1]))
-            rivals.append((Candidate(offer.name, terms), factor))
-            rivals += [(self._named(each, terms), factor) for each in alike[-1][1:]]
-        total = sum(names.values())
-        ordered = sorted(names.items(), key=lambda c: (c[0] != found.name, -c[1]))
-        return FoundEffect(
-            found.terms,
-            found.there,
-            tuple((n, p / total) for n, p in ordered),
-            own,
-            tuple(sorted(rivals, key=lambda r: -names[r[0].name])),
-            smallest_set(dict(sorted(where.items(), key=lambda w: -w[1]))),
-            tuple(alike),
+            judged.append((odds, factor, [Candidate(offer.name, terms), *shared]))
+            names |= {c.name for c in judged[-1][2]}
+        chances = softmax([odds for odds, _, _ in judged]).tolist()
+        mine, *others = (
+            Rival(candidate, factor, chance / len(alike), alike[0].name)
+            for chance, (_, factor, alike) in zip(chances, judged, strict=True)
+            for candidate in alike
         )
+        where = dict(sorted(where.items(), key=lambda w: -w[1]))
+        return dataclasses.replace(found.led_by(mine, others), where=smallest_set(where))
 
     def _may_stand(
         self, offers: list[Offer], k: int, least: float

@@ -184,6 +184,17 @@ class OfferBank:
         """(C,) `evidence` of many sets of offers at once, which is much faster."""
         return self._joint(sets)[0]
 
+    def worth_their_price(self, chosen: Sequence[Offer]) -> list[int]:
+        """Which of some offers (numbers) stay, where the least goes while the others do better."""
+        kept, best = list(range(len(chosen))), self.evidence(chosen)
+        while kept:
+            fewer = [[n for n in kept if n != gone] for gone in kept]
+            worth = self.evidences([[chosen[n] for n in some] for some in fewer])
+            if worth.max() < best:
+                break
+            kept, best = fewer[int(np.argmax(worth))], float(worth.max())
+        return kept
+
     def joint(self, chosen: Sequence[Offer]) -> tuple[float, list[np.ndarray]]:
         """`evidence`, and the coefficients of each offer at the posterior mode."""
         total, (mean,) = self._joint([chosen])

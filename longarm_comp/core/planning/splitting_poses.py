@@ -1,4 +1,4 @@
-"""What to measure next: poses at which two explanations disagree most."""
+"""Which poses to measure next: those at which two explanations disagree most."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.calibration.candidates import CandidateColumns
+from longarm_comp.core.calibration.candidates import Candidate, CandidateColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
-from longarm_comp.core.identify.findings import EffectFinding, Rival
-from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.model.model import unstack
 from longarm_comp.core.planning.optimal_poses import POOL, Choice
 
 
 @dataclass(frozen=True)
-class NextPoses:
-    """Poses that would split a set.
+class SplittingPoses:
+    """Poses that would tell two explanations apart.
 
     Attributes:
         q: (M, n) commanded joints.
@@ -34,15 +32,21 @@ class NextPoses:
     payload_kg: np.ndarray | None = None
 
 
-def next_poses(
-    result: ExplainedSession, found: EffectFinding, other: Rival, count: int, seed: int = 0
-) -> NextPoses:
+def splitting_poses(
+    fit: ModelFit, found: Candidate, other: Candidate, count: int, seed: int = 0
+) -> SplittingPoses:
     """Greedy choice of the poses that tell best how much of the found effect there is.
 
-    Geometry and the alternative are free beside it: what they cannot explain of it is what speaks
+    Geometry and the other effect are free beside it: what they cannot explain of it is what speaks
     for it.
+
+    Args:
+        fit: that holds the terms of the found effect.
+        found: the effect in the model.
+        other: what may stand in its place.
+        count: of poses, M.
+        seed: of the pool.
     """
-    fit = result.fit
     arm = fit.model.arm
     from scipy.stats import qmc  # takes a quarter of a second
 
@@ -68,8 +72,8 @@ def next_poses(
     chosen = choice.grown([], count)
     odds = 0.5 * (1.0 / choice.covariance(chosen)[-1, -1] - 1.0)  # less the prior's part
     payload = typical["payload_kg"][chosen] if heaviest > 0 else None
-    between = (found.name, other.candidate.name)
-    return NextPoses(q[chosen], side[chosen], between, float(odds), payload)
+    between = (found.name, other.name)
+    return SplittingPoses(q[chosen], side[chosen], between, float(odds), payload)
 
 
 def _noise(fit: ModelFit) -> np.ndarray:
@@ -81,7 +85,7 @@ def _noise(fit: ModelFit) -> np.ndarray:
 
 
 def _designs(
-    fit: ModelFit, found: EffectFinding, other: Rival, at: CandidateColumns
+    fit: ModelFit, found: Candidate, other: Candidate, at: CandidateColumns
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N, d, p) by geometry, rest and alternative, and (N, d, 1) the found effect's shift."""
     places = {t.key for t in found.terms}
@@ -90,4 +94,4 @@ def _designs(
     own = [s for s in fit.slots if s.owner.key in places]
     values = np.array([getattr(s.owner, s.parameter.name) for s in own])
     shift = at.unscaled(own) @ values
-    return np.concatenate([columns, at.of(other.candidate.terms)], axis=-1), shift[..., None]
+    return np.concatenate([columns, at.of(other.terms)], axis=-1), shift[..., None]

@@ -11,10 +11,10 @@ from drawn_reports import in_doubt
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import priors
 from longarm_comp.core.identify.evidence import FitColumns
-from longarm_comp.core.identify.next_poses import NextPoses, next_poses
+from longarm_comp.core.planning.splitting_poses import SplittingPoses, splitting_poses
 
 
-def asked(count: int, share: float = 1.0) -> NextPoses:
+def asked(count: int, share: float = 1.0) -> SplittingPoses:
     """Poses between the first two names of a set, its effect so many times as large."""
     search = in_doubt().search
     (found,) = in_doubt().findings
@@ -24,7 +24,7 @@ def asked(count: int, share: float = 1.0) -> NextPoses:
     values = np.where(own, share * model.values, model.values)
     fitted = dataclasses.replace(search.fit, model=model.with_values(values))
     rival = next(r for r in found.alternatives if r.candidate.name not in found.names[1:2])
-    return next_poses(dataclasses.replace(search, fit=fitted), found, rival, count)
+    return splitting_poses(fitted, found.candidate, rival.candidate, count)
 
 
 def test_an_effect_of_nothing_tells_nothing() -> None:

@@ -1,4 +1,4 @@
-"""What was found, in words: a formula with units, and what it behaves like."""
+"""A discovered effect in words: a formula with units, and what it behaves like."""
 
 from __future__ import annotations
 
