@@ -61,7 +61,9 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
         "extra": sum(not n & true for n in names),
         "wrong_name": named_wrong,
         "wrong_single": bool(named_wrong) and found.verdict == "named",
-        "told_apart": best is not None and bool(named_wrong) and _told_apart(setting, found),
+        "told_apart": best is not None
+        and bool(named_wrong)
+        and told_apart(setting, [t for f in found.findings for t in f.terms]),
         "located": _located(setting, found),
         "flag": found.structure.flag,
         "structure": {
@@ -175,10 +177,9 @@ def _minimal(setting: LoopSetting, sets: Sequence[EffectFinding], best: ModelFit
     return True
 
 
-def _told_apart(setting: LoopSetting, found: Diagnosis) -> bool:
-    """Whether these rows, without noise, tell the effects that were found from the hidden ones."""
+def told_apart(setting: LoopSetting, terms: Sequence[Term]) -> bool:
+    """Whether the training rows, without noise, tell these effects from the hidden ones."""
     clean = _clean(setting)
-    terms = [t for f in found.findings for t in f.terms]
     least = _misfit(true_fit(setting, clean))
     return _misfit(_fitted(setting, terms, clean, robust=False)) - least > ALIKE
 

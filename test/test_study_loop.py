@@ -14,7 +14,7 @@ from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.errors import InputError
 from studies import loop
 from studies.loop_cases import GROUPS, NAMES, SPOILED, Case, Design
-from studies.loop_score import true_fit
+from studies.loop_score import told_apart, true_fit
 from studies.loop_setting import set_up
 from studies.loop_table import by_effect, failures, reliability, share, summary, wilson
 from studies.loop_truth import at_one_place, places, values
@@ -124,6 +124,14 @@ def test_true_values_are_recovered_by_the_true_model(arm):
             if slot.owner.name == name and key in true:
                 slack = 4 * fitted.standard_errors[k] + 0.02 * abs(true[key])
                 assert abs(fitted.model.values[k] - true[key]) < slack, (name, key)
+
+
+@pytest.mark.parametrize(("name", "tells"), [("joint_gain", True), ("servo_droop", False)])
+def test_a_wrong_name_counts_where_the_rows_tell_it_from_the_right_one(arm, name, tells):
+    """Droop of the servo and a soft joint turn the tip alike; a gain does not."""
+    made = set_up(case(effects=("joint_compliance",), rows=120), arm)
+    assert not told_apart(made, BUILT_IN["joint_compliance"].for_arm(arm))
+    assert told_apart(made, BUILT_IN[name].for_arm(arm)) is tells
 
 
 def test_wilson_interval():
