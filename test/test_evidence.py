@@ -14,11 +14,11 @@ from discover_rows import DEMO
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.effects.compliances import LinkStiffness
 from longarm_comp.core.effects.joint_term import reach, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 from longarm_comp.core.model.model import Model
 from studies.real_sessions import declared

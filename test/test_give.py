@@ -10,6 +10,7 @@ import pytest
 from touching import ARM
 
 from longarm_comp.core.calibration.candidates import distinct, library
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, LinkBending
@@ -17,7 +18,6 @@ from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import CALIBRATED, WITH_EFFECTS, Diagnosis
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.give import GIVE, LITTLE, a_little, giving
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, slots_of

@@ -14,13 +14,13 @@ from test_thresholds import session_of
 from longarm_comp.core.calibration.calibrate import declared_model, geometry
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.plays import Backlash
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.intervals import Interval, _slopes, intervals
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives

@@ -18,6 +18,7 @@ from small_arm import ARM as SMALL
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.candidates import Candidate, library
 from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
@@ -34,7 +35,6 @@ from longarm_comp.core.effects.joint_term import joint_load, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.masses import GravityDirection
 from longarm_comp.core.effects.plays import Backlash
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.give import Slack
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, instead
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects

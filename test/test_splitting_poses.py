@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from drawn_reports import in_doubt
 
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import priors
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.planning.splitting_poses import SplittingPoses, splitting_poses
 
 

@@ -13,12 +13,12 @@ from small_arm import ARM
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.calibration.candidates import Candidate, library
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import searched
 from longarm_comp.core.effects.drive_errors import JointGain, ServoQuantisation
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 from longarm_comp.core.model.model_file import load_model, save_model, store

@@ -10,8 +10,8 @@ from numpy.polynomial.legendre import Legendre
 from small_arm import ARM, measured
 
 from longarm_comp.core.calibration.calibrate import declared_model, stages
+from longarm_comp.core.calibration.reading_steps import step_of
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.reading_steps import step_of
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.model.model import Model
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.plausible import INCREDIBLE
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 from longarm_comp.core.identify.visible_size import Smallest, detectable
 

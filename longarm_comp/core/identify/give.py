@@ -16,8 +16,8 @@ import numpy as np
 
 from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
 from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.model.model import slots_of
 
 GIVE = 0.03

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from longarm_comp.core.calibration.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.posterior.forms import neighbours
 
 BLOCKS = 20

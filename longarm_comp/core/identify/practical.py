@@ -16,12 +16,12 @@ import numpy as np
 
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.candidates import Term
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.commanded import as_commanded, commanded_errors, own_way
 from longarm_comp.core.data.measurement import errors, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.intervals import BLOCKS
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.model.model import Model

@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.model.model import slots_of
 
 COARSEST, FINEST = 12, 1000

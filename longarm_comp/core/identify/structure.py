@@ -20,9 +20,9 @@ from scipy.special import bdtrc, fdtrc, gammaincinv
 from longarm_comp.core.arm.history import play
 from longarm_comp.core.calibration.linear import Marginal, inliers, solve
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.reading_steps import read_exactly
 from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.reading_steps import read_exactly
 
 SIGNIFICANT = 0.005
 """Chance of structure where there is none."""

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.fit_columns import FitColumns, rms_shift
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.plausible import INCREDIBLE
-from longarm_comp.core.identify.evidence import FitColumns, rms_shift
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 

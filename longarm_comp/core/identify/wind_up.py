@@ -16,11 +16,11 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SLIDE
 from longarm_comp.core.calibration.candidates import Candidate, CandidateColumns, distinct
 from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.noise import from_residual
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.model.model import Model
 

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 from longarm_comp.core.calibration import noise as noise_step
 from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
 from longarm_comp.core.calibration.fit import fit, unfitted
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.evidence import FitColumns
 from longarm_comp.core.identify.give import TOLERANCES, Slack, with_give
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.posterior.forms import BETTER, refined

@@ -15,9 +15,9 @@ from functools import partial
 import numpy as np
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
+from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.linear import OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.identify.evidence import FitColumns, shift_of
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 LOOKS = 7

@@ -17,10 +17,10 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
+from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, marginalised
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.calibration.plausible import INCREDIBLE
-from longarm_comp.core.identify.evidence import FitColumns, shift_of
 from longarm_comp.core.identify.give import Slack, a_little
 from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
