@@ -26,8 +26,6 @@ from longarm_comp.core.data.session import Session
 
 SIGNIFICANT = 0.005
 """Chance of structure where there is none."""
-MOST_GROUPS = 40
-"""Groups that count as the structure, at most; those above a third of the strongest are named."""
 WORTH = 0.25
 """Structure below this share of the noise is not worth a verdict."""
 
@@ -103,13 +101,13 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
         return Structure(False, 1.0, (), 0.0, 1.0, ())
     found.sort(key=lambda each: (each[1], -each[2]))
     p = min(1.0, len(found) * found[0][1])
-    strong = [each for each in found if len(found) * each[1] < SIGNIFICANT][:MOST_GROUPS]
+    likely = [each for each in found if len(found) * each[1] < SIGNIFICANT]
+    strong = [each for each in likely if each[2] > found[0][2] / 3]
     sizes, rss_rich = _smooth(fit, marginal, [b for *_, b in strong])
     size, noise = float(np.linalg.norm(sizes)), fit.noise_m
     worth = size > WORTH * float(np.linalg.norm(noise))
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
-    said = [group for group, _, statistic, _ in strong if statistic > found[0][2] / 3]
-    inputs = tuple(dict.fromkeys(name for group in said for name in group.inputs))
+    inputs = tuple(dict.fromkeys(name for group, *_ in strong for name in group.inputs))
     flag = p < SIGNIFICANT and worth and size > smallest(fit)
     rss_named = float(residual @ residual)
     white_base = fit.whitened(base.residual[..., None])[:, 0]

@@ -41,10 +41,9 @@ ROUNDS = 8
 """Of posterior and fit, at most, of the library and then of functions; three are usual."""
 REFORMED = 3
 """Times that forms are moved between two rounds, each time with the rest as it has become."""
-STEPS = 6
-"""Gauss-Newton steps of a fit between rounds; the last fit converges."""
 NEAR = 0.3
-"""Last step of such a fit, in standard errors: the next would be a tenth of it or less."""
+"""Last step of a fit between rounds, in standard errors: the next would be a tenth of it or less.
+The last fit converges."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +184,7 @@ class _Search:
         """A model fitted so far that the next step would be small, with the noise of a fit."""
         return fit(
             model, self.session, sigma=noise_of.sigma, rho=noise_of.rho, weights=noise_of.weights,
-            max_iterations=STEPS, close=NEAR, **start,  # type: ignore[arg-type]
+            close=NEAR, **start,  # type: ignore[arg-type]
         )  # fmt: skip
 
     def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Slack]:
@@ -284,7 +283,7 @@ class _Search:
         noise = judged if self.known is None else noise_step.agreed(self.known, judged)
         fitted = fit(
             first.model, self.session, sigma=noise.sigma, rho=noise.rho, weights=weights,
-            max_iterations=STEPS, close=NEAR, begun=first,
+            close=NEAR, begun=first,
         )  # fmt: skip
         return ExplainedSession(fitted, found, noise)
 

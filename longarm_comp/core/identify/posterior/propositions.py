@@ -14,6 +14,7 @@ from longarm_comp.core.effects.quantities import AXES
 from longarm_comp.core.effects.shapes import Function, Shape, Threshold, Wave
 from longarm_comp.core.identify.discover.bank import (
     CAMERA,
+    SHORTLIST,
     Bank,
     Hypothesis,
     banks,
@@ -27,8 +28,6 @@ SCREENED = 12
 """Candidates of each kind on offer at most, or those that are nearly alike crowd out all others."""
 REFINED = 4
 """Candidates of a bank that are tried with other thresholds and frequencies."""
-MOST = 60
-"""Functions on offer at most; the best of them share what the data say for functions."""
 WIDTHS = (1.0, 0.08)
 """Reach of these looks, in steps between the values tried first."""
 LOOKS = np.log(4.0)
@@ -59,7 +58,7 @@ def propositions(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Propositi
                 known = best.get(h)
                 if known is None or worth > known[1]:
                     best[h] = bank, worth
-    ordered = sorted(best.items(), key=lambda item: -item[1][1])[:MOST]
+    ordered = sorted(best.items(), key=lambda item: -item[1][1])[:SHORTLIST]
     return tuple(_proposed(bank, h) for h, (bank, worth) in ordered if worth > 0)
 
 
