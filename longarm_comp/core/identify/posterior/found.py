@@ -130,26 +130,24 @@ class FoundEffect:
             return self, False
         stays, *goes = softmax([0.0, *worth.values()]).tolist()
         chances = dict(zip(worth, goes, strict=True))
-        told = self.chance + sum(r.probability for r in self.rivals if r.judged not in worth)
-        stays /= told or 1.0
-        shared = Counter(r.judged for r in self.rivals)
         mine = Rival(
-            Candidate(self.name, self.terms), self.log_bayes_factor, stays * self.chance, self.name
+            Candidate(self.name, self.terms), self.log_bayes_factor, self.chance, self.name
         )
-        every = [mine] + [
-            replace(
+        every = [mine, *self.rivals]
+        told = sum(r.probability for r in every if r.judged not in worth) or 1.0
+        shared = Counter(r.judged for r in every)
+        every = [
+            replace(r, probability=stays * r.probability / told)
+            if r.judged not in worth
+            else replace(
                 r,
-                log_bayes_factor=self.log_bayes_factor + worth.get(r.judged, 0.0),
-                probability=chances[r.judged] / shared[r.judged]
-                if r.judged in worth
-                else stays * r.probability,
+                log_bayes_factor=self.log_bayes_factor + worth[r.judged],
+                probability=chances[r.judged] / shared[r.judged],
             )
-            for r in self.rivals
+            for r in every
         ]
-        best = max(worth, key=lambda name: worth[name])
-        better = worth[best] > 0
-        first = next(r for r in every if r.name == best) if better else mine
-        return self.led_by(first, [r for r in every if r is not first]), better
+        best = max(every, key=lambda r: worth.get(r.name, 0.0))
+        return self.led_by(best, [r for r in every if r is not best]), best is not every[0]
 
     def led_by(self, first: Rival, others: Sequence[Rival]) -> FoundEffect:
         """The same with a name in the first place, and others beside it."""
