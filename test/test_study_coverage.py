@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from cli_shell import Shell
 
-from longarm_comp.core.model.uncertainty import Stretch
 from studies.coverage import LeftOutRows, table
 
 
@@ -54,16 +53,6 @@ def test_places_that_differ_count_as_few_rows() -> None:
     width = [np.ptp(row["ci95"]) for row in (alike, uneven)]
     assert width[1] > 3.0 * width[0]
     assert (alike["kept"], uneven["kept"]) == ("no", "too few rows to tell")
-
-
-def test_a_stretch_grows_and_is_never_below_the_posterior() -> None:
-    sizes = np.array([0.25, 1.0, 4.0])
-    covariance = sizes[:, None, None] * np.eye(3) / 3.0
-    flat, grown = (Stretch(2.0, g, 1.0).of(covariance) for g in (1.0, 1.5))
-    np.testing.assert_allclose(np.trace(flat, axis1=1, axis2=2), 2.0 * sizes)
-    np.testing.assert_allclose(np.trace(grown, axis1=1, axis2=2), 2.0 * sizes**1.5)
-    small = Stretch(1.0, 1.5, 1.0).of(covariance)
-    np.testing.assert_allclose(np.trace(small, axis1=1, axis2=2), np.maximum(sizes, sizes**1.5))
 
 
 def test_the_command_judges_simulated_arms(

@@ -118,28 +118,15 @@ def test_ninety_of_a_hundred_rows_and_tips_lie_inside(hidden: list) -> None:
 
 
 def test_the_radius_is_as_wide_as_the_rows_left_out_ask_for() -> None:
-    """Also where the posterior alone would hold more than 90 %: no stretch brings more inside."""
     rng = np.random.default_rng(2)
     count = np.ones(400)
     unit = np.tile(np.eye(3), (400, 1, 1))
     error = 1e-3 * rng.standard_normal((400, 3))
     error[:20] *= 30.0
     small = LeftOut(error, 1e-9 * unit, count)
-    stretch, rest = small.judged(1e-9 * np.eye(3))
-    radius = sizes(stretch.of(small.covariance) + rest + 1e-9 * np.eye(3))[1]
+    noise = 1e-9 * np.eye(3)
+    radius = sizes(small.covariance + small.rest(noise) + noise)[1]
     assert 0.9 <= np.mean(np.linalg.norm(error, axis=1) <= radius) <= 0.91
-
-
-def test_what_the_form_lacks_may_grow_faster_than_the_posterior() -> None:
-    rng = np.random.default_rng(3)
-    size = np.geomspace(0.2, 5.0, 600) ** 2 * 1e-6
-    error = 5.0 * rng.standard_normal((600, 3)) * (size**0.75 * 1e-6**-0.25)[:, None]
-    left = LeftOut(error, size[:, None, None] * np.eye(3), np.ones(600))
-    stretch, rest = left.judged(1e-10 * np.eye(3))
-    assert stretch.growth == 1.5
-    radius = sizes(stretch.of(left.covariance) + rest)[1]
-    far = size > np.quantile(size, 0.8)
-    assert 0.84 <= np.mean(np.linalg.norm(error, axis=1)[far] <= radius[far]) <= 0.96
 
 
 def test_touched_points_are_judged_about_their_mean(rng: np.random.Generator) -> None:
@@ -233,9 +220,7 @@ def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
         (lambda u: u["factor"].__setitem__(0, "not base 64"), "line 1"),
         (lambda u: u["factor"].__setitem__(0, "AADAfw=="), "line 1"),  # NaN
         (lambda u: u["structure_m2"][0].__setitem__(0, -1.0), "structure_m2"),
-        (lambda u: u.__setitem__("stretch", 0.5), "stretch"),
-        (lambda u: u.__setitem__("growth", 0.5), "growth"),
-        (lambda u: u.__setitem__("typical_m", 0.0), "typical_m"),
+        (lambda u: u.__setitem__("stretch", 1.0), "stretch"),  # of a version before
     ],
 )
 def test_a_damaged_record_is_refused(tmp_path: Path, change, said: str) -> None:

@@ -23,7 +23,7 @@ from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch
+from longarm_comp.core.model.uncertainty import ModelUncertainty
 from longarm_comp.core.yaml_file import Declared
 
 POOL = 256
@@ -248,7 +248,7 @@ class Learner:
         active, covariance = known.covariance()
         slots = tuple(known.space.identities[k] for k in active)
         factor = _factor(covariance)
-        record = dataclasses.replace(self.record, slots=slots, factor=factor, stretch=Stretch())
+        record = dataclasses.replace(self.record, slots=slots, factor=factor)
         made = dataclasses.replace(model, uncertainty=record)
         made.__dict__["chain"] = model.chain
         return made
@@ -292,21 +292,15 @@ class Learner:
 
 
 def _begun(model: Model, context: Context) -> Explanations:
-    """What a fitted model's record says.
-
-    Its parameters are known as well as its form is right, or only as well as rows that were left
-    out of the fit say: both go on side by side, and the sightings decide.
-    """
+    """What a fitted model's record says."""
     record = model.uncertainty
     assert record is not None
     space = Parameters.of(model, context)
     at = {identity: k for k, identity in enumerate(record.slots)}
     active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
     factor = record.factor[[at[space.identities[k]] for k in active]]
-    covariance = factor @ factor.T
-    each = sorted({1.0, max(1.0, record.stretch.factor)})
-    begun = (RecursivePosterior.begun(space, space.values, active, by * covariance) for by in each)
-    return Explanations(tuple(Branch(1.0 / len(each), known) for known in begun))
+    known = RecursivePosterior.begun(space, space.values, active, factor @ factor.T)
+    return Explanations((Branch(1.0, known),))
 
 
 def _values(space: Parameters, model: Model) -> np.ndarray:

@@ -3,9 +3,9 @@
 The posterior of a fit is too sure where the model's form is not quite right: what it lacks is
 alike from row to row, so many rows count as few.  Therefore rows are left out, a part of one
 joint's range at a time and in small random parts, and what the fit would then have missed them by
-is computed from the design (no fit is repeated).  Two numbers are judged by it: how much the
-posterior is stretched, and what no parameter explains.  90 % of the rows left out lie inside the
-radius that they give (split conformal; Vovk 2015, Ann. Math. Artif. Intell. 74).
+is computed from the design (no fit is repeated).  What no parameter explains is chosen so that
+90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann. Math.
+Artif. Intell. 74).
 
 Not all that a fit leaves is noise.  At poses that are alike the arm does alike, so what it does and
 the model lacks looks as if the parameters changed with the joints.  The residual is white noise and
@@ -17,11 +17,8 @@ repeats, however few.
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,14 +28,7 @@ from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.calibration.noise import repeat_scatter
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.uncertainty import (
-    LEVEL,
-    ModelUncertainty,
-    Stretch,
-    radius,
-    sizes,
-    triangular,
-)
+from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes, triangular
 
 PARTS, SMALL = 4, 20
 """Parts of a joint's range, and random parts, that are left out one at a time; a 90 % radius takes
@@ -47,11 +37,6 @@ MOST = 1000
 """Rows that are left out, at most, evenly over the session: they tell 90 % to one percent."""
 HALVINGS = 30
 """Of a range: to nine digits."""
-MOST_STRETCH, STRETCHES = 1e4, 13
-"""Variance over the posterior's, at most: a hundred standard deviations; how many are tried."""
-GROWTHS = (1.0, 1.5)
-"""Powers of the posterior's variance: what a form lacks grows as the posterior does, or as a term
-of one order more (`Stretch`)."""
 
 
 def with_uncertainty(fit: ModelFit) -> Model:
@@ -65,15 +50,14 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
     """What a fit does not know, judged at rows that are left out of it."""
     left = LeftOut.of(fit)
     if left is None:
-        noise, stretch, structure = _noise_of_lengths(fit), Stretch(), np.zeros((3, 3))
+        noise, structure = _noise_of_lengths(fit), np.zeros((3, 3))
     else:
         spread = fit.residual[(fit.weights > 0) & fit.pointed][:, :3]
         noise = (1.0 - arm_share(fit)) * np.diag((spread**2).mean(axis=0))
-        stretch, structure = left.judged(noise)
+        structure = left.rest(noise)
     made = ModelUncertainty(
         tuple(slot.identity for slot in fit.slots),
         _factor(fit.covariance, priors(fit.slots)),
-        stretch,
         structure,
         noise,
         largest_m=0.0,
@@ -135,12 +119,10 @@ class LeftOut:
                 counts.append(np.full(mine.sum(), share))
         return cls(*(np.concatenate(each) for each in (errors, covariances, counts)))
 
-    def judged(self, noise: np.ndarray) -> tuple[Stretch, np.ndarray]:
-        """Stretch of the posterior, and what the arm does besides (3, 3) m^2.
+    def rest(self, noise: np.ndarray) -> np.ndarray:
+        """What the arm does besides: the least (3, 3) m^2 that brings 90 % of the rows inside.
 
-        For every stretch the rest is what brings 90 % inside, and no stretch brings more.  Among
-        these the one is kept whose radii are the tightest (pinball loss), so that they are wide
-        where the errors are.
+        It is shaped as the errors are.
 
         Args:
             noise: (3, 3) m^2, of the measurement.
@@ -148,68 +130,13 @@ class LeftOut:
         shape = np.einsum("n,ni,nj->ij", self.count, self.error, self.error)
         shape /= np.trace(shape) or 1.0
         size = np.linalg.norm(self.error, axis=1)
-        square = self.count @ np.trace(self.covariance, axis1=1, axis2=2) / self.count.sum()
-        typical = math.sqrt(max(float(square), 1e-300))
         wanted = LEVEL * (self.count.sum() + 1.0)
-
-        def radii(log: float, growth: float) -> _Radii:
-            stretch = Stretch(math.exp(log), growth, typical)
-            return _Radii.of(stretch.of(self.covariance) + noise, shape)
-
-        def enough(tried: _Radii, rest: float) -> bool:
-            return float(self.count @ (size <= tried.at(rest))) >= wanted
-
-        def alone(growth: float, log: float) -> bool:
-            return enough(radii(log, growth), 0.0)
-
-        found = []
-        for growth in GROWTHS:
-            most = _least(partial(alone, growth), math.log(MOST_STRETCH))
-            for log in np.linspace(0.0, most, STRETCHES).tolist():
-                tried = radii(log, growth)
-                rest = _least(partial(enough, tried), float((size**2).max()))
-                beyond = size - tried.at(rest)
-                loss = self.count @ np.maximum(LEVEL * beyond, (LEVEL - 1.0) * beyond)
-                found.append((float(loss), Stretch(math.exp(log), growth, typical), rest))
-        _, stretch, rest = min(found, key=lambda each: each[0])
-        return stretch, rest * shape
-
-
-def _least(enough: Callable[[float], bool], most: float) -> float:
-    """The least number from 0 to `most` that is enough, where more of it is too."""
-    low, high = 0.0, most
-    if enough(low):
-        return low
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if enough(middle) else (middle, high)
-    return high
-
-
-class _Radii(NamedTuple):
-    """The radii of rows left out for any rest of one shape.
-
-    Mean and variance of the squared length are quadratic in the rest; these are the coefficients.
-    """
-
-    square: np.ndarray
-    own: np.ndarray
-    both: np.ndarray
-    shape: float
-
-    @classmethod
-    def of(cls, covariance: np.ndarray, shape: np.ndarray) -> _Radii:
-        """From covariances (M, 3, 3), m^2, and the shape (3, 3) of the rest, of trace 1."""
-        return cls(
-            np.trace(covariance, axis1=1, axis2=2),
-            2.0 * np.einsum("nij,nji->n", covariance, covariance),
-            4.0 * np.einsum("nij,ji->n", covariance, shape),
-            2.0 * float(np.einsum("ij,ji->", shape, shape)),
-        )
-
-    def at(self, rest: float) -> np.ndarray:
-        """(M,) m."""
-        return radius(self.square + rest, self.own + rest * self.both + rest**2 * self.shape)
+        low, high = 0.0, float((size**2).max())
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            inside = size <= sizes(self.covariance + noise + middle * shape)[1]
+            low, high = (low, middle) if self.count @ inside >= wanted else (middle, high)
+        return high * shape
 
 
 def about_the_mean(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,7 +22,7 @@ from longarm_comp.core.ik.forward import posture_at
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack
-from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, sizes
+from longarm_comp.core.model.uncertainty import ModelUncertainty, sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def of_tolerances(model: Model) -> ModelUncertainty | None:
         widths = np.array([slot.parameter.width for slot in slots])
         none = np.zeros((3, 3))
         names = tuple(slot.identity for slot in slots)
-        held = ModelUncertainty(names, np.diag(widths), Stretch(), none, none, np.inf, 0)
+        held = ModelUncertainty(names, np.diag(widths), none, none, np.inf, 0)
         model.__dict__["_tolerances"] = held
     return held
 

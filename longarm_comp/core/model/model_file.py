@@ -23,7 +23,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.file_versions import previous, put, replaced, settle
 from longarm_comp.core.model.model import Model, slots_of
-from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, read, triangular, written
+from longarm_comp.core.model.uncertainty import ModelUncertainty, read, triangular, written
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
 MOST_PASSES, MOST_ELEMENTS = 50, 64
@@ -78,9 +78,6 @@ class _StoredUncertainty(Declared):
     """How far off the tip may be (`ModelUncertainty`). Parameters in the order of the file."""
 
     factor: list[str] = Field(description="triangle of the covariance, rows in base 64")
-    stretch: float = Field(ge=1.0)
-    growth: float = Field(1.0, ge=1.0)
-    typical_m: float = Field(1.0, gt=0.0)
     structure_m2: _Square
     noise_m2: _Square
     largest_m: float = Field(ge=0.0)
@@ -170,8 +167,7 @@ def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
         if identity in row:
             factor[k] = known.factor[row[identity]]
     return _StoredUncertainty(
-        factor=written(triangular(factor)), stretch=known.stretch.factor,
-        growth=known.stretch.growth, typical_m=known.stretch.typical_m,
+        factor=written(triangular(factor)),
         structure_m2=known.structure.tolist(), noise_m2=known.noise.tolist(),
         largest_m=known.largest_m, rows=known.rows,
     )  # fmt: skip
@@ -292,8 +288,7 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
         if least < -1e-9 * size or not np.allclose(square, square.T, atol=1e-9 * size):
             raise InputError(where, f"uncertainty.{name}", "no covariance", "a covariance, m^2")
     names = tuple(slot.identity for slot in slots)
-    stretch = Stretch(given.stretch, given.growth, given.typical_m)
-    return ModelUncertainty(names, factor, stretch, structure, noise, given.largest_m, given.rows)
+    return ModelUncertainty(names, factor, structure, noise, given.largest_m, given.rows)
 
 
 def _check_placement(term: Effect | Bias, arm: Arm, where: str) -> None:

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,30 +26,6 @@ _log_gamma = np.vectorize(math.lgamma, otypes=[float])  # SciPy loads for half a
 _Identity = tuple[object, ...]
 
 
-class Stretch(NamedTuple):
-    """Variance at rows that were left out over what the posterior says.
-
-    What a model's form lacks grows with the distance from the rows as the posterior does, or
-    faster: a term of one order more than the quadratic grows as the third power of its deviation.
-    Nowhere is it less than the posterior.
-
-    Attributes:
-        factor: where the posterior is of its typical size.
-        growth: power of the variance, 1 or 1.5.
-        typical_m: standard deviation that the posterior has at rows left out.
-    """
-
-    factor: float = 1.0
-    growth: float = 1.0
-    typical_m: float = 1.0
-
-    def of(self, covariance: np.ndarray) -> np.ndarray:
-        """Covariances (..., 3, 3) m^2, stretched."""
-        size = np.trace(covariance, axis1=-2, axis2=-1) / self.typical_m**2
-        factor = np.maximum(1.0, self.factor * size ** (self.growth - 1.0))
-        return np.asarray(factor[..., None, None] * covariance)
-
-
 @dataclass(frozen=True, eq=False)
 class ModelUncertainty:
     """What is not known of a fitted model.
@@ -58,7 +33,6 @@ class ModelUncertainty:
     Attributes:
         slots: identities of the fitted parameters (`Slot.identity`).
         factor: (p, r), the parameters' covariance is ``factor @ factor.T``.
-        stretch: of the posterior; none where the model's form is right.
         structure: (3, 3) m^2, what the arm does besides and no parameter explains.
         noise: (3, 3) m^2, of the measurement: in every measured row, and no error of the tip.
         largest_m: expected error of the tip, the largest over the fitted rows, m.
@@ -67,7 +41,6 @@ class ModelUncertainty:
 
     slots: tuple[_Identity, ...]
     factor: np.ndarray
-    stretch: Stretch
     structure: np.ndarray
     noise: np.ndarray
     largest_m: float
@@ -87,11 +60,14 @@ class ModelUncertainty:
         """
         held = [k for k, identity in enumerate(slots) if identity in self.row]
         moved = columns[..., held] @ self.factor[[self.row[slots[k]] for k in held]]
-        return self.stretch.of(moved @ np.swapaxes(moved, -1, -2))
+        return np.asarray(moved @ np.swapaxes(moved, -1, -2))
 
 
 def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Expected length of a normal error, and the length that it stays below in 90 of 100 cases.
+
+    The squared length is taken to be gamma distributed (Satterthwaite 1946, Biometrics Bull. 2),
+    its cube root normal (Wilson and Hilferty 1931, PNAS 17): right to 2 % for any covariance.
 
     Args:
         covariance: (..., 3, 3) m^2.
@@ -109,17 +85,9 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
     shape = square**2 / np.maximum(variance, 1e-9 * square**2 + 1e-300)
     shape = np.maximum(shape, 1e-300)
     expected = np.sqrt(square / shape) * np.exp(_log_gamma(shape + 0.5) - _log_gamma(shape))
-    return np.where(square == 0, 0.0, expected), radius(square, variance)
-
-
-def radius(square: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Length below which 90 of 100 errors stay, by mean and variance of the squared length, m.
-
-    The squared length is taken to be gamma distributed (Satterthwaite 1946, Biometrics Bull. 2),
-    its cube root normal (Wilson and Hilferty 1931, PNAS 17): right to 2 % for any covariance.
-    """
     spread = variance / np.maximum(9.0 * square**2, 1e-300)
-    return np.asarray(np.sqrt(square * (1.0 - spread + _NORMAL * np.sqrt(spread)) ** 3))
+    within = np.sqrt(square * (1.0 - spread + _NORMAL * np.sqrt(spread)) ** 3)
+    return np.where(square == 0, 0.0, expected), within
 
 
 def triangular(factor: np.ndarray) -> np.ndarray:
