@@ -80,8 +80,8 @@ EXTRAS = {
     ],
 }
 
-# Files beside the modules that read them: arms, page templates.
-DATA_KINDS = ["css", "html", "j2", "js", "json", "yaml"]
+# Files beside the modules that read them: page templates.
+DATA_KINDS = ["css", "j2", "js"]
 
 ROOT = Path(__file__).parent
 

@@ -1,4 +1,4 @@
-"""Schema, validation and text of report.json. schema.json is that of `DiagnosisReport`."""
+"""Schema, validation and text of report.json."""
 
 from __future__ import annotations
 
@@ -295,15 +295,6 @@ def text(report: DiagnosisReport) -> str:
     plain = report.model_dump(mode="json", by_alias=True)
     short = rounded(plain, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)  # + 0.0: no negative zero
     return json.dumps(short, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def schema_text() -> str:
-    """The JSON schema that report/schema.json holds."""
-    schema = {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **DiagnosisReport.model_json_schema(by_alias=True, mode="serialization"),
-    }
-    return json.dumps(schema, indent=2) + "\n"
 
 
 def rounded(value: Any, to: Callable[[float], float]) -> Any:
