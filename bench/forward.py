@@ -71,21 +71,19 @@ def _pinocchio(arm: Arm, q: np.ndarray) -> Work:
 
 
 def _beside(kind: Callable[[Arm, np.ndarray], Work], peer: str) -> Result:
-    """Machine code, or arrays without a compiler, against rigid forward kinematics."""
+    """Machine code against rigid forward kinematics."""
     model = soft_model(demo_arm())
     q = random_joints(model.arm, COUNT, 4)
     try:
         theirs = kind(model.arm, q)
     except ImportError as error:
         return missing(peer, f"not installed: {error.name}")
-    compiled = ik.warm_up()
-    ours = (machine_forward(model, q), COUNT) if compiled else _on_arrays(model, q)
+    ours = machine_forward(model, q), COUNT
     turns = [(_per_pose(ours), _per_pose(theirs)) for _ in range(REPEATS)]
     mine, other = (
         np.array([np.median(side) for side in sides]) for sides in zip(*turns, strict=True)
     )
-    note = f"tip and Jacobian of the deflected arm; {'machine code' if compiled else 'arrays'}"
-    return beside("us", mine, peer, other, note=note)
+    return beside("us", mine, peer, other, note="tip and Jacobian of the deflected arm")
 
 
 def beside_toolbox() -> Result:
@@ -107,38 +105,12 @@ def batch_model() -> Result:
     return alone("us", each, "deflected tip by the model's own code, NumPy")
 
 
-def batch_arrays() -> Result:
-    """Traced, on arrays."""
-    model = soft_model(demo_arm())
-    work = _on_arrays(model, random_joints(model.arm, COUNT, 4))
-    note = "tip and Jacobian, traced code on arrays"
-    return alone("us", _per_pose(work), note)
-
-
-def _on_arrays(model: Model, q: np.ndarray) -> Work:
-    kernel = kernel_of(model, Layout.of(ik.Context.empty()))
-    state = np.zeros((kernel.size, COUNT))
-    state[kernel.slice("trial")] = q.T
-    return lambda: [kernel.arrays[name](state) for name in _passes(kernel)], COUNT
-
-
 def single_model() -> Result:
     """One pose by the model's own code."""
     model = soft_model(demo_arm())
     one = unstack(random_joints(model.arm, 1, 4)[0])
     each = _per_pose((lambda: model.posture(one), 1))
     return alone("us", each, "posture with loads by the model's own code")
-
-
-def single_python() -> Result:
-    """One pose, traced."""
-    model = soft_model(demo_arm())
-    kernel = kernel_of(model, Layout.of(ik.Context.empty()))
-    column = [0.0] * kernel.size
-    column[slice(*kernel.slice("trial").indices(kernel.size))] = model.arm.mid.tolist()
-    work: Work = lambda: [kernel.floats[name](column) for name in _passes(kernel)], 1
-    note = "tip and Jacobian, traced code in plain Python"
-    return alone("us", _per_pose(work), note)
 
 
 def columns(count: int | None = None) -> Result:
@@ -153,8 +125,6 @@ def columns(count: int | None = None) -> Result:
 
 def cost() -> Result:
     """Machine code against the number of effects, beam elements and load passes."""
-    if not ik.warm_up():
-        return missing("none", "not installed: llvmlite")
     arm = demo_arm()
     soft = soft_model(arm)
     found = [e for name in sorted(BUILT_IN) for e in BUILT_IN[name].for_arm(arm)]

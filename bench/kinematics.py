@@ -67,10 +67,6 @@ def _in_turns(
     return np.array(times[0]), np.array(times[1])
 
 
-def _engine(fallback: Engine) -> Engine:
-    return Engine.COMPILED if ik.warm_up() else fallback
-
-
 def single(peer_name: str, warm: bool = False, per_block: int | None = None) -> Result:
     """Medians of single pose tasks, from mid-range or from joints 1 % of their range away (warm).
 
@@ -78,7 +74,8 @@ def single(peer_name: str, warm: bool = False, per_block: int | None = None) -> 
     """
     model, per_block = soft_model(demo_arm()), per_block or PER_BLOCK
     kind: Any = getattr(ik_peers, peer_name)
-    arm, engine = model.arm, _engine(Engine.PYTHON)
+    arm = model.arm
+    ik.warm_up()
     try:
         peer = kind(arm)
     except ImportError as error:
@@ -91,7 +88,7 @@ def single(peer_name: str, warm: bool = False, per_block: int | None = None) -> 
     )
 
     def our(i: int) -> np.ndarray:
-        return ik.solve(model, targets[i], seed=seeds[i], tol=TOLERANCE, engine=engine).q
+        return ik.solve(model, targets[i], seed=seeds[i], tol=TOLERANCE).q
 
     def their(i: int) -> np.ndarray:
         return peer.solve(rigid[i], seeds[i])
@@ -108,7 +105,7 @@ def single(peer_name: str, warm: bool = False, per_block: int | None = None) -> 
         1e6 * np.median(theirs, axis=1),
         mean=1e6 * float(ours.mean()),
         peer_mean=1e6 * float(theirs.mean()),
-        note=f"{engine.name.lower()}; solved {solved[0]:.3f}, peer {solved[1]:.3f}",
+        note=f"solved {solved[0]:.3f}, peer {solved[1]:.3f}",
     )
 
 
@@ -126,8 +123,9 @@ def _near(arm: Arm, q: np.ndarray) -> np.ndarray:
 
 def _batch(q: np.ndarray, threads: int = 1) -> Result:
     """Poses a second of a batch from mid-range, beside the peer's mean rate on the same joints."""
-    model, engine = soft_model(demo_arm()), _engine(Engine.ARRAYS)
+    model = soft_model(demo_arm())
     arm = model.arm
+    ik.warm_up()
     try:
         peer = Toolbox(arm)
     except ImportError as error:
@@ -135,7 +133,7 @@ def _batch(q: np.ndarray, threads: int = 1) -> Result:
     targets, mid = model.pose(q), arm.mid
     some = np.random.default_rng(0).permutation(len(q))[: BLOCKS * PER_BLOCK]
     rigid = Model(arm).pose(q[some])
-    solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=engine, threads=threads)
+    solve = partial(ik.solve_many, model, tol=TOLERANCE, threads=threads)
     solved = solve(targets).ok.mean()
     clock = time.process_time if threads == 1 else time.perf_counter
     ours, theirs = [], []
@@ -144,7 +142,7 @@ def _batch(q: np.ndarray, threads: int = 1) -> Result:
         ours.append(len(q) / timed(lambda _: solve(targets), [0], clock)[0])
         theirs.append(1 / timed(lambda i: peer.solve(rigid[i], mid), rows, clock).mean())
     by = "processor seconds, 1 thread" if threads == 1 else f"wall seconds, {threads} threads"
-    note = f"{engine.name.lower()}, {by}; solved {solved:.4f}"
+    note = f"{by}; solved {solved:.4f}"
     rate = [float(np.mean(theirs))]
     return beside("poses/s", ours, Toolbox.name, rate, more_is_better=True, note=note)
 
@@ -164,27 +162,22 @@ def grid() -> Result:
     return _batch(paper_grid(demo_arm()))
 
 
-def single_without_compiler() -> Result:
-    """Plain Python; goal 400 us."""
+def single_uncompiled() -> Result:
+    """By the model's own code, as the first targets before a model is compiled."""
     model = soft_model(demo_arm())
-    targets, mid = model.pose(random_joints(model.arm, 201, 3)), model.arm.mid
-
-    def work(i: int) -> None:
-        ik.solve(model, targets[i], seed=mid, tol=TOLERANCE, engine=Engine.PYTHON)
-
-    work(0)
-    each = timed(work, range(1, 201), time.process_time).reshape(BLOCKS, -1)
-    return beside("us", 1e6 * np.median(each, 1), "goal", [400.0])
+    targets = model.pose(random_joints(model.arm, 8 * BLOCKS, 3))
+    solve = partial(ik.solve, model, tol=TOLERANCE, engine=Engine.MODEL)
+    each = timed(lambda i: solve(targets[i]), range(8 * BLOCKS), time.process_time)
+    return alone("us", 1e6 * np.median(each.reshape(BLOCKS, -1), 1), "the model's own code")
 
 
-def batch_without_compiler() -> Result:
-    """NumPy; goal 30,000 poses/s."""
+def batch_uncompiled() -> Result:
+    """The same on arrays."""
     model = soft_model(demo_arm())
     targets = model.pose(random_joints(model.arm, BATCH, 3))
-    solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=Engine.ARRAYS)
-    solve(targets[:100])
+    solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=Engine.MODEL)
     rates = BATCH / timed(lambda _: solve(targets), range(5), time.process_time)
-    return beside("poses/s", rates, "goal", [30e3], more_is_better=True)
+    return alone("poses/s", rates, "the model's own code")
 
 
 def compile_seconds() -> Result:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 
 import numpy as np
@@ -12,8 +11,6 @@ from bench import catalogue, compensation, forward, ik_peers, kinematics
 from bench.arms import demo_arm
 from longarm_comp.core.data.plan import paper_grid
 from longarm_comp.core.model.model import Model
-
-FAST = importlib.util.find_spec("llvmlite") is not None
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +49,6 @@ def test_every_row_has_its_figures(name: str, monkeypatch: pytest.MonkeyPatch) -
     assert "solved 0" not in row.get("note", "")
 
 
-@pytest.mark.skipif(not FAST, reason="needs llvmlite")
 def test_machine_code_is_timed_on_the_model_s_own_poses():
     """What `forward_batch_...` times is the deflected arm, not something cheaper."""
     model = kinematics.soft_model(demo_arm())

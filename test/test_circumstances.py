@@ -30,14 +30,13 @@ from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik.engines import compiler_at_hand
 from longarm_comp.core.ik.solver import Engine, solve_many
 from longarm_comp.core.learn.inputs import INPUT_KINDS
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.targets import Targets
 
 N = 6
-ENGINES = [e for e in Engine if e is not Engine.COMPILED or compiler_at_hand()]
+ENGINES = list(Engine)
 KINDS = [kind for kind in BUILT_IN.values() if issubclass(kind, Effect)]
 
 
@@ -100,7 +99,7 @@ def demo(demo_arm_path) -> Arm:
 
 @pytest.mark.parametrize(
     "engine",
-    [pytest.param(e, marks=[pytest.mark.long] * (e != Engine.PYTHON)) for e in ENGINES],
+    [pytest.param(e, marks=[pytest.mark.long] * (e != Engine.MODEL)) for e in ENGINES],
 )
 def test_every_engine_reaches_the_plain_model_in_every_form(demo: Arm, engine: Engine) -> None:
     covered = set()

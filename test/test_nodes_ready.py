@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -99,7 +98,6 @@ class Watched:
 def test_ready_means_compiled_and_the_predictor_probed_also_after_its_return(
     stage: Bench, arm: Arm, demo_arm_path: Path, learned: Path
 ) -> None:
-    pytest.importorskip("llvmlite", reason="nothing is compiled without it")
     files = {"arm": demo_arm_path, "predictor": learned}
     predictor = stage.start("error_predictor", files)
     given = {"arm": demo_arm_path, "compiled": True, "diagnostics_period_s": 0.1}
@@ -159,7 +157,7 @@ def test_a_worker_that_is_quick_is_asked_again(stage: Bench) -> None:
     for _ in range(3):
         ready.look()
     assert len(probed) == 4
-    assert len(rehearsed) == (2 if find_spec("llvmlite") else 0)
+    assert len(rehearsed) == 2
 
 
 def test_a_silent_predictor_is_probed_by_targets_and_ever_less_often(

@@ -139,7 +139,7 @@ ABSURD = {
             marks=[pytest.mark.long] * (engine is Engine.COMPILED and name != "heavy"),
         )
         for name, change in ABSURD.items()
-        for engine in (Engine.PYTHON, Engine.ARRAYS, Engine.COMPILED)
+        for engine in (Engine.MODEL, Engine.COMPILED)
     ],
 )  # fmt: skip
 def test_an_absurd_arm_reaches_nothing_on_any_engine(

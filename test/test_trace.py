@@ -19,9 +19,16 @@ from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.ik import newton
 from longarm_comp.core.ik.codegen import llvm as emit_llvm
-from longarm_comp.core.ik.codegen import python as emit
+from longarm_comp.core.ik.codegen.machine_code import compile_module
 from longarm_comp.core.ik.codegen.symbolic import Graph, Symbol
-from longarm_comp.core.ik.kernel import MOST_KERNELS, Kernel, Layout, kernel_of, tip_and_jacobian
+from longarm_comp.core.ik.kernel import (
+    MOST_KERNELS,
+    Kernel,
+    Layout,
+    kernel_of,
+    tip_and_jacobian,
+    works,
+)
 from longarm_comp.core.model.model import Model
 
 N = 12
@@ -68,42 +75,24 @@ def everything(arm: Arm) -> Model:
     return Model(arm, tuple(e for name in sorted(BUILT_IN) for e in effects(arm, name)))
 
 
-def evaluated(kernel: Kernel, call, q: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Tip, axes and Jacobian (12 + 6 n, N) after all load passes; call runs a program by name."""
+def evaluated(kernel: Kernel, q: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Tip, axes and Jacobian (12 + 6 n, N) after all load passes, in machine code."""
     s = np.zeros((kernel.size, len(q)))
     s[kernel.slice("trial")], s[kernel.slice("c")] = q.T, rows.T
     for name in newton.evaluation(newton.LEVELS[-1], kernel.passes, anew=True):
-        call(name, s)
+        in_lanes(kernel, name, s)
     return s[kernel.slice("out")]
 
 
-def on_arrays(kernel: Kernel):
-    return lambda name, s: kernel.arrays[name](s)
-
-
-def on_floats(kernel: Kernel):
-    def call(name, s):
-        for column in range(s.shape[1]):
-            numbers = s[:, column].tolist()
-            kernel.floats[name](numbers)
-            s[:, column] = numbers
-
-    return call
-
-
-def in_lanes(kernel: Kernel):
-    """Machine code, the columns in blocks of lanes; the last block is not full."""
-
-    def call(name, s):
-        width, count = kernel.code.width, s.shape[1]
-        blocks = np.zeros((-(-count // width), kernel.size, width))
-        for k in range(count):
-            blocks[k // width, :, k % width] = s[:, k]
-        kernel.code.function(f"many_{name}")(blocks.ctypes.data, len(blocks))
-        for k in range(count):
-            s[:, k] = blocks[k // width, :, k % width]
-
-    return call
+def in_lanes(kernel: Kernel, name: str, s: np.ndarray) -> None:
+    """Run a program on columns in blocks of lanes; the last block is not full."""
+    width, count = kernel.code.width, s.shape[1]
+    blocks = np.zeros((-(-count // width), kernel.size, width))
+    for k in range(count):
+        blocks[k // width, :, k % width] = s[:, k]
+    kernel.code.function(f"many_{name}")(blocks.ctypes.data, len(blocks))
+    for k in range(count):
+        s[:, k] = blocks[k // width, :, k % width]
 
 
 def by_the_model(model: Model, q: np.ndarray, context: Context) -> np.ndarray:
@@ -116,13 +105,10 @@ def by_the_model(model: Model, q: np.ndarray, context: Context) -> np.ndarray:
     return made
 
 
-def agree(model, layout, q, context, ways):
-    """Every way of running the traced model gives the model's own numbers."""
-    kernel, rows = Kernel(model, layout), layout.pack(context, N)
-    want = by_the_model(model, q, context)
-    for way in ways:
-        made = evaluated(kernel, way(kernel), q, rows)
-        np.testing.assert_allclose(made, want, rtol=0, atol=1e-12)
+def agree(model, layout, q, context):
+    """Machine code gives the model's own numbers."""
+    made = evaluated(Kernel(model, layout), q, layout.pack(context, N))
+    np.testing.assert_allclose(made, by_the_model(model, q, context), rtol=0, atol=1e-12)
 
 
 @pytest.mark.long
@@ -136,22 +122,21 @@ def test_each_effect_traced_is_the_effect(arm, name):
         return
     load = (LinkDeflection(),) if name != "link_deflection" else ()
     model, layout = Model(arm, own + load), Layout.of(context)
-    agree(model, layout, q, context, (on_arrays, on_floats))
+    agree(model, layout, q, context)
 
 
 def test_machine_code_gives_the_same_numbers(arm):
     """All effects at once, through LLVM, in lanes."""
-    pytest.importorskip("llvmlite")
     q, context = situation(arm)
-    model, layout = everything(arm), Layout.of(context)
-    agree(model, layout, q, context, (on_floats, in_lanes))
+    agree(everything(arm), Layout.of(context), q, context)
 
 
-def test_every_program_of_the_search_in_every_language(arm):
+def test_every_program_of_the_search_in_machine_code(arm):
     """From states in the midst of a search."""
-    pytest.importorskip("llvmlite")
     model = Model(arm, (LinkDeflection(),))
-    kernel = Kernel(model, Layout.of(Context.empty()))
+    context = Context.empty()
+    kernel = Kernel(model, Layout.of(context))
+    own = works(model, lambda s: context, kernel.row)
     rng = np.random.default_rng(5)
     q = rng.uniform(arm.lower, arm.upper, (N, arm.n))
     s = np.zeros((kernel.size, N))
@@ -174,13 +159,12 @@ def test_every_program_of_the_search_in_every_language(arm):
         *full,
         *full,
     ):
-        made = []
-        for way in (on_arrays, on_floats, in_lanes):
-            made.append(s.copy())
-            way(kernel)(name, made[-1])
-        for other in made[1:]:
-            np.testing.assert_allclose(other, made[0], rtol=1e-10, atol=1e-12, err_msg=name)
-        s = made[0]
+        made = s.copy()
+        in_lanes(kernel, name, made)
+        for part, values in own[name]({k: s[kernel.slice(k)].copy() for k in kernel.place}).items():
+            for row, value in zip(s[kernel.slice(part)], values, strict=False):
+                row[:] = value
+        np.testing.assert_allclose(made, s, rtol=1e-10, atol=1e-12, err_msg=name)
 
 
 def test_context_is_an_input_not_a_constant(arm):
@@ -196,7 +180,7 @@ def test_context_is_an_input_not_a_constant(arm):
     assert kernel_of(model, Layout.of(Context.empty().take(slice(None)))) is not kernel
     for some in (context, other):
         rows = kernel.layout.pack(some, N)
-        made = evaluated(kernel, on_arrays(kernel), q, rows)
+        made = evaluated(kernel, q, rows)
         np.testing.assert_allclose(made, by_the_model(model, q, some), rtol=0, atol=1e-12)
 
 
@@ -215,12 +199,12 @@ def test_few_kernels_are_kept_and_a_compiled_one_holds_no_graphs(arm):
     layout = Layout.of(context)
     model = everything(arm)
     kernel = kernel_of(model, layout)
-    graph, old = weakref.ref(kernel.programs["tip"][0]), weakref.ref(kernel)
+    old = weakref.ref(kernel)
     assert kernel.code is not None
     gc.collect()
-    assert graph() is None
+    assert not any(isinstance(thing, Graph) for thing in gc.get_objects())
     rows = layout.pack(context, N)
-    found = evaluated(kernel, on_arrays(kernel), q, rows)  # graphs are traced again
+    found = evaluated(kernel, q, rows)
     np.testing.assert_allclose(found, by_the_model(model, q, context), rtol=0, atol=1e-12)
     del kernel
     for k in range(MOST_KERNELS):
@@ -230,8 +214,8 @@ def test_few_kernels_are_kept_and_a_compiled_one_holds_no_graphs(arm):
     assert old() is None
 
 
-def test_every_operation_in_every_language():
-    """A function of all traced operations, against the same lines on plain floats."""
+def test_every_operation_in_machine_code():
+    """A function of all traced operations, against the same lines on floats and arrays."""
 
     def work(a, b):
         s = spatial
@@ -242,21 +226,11 @@ def test_every_operation_in_every_language():
     graph = Graph()
     a, b = graph.input("0"), graph.input("1")
     outputs = {2: work(a, b), 3: a - a, 4: 0.0 * b + 1.0}
-    on_floats, on_arrays = dict(emit.FLOATS), dict(emit.ARRAYS)
-    exec(emit.python("f", graph, outputs), on_floats)
-    exec(emit.python("f", graph, outputs, arrays=True), on_arrays)
     s = np.zeros((5, 50))
     s[:2] = np.random.default_rng(2).normal(size=(2, 50))
-    on_arrays["f"](s)
+    s[2], s[4] = work(*s[:2]), 1.0
     for column in s.T.tolist():
-        x, y = column[:2]
-        made = [x, y, 0.0, 0.0, 0.0]
-        on_floats["f"](made)
-        assert made[2:] == pytest.approx([work(x, y), 0.0, 1.0], abs=1e-14)
-        assert column == pytest.approx(made, abs=1e-13)
-    pytest.importorskip("llvmlite")
-    from longarm_comp.core.ik.codegen.machine_code import compile_module
-
+        assert column[2] == pytest.approx(work(*column[:2]), abs=1e-13)
     for width in (1, 2, 4, 8):
         text = emit_llvm.module({"f": (graph, outputs)}, {}, {"s": range(5)}, width)
         blocks = np.zeros((-(-50 // width), 5, width))

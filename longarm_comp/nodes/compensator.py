@@ -202,7 +202,9 @@ class Readiness:
 
     def __init__(self, state: ArmState, compute: Compensator) -> None:
         self._worker, self._compute, self._predictor = state.worker, compute, state.predictor
-        self._compiled = state.p["compiled"] and ik.warm_up()
+        self._compiled = state.p["compiled"]
+        if self._compiled:
+            ik.warm_up()
         self._prepared: Hashable = None
         self._busy = self._probed = False
         steady_timer(state.node, 0.25, self.look)

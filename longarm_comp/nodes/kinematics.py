@@ -36,7 +36,7 @@ PARAMS = (
     *compensator.PARAMS,
     *targets.PARAMS,
     Param("acknowledged", True, "the driver reports what happens to a trajectory (docs/ros.md)"),
-    Param("compiled", True, "compile the inverse kinematics (needs llvmlite; a second a model)"),
+    Param("compiled", True, "compile the inverse kinematics at once (a second a model)"),
     Param("queue", 200, "largest number of targets that wait", 1, 10000),
     *reach.PARAMS,
     *monitoring.PARAMS,

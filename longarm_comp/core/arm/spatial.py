@@ -49,7 +49,7 @@ minimum, maximum = _of_two(min, np.minimum), _of_two(max, np.maximum)
 
 def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
     """`yes` where the condition holds, else `no` (both sides are evaluated)."""
-    if isinstance(condition, (bool, np.bool_)):
+    if isinstance(condition, (float, int, np.generic)):
         return yes if condition else no
     if isinstance(condition, np.ndarray):
         return np.where(condition, yes, no)

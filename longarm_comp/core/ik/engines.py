@@ -1,16 +1,12 @@
-"""Engines of the search: machine code, plain Python, arrays, and the model's own code.
+"""Engines of the search: machine code, and the model's own code on floats and on arrays.
 
-All take a `Problem` and return joints (N, n) and a report (N, 4): position residual (m), angle
+Both take a `Problem` and return joints (N, n) and a report (N, 4): position residual (m), angle
 residual (rad), iterations, starts.
 """
 
 from __future__ import annotations
 
-import importlib.util
-import math
-from abc import ABC, abstractmethod
-from collections import ChainMap
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
@@ -20,14 +16,14 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.context import Context, Layout
-from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import newton
-from longarm_comp.core.ik.kernel import Kernel, kernel_of, tip_and_jacobian
+from longarm_comp.core.ik.kernel import Kernel, TwistRow, kernel_of, works
 from longarm_comp.core.model.model import Model
 
-_FEW = 4  # number of targets up to which plain Python is faster than arrays
+_FEW = 6  # number of targets up to which floats are faster than arrays
+_CHUNK = 4096  # targets at a time: a compromise between calls and cache
 NOTHING = Context.empty().layout
-_THIN = 0.7  # share of active columns below which the finished ones are removed
+_THIN = 0.7  # share of active targets below which they go on without the finished ones
 
 
 @dataclass(frozen=True)
@@ -62,11 +58,9 @@ class Problem:
 class Engine(Enum):
     """How to run the search; they differ in speed only."""
 
-    AUTO = "the fastest at hand for so many targets"
-    COMPILED = "machine code (needs llvmlite)"
-    PYTHON = "the traced model in plain Python, target after target"
-    ARRAYS = "the traced model on arrays of targets"
-    MODEL = "the model's own code on arrays of targets: what the others are checked against"
+    AUTO = "machine code, for a model that is worth its compilation"
+    COMPILED = "machine code"
+    MODEL = "the model's own code: what machine code is checked against"
 
 
 class _LongLived:
@@ -75,30 +69,20 @@ class _LongLived:
     now = False
 
 
-@cache
-def compiler_at_hand() -> bool:
-    """Whether llvmlite is installed. Without it the search is slower."""
-    return importlib.util.find_spec("llvmlite") is not None
-
-
-def warm_up(model: Model | None = None, context: Context | None = None) -> bool:
-    """Compile models on their first use from now on. Returns False without the compiler.
+def warm_up(model: Model | None = None, context: Context | None = None) -> None:
+    """Compile models on their first use from now on.
 
     This is for long-lived processes, since a model takes about a second.  A model given here is
     compiled now.
     """
-    if compiler_at_hand():
-        _LongLived.now = True
-        if model is not None:
-            kernel_of(model, (context or Context.empty()).layout).code  # noqa: B018 - is kept
-    return compiler_at_hand()
+    _LongLived.now = True
+    if model is not None:
+        kernel_of(model, (context or Context.empty()).layout).code  # noqa: B018 - is kept
 
 
 def is_compiled(kernel: Kernel, engine: Engine) -> bool:
     """Whether one target would be solved by machine code."""
-    if engine is Engine.AUTO:
-        return "code" in kernel.__dict__
-    return engine is Engine.COMPILED and compiler_at_hand()
+    return engine is Engine.COMPILED or (engine is Engine.AUTO and "code" in kernel.__dict__)
 
 
 def run(
@@ -106,15 +90,10 @@ def run(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Search from the starts, then from the restarts for the targets that failed."""
     p, count = problem, len(problem.targets)
-    if engine is Engine.AUTO:
-        engine = _chosen(model, context.layout, count)
-    search = _SEARCH[engine]
-    # targets at a time: a compromise between calls and cache
-    chunk = count if engine is Engine.COMPILED else 4096
     q, report = np.empty_like(p.starts), np.zeros((count, 4))
     report[:, :2] = 1e300
-    for first in range(0, count, max(chunk, 1)):
-        ids = np.arange(first, min(first + chunk, count))
+    for first in range(0, count, _CHUNK):
+        ids = np.arange(first, min(first + _CHUNK, count))
         for s in range(1 + len(p.points)):
             start = p.starts[ids]
             if s > 0:
@@ -123,8 +102,11 @@ def run(
                 start = start + radius * (low + point * (high - low) - start)
                 start = np.clip(start, low, high)
             here = context if ids.size == count else context.take(ids)
-            given = _given(here, p, ids, start)
-            found, left, used = search(model, here, p, given, ids.size)
+            compiled = engine is Engine.COMPILED or (
+                engine is Engine.AUTO and _worth_compiling(model, context.layout, ids.size)
+            )
+            given = _given(p, ids, start)
+            found, left, used = (_compiled if compiled else _own)(model, here, p, given, ids.size)
             report[ids, 2] += used
             report[ids, 3] += 1
             won = left @ (1.0, p.length) < report[ids, :2] @ (1.0, p.length)
@@ -135,24 +117,21 @@ def run(
     return q, report
 
 
-def _chosen(model: Model, layout: Layout, count: int) -> Engine:
+def _worth_compiling(model: Model, layout: Layout, count: int) -> bool:
+    """Whether machine code is there, or would soon have saved the time of its compilation."""
     if not layout.traceable:
-        return Engine.MODEL
+        return False
     kernel = kernel_of(model, layout)
-    # workload of one target in a batch, in single targets
-    kernel.workload += count if count <= _FEW else (1 / 16) * count
-    worth = _LongLived.now or kernel.workload > 500  # after so many a model is compiled
-    if is_compiled(kernel, Engine.AUTO) or (worth and compiler_at_hand()):
-        return Engine.COMPILED
-    return Engine.PYTHON if count <= _FEW else Engine.ARRAYS
+    # workload of a batch, in single targets
+    kernel.workload += min(count, _FEW + count / 160)
+    return _LongLived.now or is_compiled(kernel, Engine.AUTO) or kernel.workload > 60
 
 
-_Programs = Mapping[str, Callable[[Any], None]]
 _Given = dict[str, np.ndarray]
 _Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints (K, n), residuals (K, 2), iterations
 
 
-def _given(context: Context, p: Problem, ids: np.ndarray, start: np.ndarray) -> _Given:
+def _given(p: Problem, ids: np.ndarray, start: np.ndarray) -> _Given:
     """Inputs of a search by name: (K, k), or one row for all."""
     return {
         "target": p.targets[ids],
@@ -162,95 +141,76 @@ def _given(context: Context, p: Problem, ids: np.ndarray, start: np.ndarray) -> 
         "live": np.ones((ids.size, 1)),
         "tol": np.array([p.tol]),
         "permitted": np.array([p.max_iterations]),
-        "c": context.layout.pack(context, ids.size),
     }
 
 
-def _filled(given: dict[str, np.ndarray], kernel: Kernel, count: int) -> np.ndarray:
-    """Columns of state, (size, K)."""
-    s = np.zeros((kernel.size, count))
-    for name, values in given.items():
-        s[kernel.slice(name)] = values.T if values.ndim == 2 else values[:, None]
-    return s
+class _Search:
+    """Searches by the model's own code; numbers of the state are floats of one, or (K,) arrays."""
 
-
-def _read(s: np.ndarray, kernel: Kernel) -> _Found:
-    q, size, used = (s[kernel.slice(name)] for name in ("q", "size", "used"))
-    return q.T, size.T, used[0]
-
-
-class _State(ABC):
-    """State of a search, or of several, and the programs on it."""
-
-    def __init__(self, programs: _Programs, place: dict[str, range], s: Any) -> None:
-        self.programs, self.place, self.s = programs, place, s
+    def __init__(self, model: Model, context: Context, state: Mapping[str, Sequence[Any]]) -> None:
+        self._model, self._context, self.state = model, context, dict(state)
+        self._works = works(model, lambda s: context, TwistRow.whole(model, context))
 
     def run(self, flow: newton.Flow) -> None:
         """Run programs in their order."""
         for step in flow:
             if isinstance(step, str):
-                self.programs[step](self.s)
+                self.state |= self._works[step](self.state)
             else:
-                self.repeat(self.place[step.row][0], step.body)
+                self._repeat(step)
 
-    @abstractmethod
-    def repeat(self, at: int, body: newton.Flow) -> None:
+    def _repeat(self, step: newton.Repeat) -> None:
         """Run until a number of the state is 0 everywhere."""
+        while (todo := np.asarray(self.state[step.row][0], dtype=bool)).any():
+            if todo.mean() < _THIN:
+                self._repeat_some(step, todo)
+                return
+            self.run(step.body)
+
+    def _repeat_some(self, step: newton.Repeat, todo: np.ndarray) -> None:
+        taken = {
+            name: [v[todo] if np.ndim(v) else v for v in values]
+            for name, values in self.state.items()
+        }
+        some = _Search(self._model, self._context.take(todo), taken)
+        some._repeat(step)
+        for name, values in self.state.items():
+            whole = [np.array(np.broadcast_to(v, todo.shape)) for v in values]
+            for v, new in zip(whole, some.state[name], strict=True):
+                v[todo] = new
+            self.state[name] = whole
+
+    def rows(self, name: str, count: int) -> np.ndarray:
+        """(count, k): a quantity of the state."""
+        return np.stack([np.broadcast_to(v, count) for v in self.state[name]], axis=1)
 
 
-class _Column(_State):
-    """Of one search, as a list of floats."""
-
-    def repeat(self, at: int, body: newton.Flow) -> None:
-        while self.s[at]:
-            self.run(body)
-
-
-class _Columns(_State):
-    """Of K searches, as rows (size, K)."""
-
-    thin = _THIN
-
-    def repeat(self, at: int, body: newton.Flow) -> None:
-        """Finished columns are removed."""
-        aside: list[tuple[np.ndarray, np.ndarray]] = []
-        while (todo := self.s[at] != 0.0).any():
-            if todo.mean() < self.thin:
-                aside.append((self.s, todo))
-                self.s = self.s[:, todo]
-            self.run(body)
-        for whole, which in reversed(aside):
-            whole[:, which] = self.s
-            self.s = whole
-
-
-def _arrays(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
-    kernel = kernel_of(model, context.layout)
-    columns = _Columns(kernel.arrays, kernel.place, _filled(given, kernel, count))
-    columns.run(kernel.flows[f"search{p.m}"])
-    return _read(columns.s, kernel)
-
-
-def _python(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
-    kernel = kernel_of(model, context.layout)
-    results = []
-    for s in _filled(given, kernel, count).T.tolist():
-        column = _Column(kernel.floats, kernel.place, s)
-        try:
-            column.run(kernel.flows[f"search{p.m}"])
-        except ArithmeticError:  # beyond the range of numbers, where the other engines give NaN
-            for at in kernel.place["size"]:
-                s[at] = math.inf
-        results.append(s)
-    return _read(np.array(results).T, kernel)
+def _own(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
+    flow = newton.flow(model.load_passes, p.m)
+    searches = []
+    try:
+        for k, single in enumerate(context.each(count) if count <= _FEW else ()):
+            state = {name: (v[k] if v.ndim == 2 else v).tolist() for name, v in given.items()}
+            searches.append(_Search(model, single, state))
+            searches[-1].run(flow)
+    except (ArithmeticError, ValueError):  # beyond the range of floats; arrays go on with NaN
+        searches.clear()
+    if not searches:
+        searches.append(_Search(model, context, {k: list(v.T) for k, v in given.items()}))
+        with np.errstate(all="ignore"):
+            searches[0].run(flow)
+    each = count // len(searches)
+    q, size, used = (
+        np.concatenate([search.rows(name, each) for search in searches])
+        for name in ("q", "size", "used")
+    )
+    return q, size, used[:, 0]
 
 
 def _compiled(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
-    if not compiler_at_hand():
-        allowed = "another engine: machine code needs llvmlite (pip install llvmlite)"
-        raise InputError("ik", "engine", Engine.COMPILED.name, allowed)
     kernel = kernel_of(model, context.layout)
-    blocks = filled_blocks(kernel, given, count)
+    packed = {"c": kernel.layout.pack(context, count)}
+    blocks = filled_blocks(kernel, given | packed, count)
     search = kernel.code.function(f"many_search{p.m}")  # releases Python's lock
     if p.threads == 1:
         search(blocks.ctypes.data, len(blocks))
@@ -286,36 +246,6 @@ def rows_of(blocks: np.ndarray, kernel: Kernel, name: str, count: int) -> np.nda
     groups, _, lanes = blocks.shape
     each = blocks[:, kernel.slice(name)].swapaxes(1, 2)
     return each.reshape(groups * lanes, len(kernel.place[name]))[:count]
-
-
-def _model(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
-    """The search on arrays, with the model's own code and all load passes at every step."""
-    kernel = kernel_of(Model(model.arm), NOTHING)
-    out = kernel.slice("out")
-
-    def evaluate(s: np.ndarray) -> None:
-        posture = model.posture(tuple(s[kernel.slice("trial")]), context)
-        for row, value in zip(s[out], tip_and_jacobian(model, posture), strict=True):
-            row[:] = value
-
-    own: dict[str, Any] = {"rigid": evaluate, "tip": evaluate, "first": _nothing, "again": _nothing}
-    s = _filled({**given, "c": np.zeros(0)}, kernel, count)
-    columns = _Columns(ChainMap(own, kernel.arrays), kernel.place, s)
-    columns.thin = 0.0  # the context is of all columns
-    columns.run(kernel.flows[f"search{p.m}"])
-    return _read(s, kernel)
-
-
-def _nothing(s: np.ndarray) -> None:
-    """Placeholder: no twists are carried."""
-
-
-_SEARCH: dict[Engine, Callable[[Model, Context, Problem, _Given, int], _Found]] = {
-    Engine.COMPILED: _compiled,
-    Engine.PYTHON: _python,
-    Engine.ARRAYS: _arrays,
-    Engine.MODEL: _model,
-}
 
 
 @cache

@@ -7,7 +7,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.ik.engines import Engine, filled_blocks, is_compiled, rows_of
-from longarm_comp.core.ik.kernel import Kernel, kernel_of
+from longarm_comp.core.ik.kernel import Kernel
 from longarm_comp.core.ik.newton import LEVELS, evaluation
 from longarm_comp.core.model.model import Model, unstack
 
@@ -24,12 +24,10 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
         (M, 4, 4), base frame.
     """
     context = context or Context.empty()
-    layout = context.layout
-    if not layout.traceable or not len(q):
+    kernel = _compiled(model, context)
+    if kernel is None or not len(q):
         return model.pose(q, context)
-    kernel = kernel_of(model, layout)
-    machine = is_compiled(kernel, Engine.AUTO)
-    out = (_machine if machine else _arrays)(kernel, q, layout.pack(context, len(q)), "out")
+    out = _evaluated(kernel, q, context, "out")
     poses = np.zeros((len(q), 4, 4))
     poses[:, :3, 3] = out[:, :3]
     poses[:, :3, :3] = out[:, 3:12].reshape(-1, 3, 3).swapaxes(1, 2)
@@ -39,32 +37,27 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
 
 def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
     """`Model.posture` at joints (n,) or (M, n), without load passes if the model is compiled."""
-    layout, rows = context.layout, np.atleast_2d(q)
-    kernel = model.__dict__.get("_kernels", {}).get(layout) if layout.traceable else None
-    if kernel is None or not is_compiled(kernel, Engine.AUTO) or not len(rows):
+    rows, kernel = np.atleast_2d(q), _compiled(model, context)
+    if kernel is None or not len(rows):
         return model.posture(unstack(q), context)
-    x = _machine(kernel, rows, layout.pack(context, len(rows)), "x")
+    x = _evaluated(kernel, rows, context, "x")
     carried = np.ascontiguousarray(x.T) if q.ndim == 2 else x[0].tolist()
-    return model.loaded(unstack(q), context, kernel.twists(carried))
+    return model.loaded(unstack(q), context, kernel.row.twists(carried))
 
 
-def _programs(kernel: Kernel) -> tuple[str, ...]:
-    return evaluation(LEVELS[-1], kernel.passes, anew=True)
+def _compiled(model: Model, context: Context) -> Kernel | None:
+    """The model's kernel, if it is compiled."""
+    layout = context.layout
+    kernel = model.__dict__.get("_kernels", {}).get(layout) if layout.traceable else None
+    return kernel if kernel is not None and is_compiled(kernel, Engine.AUTO) else None
 
 
-def _arrays(kernel: Kernel, q: np.ndarray, c: np.ndarray, name: str) -> np.ndarray:
+def _evaluated(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.ndarray:
     """(M, k) rows of the state of that name after an evaluation at joints and contexts."""
-    s = np.zeros((kernel.size, len(q)))
-    s[kernel.slice("trial")], s[kernel.slice("c")] = q.T, c.T
-    for program in _programs(kernel):
-        kernel.arrays[program](s)
-    return s[kernel.slice(name)].T
-
-
-def _machine(kernel: Kernel, q: np.ndarray, c: np.ndarray, name: str) -> np.ndarray:
-    """As `_arrays`."""
+    c = kernel.layout.pack(context, len(q))
     blocks = filled_blocks(kernel, {"trial": q, "c": c}, len(q))
-    calls = [kernel.code.function(f"many_{program}") for program in _programs(kernel)]
+    programs = evaluation(LEVELS[-1], kernel.passes, anew=True)
+    calls = [kernel.code.function(f"many_{program}") for program in programs]
     for at in range(0, len(blocks), _BLOCKS):
         for call in calls:
             call(blocks[at:].ctypes.data, min(_BLOCKS, len(blocks) - at))

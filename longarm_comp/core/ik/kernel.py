@@ -1,28 +1,29 @@
-"""The model as small traced programs, for the inverse kinematics.
+"""The model as small programs, for the inverse kinematics.
 
 At the trial joints, `rigid` computes the tip and its Jacobian without loads and context, `first`
 the twists under the rigid arm's loads, `again` the twists under the loads of the arm with given
 twists, and `tip` the tip and Jacobian of that arm.  The other programs are the search of `newton`.
-All are traced from the package's own Python and give its numbers.  Parameters are constants in
-them; joints and context are inputs.  They run on floats, on arrays, or (with llvmlite) as machine
-code, which is compiled in about a second.
+They run on floats and on arrays. A `Kernel` traces them and compiles them to machine code in about
+a second; parameters are constants there, joints and context are inputs.
 """
 
 from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
+import numpy as np
+
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.context import Layout
+from longarm_comp.core.arm.context import Context, Layout
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Vec
 from longarm_comp.core.ik import newton
-from longarm_comp.core.ik.codegen import python as emit
-from longarm_comp.core.ik.codegen.symbolic import Graph, Symbol
+from longarm_comp.core.ik.codegen.symbolic import Graph, Program, Symbol
 from longarm_comp.core.model.model import Model
 
 
@@ -55,101 +56,45 @@ def geometric(posture: Posture, tip: Vec, station: float = math.inf) -> list[tup
     return columns
 
 
-_Fixed = dict[tuple[int, int], float]
-_Slots = dict[tuple[int, int], int]
-_Work = Callable[[newton.State], newton.Outcome]
-_Program = tuple[Graph, emit.Outputs]
-
-
-class _Traced(dict[str, _Program]):
-    """Programs by name, each traced on its first use."""
-
-    def __init__(self, works: Mapping[str, _Work], place: Mapping[str, range]) -> None:
-        super().__init__()
-        self.works, self._place = works, place
-
-    def __missing__(self, name: str) -> _Program:
-        graph = Graph()
-        state = {k: [graph.input(str(i)) for i in r] for k, r in self._place.items()}
-        outputs = {
-            self._place[part][k]: value
-            for part, values in self.works[name](state).items()
-            for k, value in enumerate(values)
-            if value is not state[part][k]  # unchanged values need no writing
-        }
-        self[name] = graph, outputs
-        return self[name]
-
-
-class Kernel:
-    """The traced programs of one arm and, if it is traceable, of one model.
+@dataclass(frozen=True)
+class TwistRow:
+    """The effects' twists by station as a row of numbers, the ``x`` of a search's state.
 
     Attributes:
-        place: layout of a search's state (`newton.rows`).
-        size: length of the state.
-        passes: load passes of the model.
-        layout: layout of the context.
-        twisted: components of twists that are constant, and places of the others in ``x``.
-        lower, upper, mid: the joint box.
-        workload: work done before it is compiled, in single targets.
-        flows: `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and
-            a matrix.
+        slot: place in the row of a component (station, number).
+        fixed: values of the components that are not in the row.
     """
 
-    def __init__(self, model: Model, layout: Layout) -> None:
-        self.layout, self.n = layout, model.arm.n
-        self.lower, self.upper, self.mid = model.arm.lower, model.arm.upper, model.arm.mid
-        fixed, slot = self.twisted = _twist_slots(model, layout)
-        self.place = newton.rows(self.n, layout.count, len(slot))
-        self.size = 1 + max(r[-1] for r in self.place.values() if r)
-        self.passes, self.workload = model.load_passes, 0.0
-        self.flows: dict[str, newton.Flow] = {}
-        for m in (3, 6):
-            search = newton.flow(self.passes, m)
-            self.flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
-        works = self._model_works(model, fixed, slot) | self._search_works(model)
-        self.programs = _Traced(works, self.place)
+    slot: dict[tuple[int, int], int]
+    fixed: dict[tuple[int, int], float]
 
-    def slice(self, name: str) -> slice:
-        """Slice of a quantity in the state."""
-        return slice(self.place[name].start, self.place[name].stop)
+    @classmethod
+    def whole(cls, model: Model, context: Context) -> TwistRow:
+        """A row of all components."""
+        stations = model.twists(model.unsagged(tuple(model.arm.mid.tolist()), context))
+        return cls({(s, i): 6 * k + i for k, s in enumerate(stations) for i in range(6)}, {})
 
-    def _search_works(self, model: Model) -> dict[str, _Work]:
-        span = [float(v) for v in model.arm.upper - model.arm.lower]
-        length = characteristic_length(model)
-        works: dict[str, _Work] = {"begin": lambda s: newton.begin(self.n), "open": newton.opening}
-        for m in (3, 6):
-            works[f"accept{m}"] = partial(newton.accept, m=m)
-            for level in newton.LEVELS:
-                of_level = partial(newton.judge, span=span, length=length, m=m, level=level)
-                works[f"judge{m}_{level.evaluate}"] = of_level
-            works[f"round{m}"] = partial(newton.step_in_box, span=span, m=m)
-        return works
+    @classmethod
+    def traced(cls, model: Model, layout: Layout) -> TwistRow:
+        """A row without the components that depend neither on joints nor on context or loads."""
+        graph = Graph()
+        q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))
+        context = layout.unpack([graph.input(f"c{k}") for k in range(layout.count)])
+        start = model.twists(model.unsagged(q, context))
+        free = {s: tuple(graph.input(f"x{s}, {i}") for i in range(6)) for s in start}
+        again = model.twists(model.loaded(q, context, free))  # type: ignore[arg-type]
+        row = cls({}, {})
+        for s in sorted(start):
+            for i in range(6):
+                if not isinstance(again[s][i], Symbol) and again[s][i] == start[s][i]:
+                    row.fixed[s, i] = float(start[s][i])
+                else:
+                    row.slot[s, i] = len(row.slot)
+        return row
 
-    def _model_works(self, model: Model, fixed: _Fixed, slot: _Slots) -> dict[str, _Work]:
-        def seen(posture: Posture) -> newton.Outcome:
-            return {"out": tip_and_jacobian(model, posture)}
-
-        def at(s: newton.State, x: Sequence[Any] | None) -> Posture:
-            context = self.layout.unpack(s["c"])
-            if x is None:
-                return model.unsagged(tuple(s["trial"]), context)
-            return model.loaded(tuple(s["trial"]), context, self.twists(x))
-
-        def carried(posture: Posture) -> newton.Outcome:
-            twists = model.twists(posture)
-            return {"x": [twists[station][i] for station, i in slot]}
-
-        return {
-            "rigid": lambda s: seen(at(s, [0.0] * len(slot))),
-            "first": lambda s: carried(at(s, None)),
-            "again": lambda s: carried(at(s, s["x"])),
-            "tip": lambda s: seen(at(s, s["x"])),
-        }
-
-    def twists(self, x: Sequence[Any]) -> Twists:
-        """The effects' twists by station, of the row ``x`` of a state."""
-        fixed, slot = self.twisted
+    def twists(self, x: Sequence[Any] | np.ndarray) -> Twists:
+        """The twists by station of a row."""
+        fixed, slot = self.fixed, self.slot
         made: dict[int, Any] = {
             station: tuple(
                 fixed[station, i] if (station, i) in fixed else x[slot[station, i]]
@@ -159,46 +104,109 @@ class Kernel:
         }
         return made
 
-    @cached_property
-    def floats(self) -> dict[str, Any]:
-        """The programs by name, on a list of floats."""
-        return _Python(self.programs, arrays=False)
+
+Work = Callable[[newton.State], newton.Outcome]
+
+
+def works(
+    model: Model, context_of: Callable[[newton.State], Context], row: TwistRow
+) -> dict[str, Work]:
+    """The programs by name, for circumstances that are those of the state."""
+
+    def seen(posture: Posture) -> newton.Outcome:
+        return {"out": tip_and_jacobian(model, posture)}
+
+    def at(s: newton.State, x: Sequence[Any]) -> Posture:
+        return model.loaded(tuple(s["trial"]), context_of(s), row.twists(x))
+
+    def carried(posture: Posture) -> newton.Outcome:
+        twists = model.twists(posture)
+        return {"x": [twists[station][i] for station, i in row.slot]}
+
+    span = [float(v) for v in model.arm.upper - model.arm.lower]
+    made: dict[str, Work] = {
+        "rigid": lambda s: seen(at(s, [0.0] * len(row.slot))),
+        "first": lambda s: carried(model.unsagged(tuple(s["trial"]), context_of(s))),
+        "again": lambda s: carried(at(s, s["x"])),
+        "tip": lambda s: seen(at(s, s["x"])),
+        "begin": lambda s: newton.begin(model.arm.n),
+        "open": newton.opening,
+    }
+    length = characteristic_length(model)
+    for m in (3, 6):
+        made[f"accept{m}"] = partial(newton.accept, m=m)
+        for level in newton.LEVELS:
+            of_level = partial(newton.judge, span=span, length=length, m=m, level=level)
+            made[f"judge{m}_{level.evaluate}"] = of_level
+        made[f"round{m}"] = partial(newton.step_in_box, span=span, m=m)
+    return made
+
+
+class Kernel:
+    """The programs of a model for one layout of the context, as machine code when asked for.
+
+    Attributes:
+        layout: layout of the context.
+        lower, upper, mid: the joint box.
+        passes: load passes of the model.
+        workload: work done before it is compiled, in single targets.
+    """
+
+    def __init__(self, model: Model, layout: Layout) -> None:
+        self._model, self.layout = model, layout
+        self.lower, self.upper, self.mid = model.arm.lower, model.arm.upper, model.arm.mid
+        self.passes, self.workload = model.load_passes, 0.0
 
     @cached_property
-    def arrays(self) -> dict[str, Any]:
-        """The programs by name, on rows (size, N)."""
-        return _Python(self.programs, arrays=True)
+    def row(self) -> TwistRow:
+        """Which components of twists the state holds."""
+        return TwistRow.traced(self._model, self.layout)
+
+    @cached_property
+    def place(self) -> dict[str, range]:
+        """Layout of a search's state (`newton.rows`)."""
+        return newton.rows(self._model.arm.n, self.layout.count, len(self.row.slot))
+
+    @property
+    def size(self) -> int:
+        """Length of the state."""
+        return 1 + max(r[-1] for r in self.place.values() if r)
+
+    def slice(self, name: str) -> slice:
+        """Slice of a quantity in the state."""
+        return slice(self.place[name].start, self.place[name].stop)
 
     @cached_property
     def code(self) -> Any:
-        """The programs and flows as machine code: see `machine_code`."""
+        """The programs as machine code (see `machine_code`), and flows of them.
+
+        `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and a matrix.
+        """
         from longarm_comp.core.ik.codegen import llvm as emit_llvm
         from longarm_comp.core.ik.codegen import machine_code
 
         width = machine_code.lanes()
-        programs = {name: self.programs[name] for name in self.programs.works}
-        text = emit_llvm.module(programs, self.flows, self.place, width)
-        self.programs.clear()  # frees the graphs; they are traced again where they are asked for
-        return machine_code.compile_module(text, width)
+        made = works(self._model, lambda s: self.layout.unpack(s["c"]), self.row)
+        programs = {name: _traced(work, self.place) for name, work in made.items()}
+        flows: dict[str, newton.Flow] = {}
+        for m in (3, 6):
+            search = newton.flow(self.passes, m)
+            flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
+        return machine_code.compile_module(
+            emit_llvm.module(programs, flows, self.place, width), width
+        )
 
 
-_BEYOND = {"inf": math.inf, "nan": math.nan}
-"""Constants of an absurd arm, as Python prints them."""
-
-
-class _Python(dict[str, Any]):
-    """Programs as Python functions, each generated on its first use."""
-
-    def __init__(self, programs: Mapping[str, _Program], arrays: bool) -> None:
-        super().__init__()
-        self.programs, self.arrays = programs, arrays
-
-    def __missing__(self, name: str) -> Any:
-        space = dict(emit.ARRAYS if self.arrays else emit.FLOATS) | _BEYOND
-        text = emit.python(name, *self.programs[name], self.arrays)
-        exec(compile(text, f"<traced {name}>", "exec"), space)
-        self[name] = space[name]
-        return self[name]
+def _traced(work: Work, place: dict[str, range]) -> Program:
+    graph = Graph()
+    state = {k: [graph.input(str(i)) for i in r] for k, r in place.items()}
+    outputs = {
+        place[part][k]: value
+        for part, values in work(state).items()
+        for k, value in enumerate(values)
+        if value is not state[part][k]  # unchanged values need no writing
+    }
+    return graph, outputs
 
 
 def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
@@ -215,28 +223,6 @@ def characteristic_length(model: Model) -> float:
     return max(0.25 * size, 0.01)
 
 
-def _twist_slots(model: Model, layout: Layout) -> tuple[_Fixed, _Slots]:
-    """Components of twists (station, number): constant ones, and places of the others.
-
-    The constant ones depend neither on joints nor on context or loads.
-    """
-    graph = Graph()
-    q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))
-    context = layout.unpack([graph.input(f"c{k}") for k in range(layout.count)])
-    start = model.twists(model.unsagged(q, context))
-    free = {s: tuple(graph.input(f"x{s}, {i}") for i in range(6)) for s in start}
-    again = model.twists(model.loaded(q, context, free))  # type: ignore[arg-type]
-    fixed: _Fixed = {}
-    slot: _Slots = {}
-    for s in sorted(start):
-        for i in range(6):
-            if not isinstance(again[s][i], Symbol) and again[s][i] == start[s][i]:
-                fixed[s, i] = float(start[s][i])
-            else:
-                slot[s, i] = len(slot)
-    return fixed, slot
-
-
 MOST_KERNELS = 8
 """Kernels kept, the last used: of the model at work, the rigid one, the one before and the one that
 is learned, each with what is known of two kinds of targets.  A compiled one takes some 2 MB."""
@@ -244,7 +230,7 @@ _kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()
 
 
 def kernel_of(model: Model, layout: Layout) -> Kernel:
-    """The kernel of a model, traced on first use and kept by content."""
+    """The kernel of a model, kept by content."""
     held: dict[Layout, Kernel] = model.__dict__.setdefault("_kernels", {})
     if layout not in held:
         key = (model.arm.hash, repr(model.effects), model.passes, model.elements_per_beam, layout)

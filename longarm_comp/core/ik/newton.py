@@ -1,9 +1,9 @@
 """Newton-Raphson search in the joint box, written once for every engine.
 
 The state of a search is a column of numbers (`rows`).  The functions here read and write it without
-a branch on data, so that they can be traced like the model itself.  The traced programs run for
-one target in plain Python, for many in NumPy, and for the lanes of a processor in machine code.
-`flow` is the order in which the programs run.
+a branch on data, so that they can be traced like the model itself.  They run on floats for one
+target, on arrays for many, and traced as machine code for the lanes of a processor.  `flow` is the
+order in which they run.
 
 The tip is evaluated at three levels: by the rigid arm while it is far; then by the deflected arm
 with the twists carried from one iterate to the next, one load pass per step; near the target by

@@ -33,7 +33,6 @@ REACHED = 1e-6
 target decide whether any joints meet it more closely."""
 _MAX_ITERATIONS = 60
 MAX_STARTS = 16
-_MACHINE = (Engine.AUTO, Engine.COMPILED)
 
 
 class Reason(Enum):
@@ -109,7 +108,7 @@ def solve(
     target = np.asarray(target, dtype=float)
     if target.shape not in ((3,), (4, 4)):
         raise InputError("ik.solve", "target", f"shape {target.shape}", "shape (3,) or (4, 4)")
-    if not locked and engine in _MACHINE:
+    if not locked and engine is not Engine.MODEL:
         m = 3 if position_only or target.size == 3 else 6
         found = solve_compiled(model, target, seed, context, (m, tol, _MAX_ITERATIONS), engine)
         if found is not None:

@@ -1,4 +1,4 @@
-"""Generation of straight-line code from the package's own Python: Python, NumPy, LLVM."""
+"""Generation of machine code from the package's own Python, through LLVM."""
 
 
 class Compiled:

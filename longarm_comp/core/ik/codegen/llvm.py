@@ -15,8 +15,7 @@ from itertools import count
 from typing import Any
 
 from longarm_comp.core.arm.angles import arc_tangent2, cosine, sine
-from longarm_comp.core.ik.codegen.python import Outputs
-from longarm_comp.core.ik.codegen.symbolic import Graph, Operand, Symbol
+from longarm_comp.core.ik.codegen.symbolic import Graph, Operand, Outputs, Program, Symbol
 from longarm_comp.core.ik.newton import Flow
 
 _INTRINSIC = ("fabs", "sqrt", "floor")
@@ -27,7 +26,7 @@ _COMPARE = {"lt": "olt", "le": "ole"}
 
 
 def module(
-    programs: Mapping[str, tuple[Graph, Outputs]],
+    programs: Mapping[str, Program],
     flows: Mapping[str, Flow],
     place: Mapping[str, range],
     width: int,

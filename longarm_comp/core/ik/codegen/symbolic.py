@@ -1,10 +1,8 @@
 """Symbolic execution of the model's Python code, recorded as straight-line code.
 
 `Symbol` is another kind of scalar.  It records every operation on a `Graph`, folds constants
-(products with zero are dropped) and shares common subexpressions.  The other modules of this
-folder write the operations that given outputs need as Python (for floats with `math`, for (N,)
-arrays with NumPy) or as LLVM's assembly.  No formula is written twice: a changed model is traced
-again.
+(products with zero are dropped) and shares common subexpressions.  `llvm` writes the operations
+that given outputs need as assembly.  No formula is written twice: a changed model is traced again.
 """
 
 from __future__ import annotations
@@ -49,7 +47,7 @@ class Graph:
         self._symbols: dict[int, Symbol] = {}
 
     def input(self, text: str) -> Symbol:
-        """A symbol for an input; `text` is the expression by which the function reads it."""
+        """A symbol for an input; `text` is its place in the state."""
         return self._node("input", (text,))
 
     def apply(self, op: str, *args: Any) -> Any:
@@ -84,6 +82,11 @@ class Graph:
                     if type(operand) is int:
                         keep[operand] = True
         return [node for node, kept in enumerate(keep) if kept]
+
+
+Outputs = dict[int, Any]
+"""By place in the state: a symbol or a number."""
+Program = tuple[Graph, Outputs]
 
 
 def _both(op: str) -> tuple[Any, Any]:
