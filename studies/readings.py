@@ -64,8 +64,8 @@ def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator
         planted, joint = PLANTED[k % 3], JOINTS[k // 3 % len(JOINTS)]
         rng = np.random.default_rng([26, k])
         effects = [at_joint(joint, name, arm, share * SIZE_MM, rng) for name in planted]
-        found = diagnose(arm, measured(arm, effects, rng, rows)).findings
-        said = [(f.names, list(f.where)) for f in found]
+        found = diagnose(arm, measured(arm, effects, rng, rows))
+        said = [(f.names, list(f.where)) for f in found.findings]
         want = [((name,), [f"joint {joint}"]) for name in planted]
         servos = [one for one in said if "servo_droop" in one[0]]
         sets = [set(names) for names, _ in said]
@@ -78,6 +78,7 @@ def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator
             "planted": " + ".join(planted),
             "joint": joint,
             "said": "; ".join(f"{'/'.join(n)} {', '.join(w)}" for n, w in said) or "nothing",
+            "verdict": found.verdict,
             "is": RIGHT if right else MORE if more else SET if true else WRONG,
             "servo": servos == [one for one in want if one[0] == ("servo_droop",)],
         }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from longarm_comp.core.calibration.candidates import Candidate
@@ -83,6 +85,37 @@ def test_the_runner_up_is_the_most_probable_other_name() -> None:
     assert found.runner_up is not None
     assert found.runner_up.candidate is TILT
     assert [a.candidate.name for a in found.alternatives] == ["bearing_tilt", "gear_eccentricity"]
+
+
+def judged(worth: float) -> tuple[FoundEffect, bool]:
+    """A gain, beside a gear that was fitted in its place, a bearing like the gear, a function."""
+    rivals = (
+        Rival(GEAR, 38.0, 0.2, "gear_eccentricity"),
+        Rival(TILT, 38.0, 0.2, "gear_eccentricity"),
+        Rival(WAVE, 30.0, 0.2, "discovered"),
+    )
+    part = FoundEffect((JointGain(5, gain=0.01),), 0.9, 40.0, 0.4, rivals)
+    assert [r.name for r in part.fitted_rivals] == ["gear_eccentricity"]
+    return part.against({"gear_eccentricity": worth})
+
+
+@pytest.mark.parametrize(("worth", "other"), [(-0.5, False), (0.5, True)])
+def test_a_fit_in_its_place_decides_between_an_effect_and_its_rival(
+    worth: float, other: bool
+) -> None:
+    """The fit's odds are shared by what is like the rival; the rest keeps its share."""
+    made, better = judged(worth)
+    assert better is other
+    assert made.name == ("gear_eccentricity" if other else "joint_gain")
+    stays = 1.0 / (1.0 + math.exp(worth))
+    wanted = {"joint_gain": stays * 2 / 3, "discovered": stays / 3}
+    wanted |= dict.fromkeys(("gear_eccentricity", "bearing_tilt"), (1.0 - stays) / 2)
+    assert made.names == pytest.approx(wanted)
+    factors = {r.name: r.log_bayes_factor for r in made.rivals} | {made.name: made.log_bayes_factor}
+    gear = 40.0 + worth
+    assert factors == pytest.approx(
+        {"joint_gain": 40.0, "gear_eccentricity": gear, "bearing_tilt": gear, "discovered": 30.0}
+    )
 
 
 def test_a_function_that_may_be_the_cause_opens_a_name_and_is_no_name() -> None:
