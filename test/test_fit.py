@@ -230,11 +230,12 @@ def ar1(n: int, rho: float, rng: np.random.Generator) -> np.ndarray:
 def test_correlated_noise_is_whitened(rng: np.random.Generator) -> None:
     noise = ar1(4000, 0.8, rng)
     sigma = np.array([1e-4, 2e-4, 3e-4])
-    white = whiten((noise * sigma)[..., None], np.ones(4000), sigma, 0.8).reshape(-1, 3)
+    every = np.ones((4000, 3), dtype=bool)
+    white = whiten((noise * sigma)[..., None], np.ones(4000), sigma, 0.8, every).reshape(-1, 3)
     assert white.std(axis=0) == pytest.approx(1.0, abs=0.05)
     assert abs((white[1:] * white[:-1]).mean()) < 0.05
-    assert lag_correlation(noise, np.ones(4000)) == pytest.approx(0.8, abs=0.03)
-    assert lag_correlation(rng.standard_normal((4000, 3)), np.ones(4000)) == 0.0
+    assert lag_correlation(noise, np.ones(4000), every) == pytest.approx(0.8, abs=0.03)
+    assert lag_correlation(rng.standard_normal((4000, 3)), np.ones(4000), every) == 0.0
 
 
 def test_correlated_noise_widens_the_intervals(rng: np.random.Generator) -> None:

@@ -20,7 +20,7 @@ def fit_of(residual: np.ndarray) -> Any:
     """A fit of nothing, which leaves so much (N, 3)."""
     rows = len(residual)
     session = SimpleNamespace(
-        mask=None,
+        measured=np.ones((rows, 3), dtype=bool),
         claimed={},
         uneven=lambda _: np.ones(rows),
         blocks=(ChannelBlock("position"),),

@@ -20,7 +20,7 @@ from longarm_comp.core.calibration.candidates import Candidate, library
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
@@ -139,8 +139,9 @@ def test_what_every_arm_has_is_there_and_no_finding() -> None:
     fitted, _ = planted()
     columns, leaning = FitColumns(fitted), Candidate("gravity_direction", (GravityDirection(),))
     usual = tolerances(fitted, [leaning], (), Slack(0.1, False))
-    slots = leaning.slots(DEMO)
-    np.testing.assert_allclose(usual, fitted.whitened(columns.unscaled(slots) * 5e-3), atol=1e-9)
+    size = 5e-3 / priors(leaning.slots(DEMO))
+    lean = fitted.whitened(columns.of(leaning.terms) * size)
+    np.testing.assert_allclose(usual, lean, atol=1e-9)
     bank = offered(fitted, [leaning], (), (), [Slack(0.1, False)])[0]
     whole = Marginal(np.concatenate([fitted.design, usual], axis=1), fitted.data)
     assert bank.base == pytest.approx(whole.evidence)

@@ -21,17 +21,19 @@ def kabsch(
     return rotation, b - rotation @ a
 
 
+ROUNDS = 6
+"""Times that outlying rows are weighed down: the weights change no more after it."""
+
+
 def robust_weights(distance: np.ndarray) -> np.ndarray:
     """(N,) 1 for the closer half of N distances, falling with the square of the distance beyond."""
     return 1.0 / np.maximum(1.0, distance / max(float(np.median(distance)), 1e-12)) ** 2
 
 
-def robust_kabsch(
-    points: np.ndarray, seen: np.ndarray, rounds: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """As `kabsch`, the rows weighed again by `robust_weights` after each of so many rounds."""
+def robust_kabsch(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `kabsch`, the rows weighed again by `robust_weights` after each of `ROUNDS`."""
     weights = np.ones(len(points))
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         rotation, offset = kabsch(points, seen, weights)
         weights = robust_weights(np.linalg.norm(seen - points @ rotation.T - offset, axis=1))
     return rotation, offset

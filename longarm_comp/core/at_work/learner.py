@@ -23,7 +23,7 @@ from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.uncertainty import ModelUncertainty
+from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
 from longarm_comp.core.yaml_file import Declared
 
 POOL = 256
@@ -247,7 +247,7 @@ class Learner:
         model = known.space.at(values)
         active, covariance = known.covariance()
         slots = tuple(known.space.identities[k] for k in active)
-        factor = _factor(covariance)
+        factor = factor_of(covariance)
         record = dataclasses.replace(self.record, slots=slots, factor=factor)
         made = dataclasses.replace(model, uncertainty=record)
         made.__dict__["chain"] = model.chain
@@ -335,10 +335,3 @@ def _doubtful(known: Explanations, row: Row) -> float:
     off = known.predicted(row)
     square = float(off @ off) / row.reach**2
     return math.log(DOUBT) - 0.5 * square - 1.5 * math.log(2.0 * math.pi * row.reach**2)
-
-
-def _factor(covariance: np.ndarray) -> np.ndarray:
-    """(p, p) triangle whose product with itself is a covariance, to a part in a billion."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    alike = covariance / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
-    return np.asarray(scale[:, None] * np.linalg.cholesky(alike))

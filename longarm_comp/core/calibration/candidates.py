@@ -9,13 +9,10 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.data.measurement import equations, shifts
-from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import searched
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.model import Model, Slot, slots_of
+from longarm_comp.core.model.model import Slot, slots_of
 
 Term = Effect | Bias
 NO_PLACE = "the declared arm has no place for it"
@@ -156,54 +153,3 @@ def _families(singles: list[Candidate]) -> list[Candidate]:
         ):
             made.append(Candidate(group[0].name, terms))
     return made
-
-
-class CandidateColumns:
-    """Prior-scaled columns of candidates at a posture, each parameter computed once.
-
-    Of the d channels that the rows of a session hold, or of the tip's position (d = 3).
-    """
-
-    def __init__(self, model: Model, posture: Posture, session: Session | None = None) -> None:
-        self.model, self.posture, self.session = model, posture, session
-        self._known: dict[tuple[object, ...], np.ndarray] = {}
-        self._shifts: dict[tuple[object, ...], np.ndarray] = {}
-
-    def of(self, terms: Sequence[Term]) -> np.ndarray:
-        """(N, d, k) columns of some terms, each times its prior standard deviation."""
-        slots = slots_of(self.model.arm, terms)
-        keys = [(*s.owner.variant, s.parameter.name) for s in slots]
-        new = {k: s for k, s in zip(keys, slots, strict=True) if k not in self._known}
-        if new:
-            columns = self.unscaled(list(new.values()))
-            for n, (key, slot) in enumerate(new.items()):
-                self._known[key] = columns[..., n] * slot.parameter.width
-        if not keys:
-            return np.zeros((*self.shape, 0))
-        return np.stack([self._known[key] for key in keys], axis=-1)
-
-    def shift(self, terms: Sequence[Term]) -> np.ndarray:
-        """(N, d) what terms without parameters add together, m or rad."""
-        keys = [t.variant for t in terms]
-        new = {k: t for k, t in zip(keys, terms, strict=True) if k not in self._shifts}
-        if new:
-            found = self._added(list(new.values()))
-            self._shifts.update(zip(new, np.moveaxis(found, -1, 0), strict=True))
-        return np.sum([self._shifts[key] for key in keys], axis=0)
-
-    def unscaled(self, slots: Sequence[Slot]) -> np.ndarray:
-        """(N, d, k) columns of some parameters, per unit."""
-        if self.session is None:
-            return self.model.columns(self.posture, slots)[1]
-        return equations(self.model, self.session, self.posture, slots).columns
-
-    def _added(self, terms: list[Term]) -> np.ndarray:
-        if self.session is None:
-            return self.model.added(self.posture, terms).point()[1]
-        return shifts(self.model, self.session, self.posture, terms)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(N, d)."""
-        width = 3 if self.session is None else len(self.session.channels)
-        return (len(np.atleast_1d(self.posture.q[0])), width)

@@ -6,22 +6,45 @@ from collections.abc import Container, Sequence
 
 import numpy as np
 
-from longarm_comp.core.calibration.candidates import CandidateColumns, Term
+from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
+from longarm_comp.core.data.measurement import equations, shifts
 from longarm_comp.core.model.model import slots_of
 
 
-class FitColumns(CandidateColumns):
+class FitColumns:
     """Columns of any candidate at the rows and the solution of a fit, each computed once.
 
     They are kept with the fit and go with it.
     """
 
     def __init__(self, fitted: ModelFit) -> None:
-        super().__init__(fitted.model, fitted.posture, fitted.session)
-        self._fitted = fitted
+        self.model, self._fitted = fitted.model, fitted
         self._known, self._shifts, self._white = fitted.known_columns
+
+    def of(self, terms: Sequence[Term]) -> np.ndarray:
+        """(N, d, k) columns of some terms, each times its prior standard deviation."""
+        slots = slots_of(self.model.arm, terms)
+        keys = [(*s.owner.variant, s.parameter.name) for s in slots]
+        new = {k: s for k, s in zip(keys, slots, strict=True) if k not in self._known}
+        if new:
+            session, at, slots = self._fitted.session, self._fitted.posture, tuple(new.values())
+            columns = equations(self.model, session, at, slots).columns * priors(slots)
+            self._known.update(zip(new, np.moveaxis(columns, -1, 0), strict=True))
+        if not keys:
+            return np.zeros((*self._fitted.residual.shape, 0))
+        return np.stack([self._known[key] for key in keys], axis=-1)
+
+    def shift(self, terms: Sequence[Term]) -> np.ndarray:
+        """(N, d) what terms without parameters add together, m or rad."""
+        keys = [t.variant for t in terms]
+        new = {k: t for k, t in zip(keys, terms, strict=True) if k not in self._shifts}
+        if new:
+            session, at = self._fitted.session, self._fitted.posture
+            found = shifts(self.model, session, at, list(new.values()))
+            self._shifts.update(zip(new, np.moveaxis(found, -1, 0), strict=True))
+        return np.sum([self._shifts[key] for key in keys], axis=0)
 
     def without(self, places: Container[tuple[str, str]]) -> Marginal:
         """Evidence on top of the fit, the terms at some places taken out of it.
@@ -45,7 +68,7 @@ class FitColumns(CandidateColumns):
         return self._white[known]
 
 
-def shift_of(fitted: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> np.ndarray:
+def shift_of(fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]) -> np.ndarray:
     """(N, d) what fitted terms add to the rows, m or rad."""
     slots = slots_of(fitted.model.arm, terms)
     values = np.array([getattr(s.owner, s.parameter.name) for s in slots]) / priors(slots)

@@ -87,29 +87,12 @@ class KindOfArm:
         return dataclasses.replace(whole, tolerances=self.rest)
 
 
-def plain(model: Model) -> Model:
-    """A model whose shared directions are part of the errors that they are made of."""
-    parts = [
-        t.with_values({p.name: d.amount * getattr(t, p.name) for p in t.declared()})
-        for d in model.effects
-        if isinstance(d, KindDirection)
-        for t in d.terms
-    ]
-    more: dict[tuple[object, ...], float] = {}
-    for slot in slots_of(model.arm, parts):
-        value = getattr(slot.owner, slot.parameter.name)
-        more[slot.identity] = more.get(slot.identity, 0.0) + value
-    kept = tuple(e for e in model.effects if not isinstance(e, KindDirection))
-    bare = dataclasses.replace(model, effects=kept, tolerances=1.0)
-    moved = [more.get(slot.identity, 0.0) for slot in bare.slots]
-    return bare.with_values(bare.values + np.array(moved))
-
-
 def folded(fit: ModelFit) -> ModelFit:
-    """`plain` of a fit, with the covariance of the errors as they are then."""
-    if not any(isinstance(e, KindDirection) for e in fit.model.effects):
+    """A fit whose shared directions are part of the errors that they are made of."""
+    kept = tuple(e for e in fit.model.effects if not isinstance(e, KindDirection))
+    if kept == fit.model.effects:
         return fit
-    model = plain(fit.model)
+    model = dataclasses.replace(fit.model, effects=kept, tolerances=1.0)
     place = {slot.identity: k for k, slot in enumerate(model.slots)}
     ways = np.zeros((len(place), len(fit.slots)))
     for k, slot in enumerate(fit.slots):
@@ -118,9 +101,9 @@ def folded(fit: ModelFit) -> ModelFit:
                 ways[place[part.identity], k] += getattr(part.owner, part.parameter.name)
         else:
             ways[place[slot.identity], k] = 1.0
-    at = posture(model, fit.session)
+    model = model.with_values(ways @ fit.model.values)
     covariance = ways @ fit.covariance @ ways.T
-    columns = equations(model, fit.session, at).columns
+    columns = equations(model, fit.session, posture(model, fit.session)).columns
     return dataclasses.replace(fit, model=model, columns=columns, covariance=covariance)
 
 

@@ -32,13 +32,6 @@ class Posterior:
     covariance: np.ndarray
     effective: float
 
-    @classmethod
-    def of(cls, gram: np.ndarray, right: np.ndarray) -> Posterior:
-        """From the normal equations A'A (p, p) and A'y (p,), without bounds."""
-        one = np.eye(len(right))
-        covariance = cho_solve((np.linalg.cholesky(gram + one), True), one)
-        return cls(covariance @ right, covariance, float(len(right) - np.trace(covariance)))
-
     @property
     def evidence(self) -> float:
         """Log Bayes factor of the columns against none, bounds ignored."""
@@ -111,7 +104,7 @@ class Marginal:
 
     def added(self, b: np.ndarray) -> Posterior:
         """What further columns (m, k) would bring, without bounds."""
-        return Posterior.of(*self.normal(b))
+        return solved(*self.normal(b))
 
     def normal(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``S`` (k, k) and ``t`` (k,) of further columns (m, k)."""
@@ -223,7 +216,7 @@ def whiten(
     weights: np.ndarray,
     sigma: np.ndarray,
     rho: float,
-    measured: np.ndarray | None = None,
+    measured: np.ndarray,
 ) -> np.ndarray:
     """(N, d, k) columns in m or rad -> (dM, k) of the M rows of weight > 0, with unit white noise.
 
@@ -235,23 +228,19 @@ def whiten(
         weights: (N,), 0 or how much a row counts.
         sigma: (d,) noise of the channels.
         rho: correlation of successive rows.
-        measured: (N, d) which channels a row holds; all where None.
+        measured: (N, d) which channels a row holds.
     """
     kept = weights > 0
     rows = columns[kept] * (np.sqrt(weights[kept])[:, None] / sigma)[..., None]
     if rho != 0.0 and len(rows) > 1:
         free = (rows[1:] - rho * rows[:-1]) / np.sqrt(1.0 - rho * rho)
-        if measured is not None:
-            held = measured[kept]
-            both = (held[1:] & held[:-1])[..., None]
-            free = np.where(both, free, rows[1:])
-        rows = np.concatenate([rows[:1], free])
+        held = measured[kept]
+        both = (held[1:] & held[:-1])[..., None]
+        rows = np.concatenate([rows[:1], np.where(both, free, rows[1:])])
     return rows.reshape(columns.shape[1] * len(rows), columns.shape[-1])
 
 
-def believed(
-    residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray | None = None
-) -> np.ndarray:
+def believed(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """(N,) how much each row counts: by the noise that it states, or all alike.
 
     What rows state counts where it makes the residual more probable: by Laplace's law, whose scale
@@ -260,27 +249,26 @@ def believed(
     Args:
         residual: (N, d).
         uneven: (N,) stated noise of each row over the usual one.
-        measured: (N, d) which channels a row holds; all where None.
+        measured: (N, d) which channels a row holds.
     """
     alike = np.ones(len(residual))
     if (uneven == 1.0).all():
         return alike
-    held = np.ones(residual.shape, bool) if measured is None else measured
-    size = np.maximum(np.abs(residual), 1e-12) * held
+    size = np.maximum(np.abs(residual), 1e-12) * measured
     ratio = np.maximum(size.sum(0), 1e-12) / np.maximum((size / uneven[:, None]).sum(0), 1e-12)
-    worth = held.sum(0) @ np.log(ratio) - held.sum(1) @ np.log(uneven)
+    worth = measured.sum(0) @ np.log(ratio) - measured.sum(1) @ np.log(uneven)
     return uneven**-2.0 if worth > 0 else alike
 
 
 def inliers(
-    residual: np.ndarray, sigma: np.ndarray | None = None, measured: np.ndarray | None = None
+    residual: np.ndarray, measured: np.ndarray, sigma: np.ndarray | None = None
 ) -> np.ndarray:
     """(N, d) residual -> (N,) 1, or 0 beyond `OUTLIER` robust standard deviations.
 
     A row is out by its largest channel, scaled by the larger of the robust spread and the
     known noise; only channels that were measured count.
     """
-    held = _only(residual, measured)
+    held = np.where(measured, residual, np.nan)
     centre = median(held)
     robust = MAD * median(np.abs(held - centre))
     if sigma is not None and np.isfinite(sigma).all():
@@ -290,10 +278,7 @@ def inliers(
 
 
 def spread(
-    residual: np.ndarray,
-    weights: np.ndarray,
-    effective: float,
-    measured: np.ndarray | None = None,
+    residual: np.ndarray, weights: np.ndarray, effective: float, measured: np.ndarray
 ) -> np.ndarray:
     """(d,) noise per channel from weighted residuals; all share the degrees of freedom.
 
@@ -301,24 +286,19 @@ def spread(
     """
     count = freedom(weights, effective, measured)
     sigma = np.maximum(np.sqrt((weights[:, None] * residual**2).sum(0) / count), 1e-7)
-    return sigma if measured is None else np.where(measured[weights > 0].any(0), sigma, np.inf)
+    return np.where(measured[weights > 0].any(0), sigma, np.inf)
 
 
-def freedom(
-    weights: np.ndarray, effective: float, measured: np.ndarray | None = None
-) -> np.ndarray | float:
-    """Degrees of freedom of each channel: its inliers less its share of the fitted parameters.
+def freedom(weights: np.ndarray, effective: float, measured: np.ndarray) -> np.ndarray:
+    """(d,) degrees of freedom: inliers of a channel less its share of the fitted parameters.
 
-    At least 1, where there are so many rows.  One number where every row holds all of three
-    channels, else (d,).
+    At least 1, where there are so many rows.
 
     Args:
         weights: (N,).
         effective: number of parameters that the data determine.
-        measured: (N, d); None stands for all of three channels.
+        measured: (N, d).
     """
-    if measured is None:
-        return max((weights > 0).sum() - effective / 3, 1.0)
     count = measured[weights > 0].sum(0)
     share = count / max(count.sum(), 1.0)
     return np.maximum(count - effective * share, np.clip(count, 1e-12, 1.0))
@@ -336,7 +316,3 @@ def mean(values: np.ndarray) -> np.ndarray:
     """(d,) means of (N, d) over what is not NaN; 0 of nothing."""
     held = np.isfinite(values)
     return np.asarray(np.where(held, values, 0.0).sum(0) / np.maximum(held.sum(0), 1))
-
-
-def _only(values: np.ndarray, measured: np.ndarray | None) -> np.ndarray:
-    return values if measured is None else np.where(measured, values, np.nan)

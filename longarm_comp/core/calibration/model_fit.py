@@ -65,7 +65,7 @@ class ModelFit:
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
         """(N, d, k) columns per unit -> (dM, k) of the M inliers, in units of the noise."""
-        return whiten(columns, self.weights, self.sigma, self.rho, self.session.mask)
+        return whiten(columns, self.weights, self.sigma, self.rho, self.session.measured)
 
     def uneven(self, rows: Session) -> np.ndarray:
         """(M,) stated noise of rows over the usual one; 1 where the fit did not believe it."""

@@ -142,7 +142,7 @@ def from_residual(
     weights, used = np.ones(len(fit.weights)), np.zeros(0)
     uneven = fit.session.uneven(fit.session.claimed)
     sigma, size = fit.sigma.copy(), 1.0
-    held = fit.session.mask
+    held = fit.session.measured
     added = np.arange(columns.shape[-1]) >= fit.columns.shape[-1]
     few = len(added) > (weights > 0).sum() * len(sigma)
     for _ in range(MOST_STEPS if few else steps):
@@ -156,18 +156,17 @@ def from_residual(
         residual = (y - columns @ (scale * posterior.u)[:, None])[..., 0]
         count = linear.believed(residual, uneven, held)
         even = residual * np.sqrt(count)[:, None]
-        kept = even if held is None else np.where(held, even, np.nan)
+        kept = np.where(held, even, np.nan)
         robust = MAD * median(np.abs(kept[weights > 0]))
         taken = (gram * posterior.covariance).sum(axis=(1, 2))
-        rows_held = (weights > 0).sum() if held is None else held[weights > 0].sum(0)
+        rows_held = held[weights > 0].sum(0)
         degrees = np.maximum(rows_held - taken, 1e-9)
         worst = np.abs(kept) / np.maximum(robust * np.sqrt(rows_held / degrees), 1e-9)
         weights = count * (np.nan_to_num(worst).max(axis=1) <= OUTLIER)
         square = (even[weights > 0] ** 2).sum(0)
         alike = _usual(fit, square / degrees)
         new = np.sqrt((square + ALIKE * alike) / (degrees + ALIKE))
-        if held is not None:
-            new = np.where(held[weights > 0].any(0), new, np.inf)
+        new = np.where(held[weights > 0].any(0), new, np.inf)
         shrunk = _shrunk(posterior, added) if few else 1.0
         done = np.all((new == sigma) | (np.abs(new - sigma) < 0.01 * sigma))
         sigma, size = np.maximum(new, 1e-7), float(np.clip(size * shrunk, 1e-4, 1.0))
@@ -209,13 +208,11 @@ def agreed(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
     return NoiseEstimate(sigma, source, residual.rho, residual.degrees)
 
 
-def lag_correlation(
-    white: np.ndarray, weights: np.ndarray, measured: np.ndarray | None = None
-) -> float:
+def lag_correlation(white: np.ndarray, weights: np.ndarray, measured: np.ndarray) -> float:
     """Correlation of successive inlier rows, 0 unless it is beyond 4 standard errors."""
     kept = white[weights > 0]
     if len(kept) < 20:
         return 0.0
-    size = kept.size if measured is None else int(measured[weights > 0].sum())
+    size = int(measured[weights > 0].sum())
     rho = float((kept[1:] * kept[:-1]).sum() / (kept**2).sum())
     return rho if abs(rho) > 4 / np.sqrt(size) and abs(rho) > 0.1 else 0.0

@@ -7,18 +7,16 @@ else by `fit`, with priors that do not pull (`Parameter.unknown`).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.linear import MAD, OUTLIER
 from longarm_comp.core.data import touched
 from longarm_comp.core.data.kinds import KINDS, matrices
 from longarm_comp.core.data.lifted_base import lifted_base, multilaterated
 from longarm_comp.core.data.measurement import errors, posture
-from longarm_comp.core.data.registration import Registration, Sightings, register
+from longarm_comp.core.data.registration import Registration, Sightings, median_distance, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import Encoder
@@ -31,7 +29,7 @@ from longarm_comp.core.effects.placements import (
 )
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model, slots_of
-from longarm_comp.math.points import kabsch
+from longarm_comp.math.points import ROUNDS, robust_kabsch, robust_weights
 
 CLEARLY = 2.0
 """A placement that the model holds is kept unless the solved one fits so many times better."""
@@ -105,7 +103,7 @@ def _lifted(model: Model, session: Session) -> Model:
 def _misfit(model: Model, rows: Session) -> float:
     """Median error of the rows (m); of axes alone, how the body turns on the tip (rad)."""
     if rows.placed.any():
-        return float(np.median(np.linalg.norm(errors(model, rows), axis=1)))
+        return median_distance(errors(model, rows))
     axes = model.pose(rows.q, rows.context())[:, :3, :3]
     body = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ matrices(rows.readings["orientation"]))
     return float(np.median((body * body.mean().inv()).magnitude()))
@@ -143,24 +141,20 @@ def _at(effect: Effect, rotation: np.ndarray, offset: np.ndarray, model: Model) 
     home = model.arm.base.frame().matrix()
     moved = np.eye(4)
     moved[:3, :3], moved[:3, 3] = rotation, offset
-    d, w = twist_of(np.linalg.inv(home) @ moved @ home)
-    return effect.with_values(dict(zip(("x", "y", "z", "rx", "ry", "rz"), (*d, *w), strict=True)))
+    motion = np.linalg.inv(home) @ moved @ home
+    return effect.with_values(_twist(motion[:3, :3], motion[:3, 3]))
 
 
-def twist_of(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twist of a finite motion (4, 4): the inverse of `spatial.exp_large`."""
-    w, shift = Rotation.from_matrix(motion[:3, :3]).as_rotvec(), motion[:3, 3]
+def _twist(rotation: np.ndarray, shift: np.ndarray) -> dict[str, float]:
+    """Twist of a finite motion, by the names of its parts: the inverse of `spatial.exp_large`."""
+    w = Rotation.from_matrix(rotation).as_rotvec()
     angle = np.linalg.norm(w)
     hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-    if angle < 1e-9:
-        return shift, w
-    b = (1 - np.cos(angle)) / angle**2
-    c = (angle - np.sin(angle)) / angle**3
-    return np.linalg.solve(np.eye(3) + b * hat + c * hat @ hat, shift), w
-
-
-_ROUNDS = 4
-"""Times that rows far from the solution are set aside: the fit that follows judges them anew."""
+    if angle >= 1e-9:
+        b = (1 - np.cos(angle)) / angle**2
+        c = (angle - np.sin(angle)) / angle**3
+        shift = np.linalg.solve(np.eye(3) + b * hat + c * hat @ hat, shift)
+    return dict(zip(("x", "y", "z", "rx", "ry", "rz"), map(float, (*shift, *w)), strict=True))
 
 
 def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
@@ -237,16 +231,7 @@ def _moved(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
     if len(rows) < 4:
         return term
     tips = model.tip(rows.q, rows.context())
-
-    def solved(kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        motion = np.eye(4)
-        turn, shift = kabsch(tips[kept], rows.xyz[kept], np.ones(int(kept.sum())))
-        motion[:3, :3], motion[:3, 3] = turn, shift
-        left = rows.xyz - tips @ turn.T - shift
-        return np.concatenate(twist_of(motion)), np.linalg.norm(left, axis=1)
-
-    names = ("x", "y", "z", "rx", "ry", "rz")
-    return term.with_values(dict(zip(names, _robust(len(rows), solved), strict=True)))
+    return term.with_values(_twist(*robust_kabsch(tips, rows.xyz)))
 
 
 def _turned(term: TipOrientation, model: Model, session: Session) -> TipOrientation:
@@ -261,12 +246,11 @@ def _turned(term: TipOrientation, model: Model, session: Session) -> TipOrientat
     axes = bare.motion(posture(bare, rows), (), turns=True).axes()[0]
     seen = matrices(rows.readings["orientation"])
     between = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ seen)
-
-    def solved(kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        mean = between[kept].mean()
-        return mean.as_rotvec(), (mean.inv() * between).magnitude()
-
-    rx, ry, rz = _robust(len(rows), solved)
+    weights = np.ones(len(rows))
+    for _ in range(ROUNDS):
+        mean = between.mean(weights)
+        weights = robust_weights((mean.inv() * between).magnitude())
+    rx, ry, rz = mean.as_rotvec()
     return dataclasses.replace(term, rx=float(rx), ry=float(ry), rz=float(rz))
 
 
@@ -280,13 +264,3 @@ def _placed(term: AnchorPlace, model: Model, session: Session) -> AnchorPlace:
     tips = model.tip(rows.q, rows.context())
     x, y, z = multilaterated(tips, rows.readings["distance"][:, 0])
     return dataclasses.replace(term, x=float(x), y=float(y), z=float(z))
-
-
-def _robust(rows: int, solved: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """A closed-form solution without the rows that are far from it."""
-    kept = np.ones(rows, dtype=bool)
-    answer, misfit = solved(kept)
-    for _ in range(_ROUNDS):
-        kept = misfit <= max(OUTLIER * MAD * float(np.median(misfit)), 1e-9)
-        answer, misfit = solved(kept)
-    return answer

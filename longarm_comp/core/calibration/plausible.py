@@ -7,6 +7,7 @@ import numpy as np
 from longarm_comp.core.calibration.noise import ENOUGH_REPEATS
 from longarm_comp.core.calibration.standing import misplaced
 from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.model import Model
@@ -40,7 +41,7 @@ def check_worth(
     Raises:
         JobError: it is worse.
     """
-    there, here = 1e3 * _median(held_out), 1e3 * _median(plain)
+    there, here = 1e3 * median_distance(held_out), 1e3 * median_distance(plain)
     if len(held_out) >= ENOUGH_REPEATS and there > WORSE * here:
         raise JobError(
             f"calibration is worse on held-out rows than {than}: {here:.3g} -> "
@@ -63,7 +64,7 @@ def check_carries_over(
     Raises:
         JobError: its error rises.
     """
-    here, there = 1e3 * _median(fitted), 1e3 * _median(held_out)
+    here, there = 1e3 * median_distance(fitted), 1e3 * median_distance(held_out)
     if len(held_out) >= ENOUGH_REPEATS and there > RISES * here:
         raise JobError(
             f"calibration fails at held-out rows: {here:.3g} -> {there:.3g} {unit}; "
@@ -106,7 +107,7 @@ def _off(model: Model, session: Session) -> float:
     rows = session.take(session.placed)
     if len(rows) < ENOUGH_REPEATS or not misplaced(model, rows):
         return 0.0
-    return _median(errors(model, rows))
+    return median_distance(errors(model, rows))
 
 
 def check_noise(sigma: np.ndarray, session: Session) -> None:
@@ -124,7 +125,7 @@ def check_noise(sigma: np.ndarray, session: Session) -> None:
     seen = session.take(session.located & (session.frames == session.frames[0])).xyz
     if len(seen) < 2:
         return
-    spread, size = _median(seen - np.median(seen, axis=0)), float(np.linalg.norm(sigma[:3]))
+    spread, size = median_spread(seen), float(np.linalg.norm(sigma[:3]))
     if size > NO_NOISE * spread:
         raise JobError(
             f"{1e3 * size:.3g} mm is left, which is more than noise: the sightings spread over "
@@ -149,7 +150,3 @@ def check_sizes(model: Model, source: str) -> None:
                 "something else is missing",
                 session=source,
             )
-
-
-def _median(error: np.ndarray) -> float:
-    return float(np.median(np.linalg.norm(error, axis=1)))

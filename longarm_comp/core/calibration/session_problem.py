@@ -9,15 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.calibration.linear import believed, freedom, inliers, spread, whiten
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.data.measurement import equations
+from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.model.model import Model
 
 USUAL = 4.0
 """Equations that the usual noise of an arm's kind is worth: among arms of one kind it differs by
@@ -30,15 +28,13 @@ class SessionProblem:
 
     model: Model
     seen: Session
-    context: Context
-    q: tuple[Scalar, ...]
     sigma: np.ndarray | None
     fixed: np.ndarray | None
     robust: bool
     weights: np.ndarray
     noise: np.ndarray
-    residual: np.ndarray
-    columns: np.ndarray
+    residual: np.ndarray = field(init=False)
+    columns: np.ndarray = field(init=False)
     effective: float = 0.0
     rho: float = 0.0
     posture: Posture | None = None
@@ -64,19 +60,14 @@ class SessionProblem:
             term.require(context)
         start = np.ones(len(seen)) if weights is None else np.asarray(weights, float)
         noise = np.full(len(seen.channels), np.nan) if sigma is None else np.asarray(sigma, float)
-        empty = np.empty(0)
         return cls(
             dataclasses.replace(model, arrivals=seen.arrivals, uncertainty=None),
             seen,
-            context,
-            unstack(seen.q),
             sigma,
             weights,
             robust,
             start,
             noise,
-            empty,
-            empty,
             rho=rho,
         )
 
@@ -89,7 +80,7 @@ class SessionProblem:
     def _predict(self, close: bool = False) -> None:
         """Residual of the model as it is now."""
         if self.near is None:
-            self.posture = self.model.posture(self.q, self.context)
+            self.posture = posture(self.model, self.seen)
         else:
             self.posture = self.model.posture_near(self.near, close)
         self.residual = equations(self.model, self.seen, self.posture, ()).residual
@@ -140,16 +131,15 @@ class SessionProblem:
 
     def cost(self) -> float:
         """Squared residual of the inliers in units of the noise."""
-        white = whiten(self.residual[..., None], self.weights, self.noise, self.rho, self.seen.mask)
-        return float((white**2).sum())
+        return float((self._white(self.residual[..., None]) ** 2).sum())
 
     def weigh(self, settled: bool) -> None:
         """Outliers and noise for the residual as it is now."""
         if self.robust and self.fixed is None:
             known = self.noise if settled else None
-            count = believed(self.residual, self.uneven, self.seen.mask)
+            count = believed(self.residual, self.uneven, self.seen.measured)
             even = self.residual * np.sqrt(count)[:, None]
-            self.weights = count * inliers(even, known, self.seen.mask)
+            self.weights = count * inliers(even, self.seen.measured, known)
         if self.sigma is None:
             self.noise = self._common(self.spread())
 
@@ -160,7 +150,7 @@ class SessionProblem:
 
     def spread(self) -> np.ndarray:
         """(d,) noise of every channel in the residual as it is now."""
-        return spread(self.residual, self.weights, self.effective, self.seen.mask)
+        return spread(self.residual, self.weights, self.effective, self.seen.measured)
 
     def _common(self, sigma: np.ndarray) -> np.ndarray:
         """(d,) one figure for all channels of a kind and sensor.
@@ -168,9 +158,7 @@ class SessionProblem:
         Where the usual noise of the kind is known it counts as `USUAL` further equations.
         """
         made, start = [], 0
-        free = np.broadcast_to(
-            freedom(self.weights, self.effective, self.seen.mask), np.shape(sigma)
-        )
+        free = freedom(self.weights, self.effective, self.seen.measured)
         for block in self.seen.blocks:
             mine = sigma[start : start + len(block.channels)]
             degrees = float(free[start : start + len(mine)][np.isfinite(mine)].sum())
@@ -188,5 +176,8 @@ class SessionProblem:
         """(dN, p) prior-scaled design and (dN,) linearised data, in units of the noise."""
         y = self.residual + self.columns @ (self.model.values - centre)
         both = np.concatenate([self.columns * scale, y[..., None]], axis=-1)
-        white = whiten(both, self.weights, self.noise, self.rho, self.seen.mask)
+        white = self._white(both)
         return white[:, :-1], white[:, -1]
+
+    def _white(self, columns: np.ndarray) -> np.ndarray:
+        return whiten(columns, self.weights, self.noise, self.rho, self.seen.measured)

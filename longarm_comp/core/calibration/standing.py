@@ -20,6 +20,7 @@ from longarm_comp.core.calibration.placement import (
     started,
 )
 from longarm_comp.core.data.measurement import equations, errors, posture, turns
+from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.placements import BasePose, TipOffset, TipOrientation
@@ -72,12 +73,12 @@ def standing(model: Model, session: Session) -> tuple[Model, bool]:
 def misplaced(model: Model, session: Session) -> bool:
     """Whether the rows see the arm somewhere else than a model puts it."""
     if not session.placed.any():
-        return bool(session.turned.any()) and _median(turns(model, session)) > MISPLACED
+        return bool(session.turned.any()) and median_distance(turns(model, session)) > MISPLACED
     rows = session.take(session.placed)
     at = posture(model, rows)
     frames = [stack(frame.p) for frame in (*at.frames, model.tip_frame(at))]
-    travel = max(_median(p - np.median(p, axis=0)) for p in frames if p.ndim == 2)
-    return _median(errors(model, rows)) > MISPLACED * travel
+    travel = max(median_spread(p) for p in frames if p.ndim == 2)
+    return median_distance(errors(model, rows)) > MISPLACED * travel
 
 
 def untold(fit: ModelFit) -> tuple[str, ...]:
@@ -116,10 +117,6 @@ def _motion(base: BasePose, arm: Arm) -> np.ndarray:
         turn = change[:3, :3] @ base.base(arm).matrix()[:3, :3].T
         made[:, k] = (*change[:3, 3], turn[2, 1], turn[0, 2], turn[1, 0])
     return made
-
-
-def _median(error: np.ndarray) -> float:
-    return float(np.median(np.linalg.norm(error, axis=1)))
 
 
 _STEP = 1e-4

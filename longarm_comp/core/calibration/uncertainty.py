@@ -28,7 +28,7 @@ from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.calibration.noise import repeat_scatter
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes, triangular
+from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, factor_of, sizes
 
 PARTS, SMALL = 4, 20
 """Parts of a joint's range, and random parts, that are left out one at a time; a 90 % radius takes
@@ -57,7 +57,7 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
         structure = left.rest(noise)
     made = ModelUncertainty(
         tuple(slot.identity for slot in fit.slots),
-        _factor(fit.covariance, priors(fit.slots)),
+        factor_of(fit.covariance),
         structure,
         noise,
         largest_m=0.0,
@@ -92,7 +92,7 @@ class LeftOut:
         touched = fit.session.labels["touch"][kept] if not fit.session.located.any() else None
         whole = whiten(
             np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1),
-            fit.weights, fit.sigma, 0.0, fit.session.mask,
+            fit.weights, fit.sigma, 0.0, fit.session.measured,
         ).reshape((fit.weights > 0).sum(), fit.width, -1)  # fmt: skip
         here = np.searchsorted(np.flatnonzero(fit.weights > 0), kept)
         gram = np.einsum("ncp,ncq->pq", whole[..., :-1], whole[..., :-1])
@@ -180,12 +180,6 @@ def _divisions(
         yield place * PARTS // len(q), 0.5 / len(moving)
     drawn = np.random.default_rng(0).permutation(len(q))
     yield drawn * min(SMALL, len(q)) // len(q), 0.5 if moving else 1.0
-
-
-def _factor(covariance: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """A triangle whose product with itself is a covariance (p, p)."""
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return scale[:, None] * triangular(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _noise_of_lengths(fit: ModelFit) -> np.ndarray:

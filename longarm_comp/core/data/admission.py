@@ -17,12 +17,12 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.data.belonging import MOST_STRAYS, believe, mistakes
-from longarm_comp.core.data.registration import median_distance
+from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.data.touched import check_touches
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
-from longarm_comp.math.points import kabsch
+from longarm_comp.math.points import robust_kabsch
 
 FEW_POSES = 4
 """Distinct poses, at least: three points place a frame, one more contradicts."""
@@ -273,7 +273,7 @@ def _copies(case: _Case) -> Iterator[AdmissionFinding]:
 
 
 def _lengths(case: _Case) -> None:
-    expected, found = _spread(case.predicted), _spread(case.seen.xyz)
+    expected, found = median_spread(case.predicted), median_spread(case.seen.xyz)
     if expected < 1e-6:
         return
     ratio = found / expected
@@ -304,15 +304,14 @@ def _frame_of(
     field = "x, y, z" + (f" of group {group}" if group else "")
 
     def left(turn: np.ndarray) -> float:
-        rest = measured - predicted @ turn.T
-        return median_distance(rest - np.median(rest, axis=0))
+        return median_spread(measured - predicted @ turn.T)
 
     clear = 0.3 * left(np.eye(3))
-    turn, offset = _trimmed(predicted, measured)
+    turn, offset = robust_kabsch(predicted, measured)
     residual = measured - predicted @ turn.T - offset
     misfit, (axes, name) = median_distance(residual), _axes(turn)
     flip = np.diag([1.0, 1.0, -1.0])
-    mirror, mirrored = _axes(flip @ _trimmed(predicted, measured @ flip)[0])
+    mirror, mirrored = _axes(flip @ robust_kabsch(predicted, measured @ flip)[0])
     if left(mirror) < min(clear, 0.5 * misfit):
         allowed = "a right-handed x,y,z in the base frame"
         raise case.refuse(field, f"axes like {mirrored}", allowed)
@@ -322,7 +321,7 @@ def _frame_of(
         like = f", axes like {name}" if left(axes) < clear else ""
         text = f"turned by {np.degrees(angle):.0f} deg against the declared arm{like}"
         yield AdmissionFinding("frame", field, f"{text}; as {_base(case.arm, turn, offset)}")
-    elif away > 0.3 * _spread(predicted):
+    elif away > 0.3 * median_spread(predicted):
         yield AdmissionFinding("frame", field, f"{away:.3f} m away from where the declared arm is")
     distance = np.linalg.norm(residual, axis=1)
     # robust standard deviations, before any fit
@@ -355,16 +354,6 @@ def _belongs(case: _Case, judge: bool) -> Iterator[AdmissionFinding]:
     yield AdmissionFinding("belonging", field, value)
 
 
-def _trimmed(predicted: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As `kabsch`, repeated without the worst points."""
-    kept = np.ones(len(predicted))
-    for _ in range(4):
-        rotation, offset = kabsch(predicted, measured, kept)
-        distance = np.linalg.norm(measured - predicted @ rotation.T - offset, axis=1)
-        kept = (distance <= max(4 * np.median(distance), 1e-12)).astype(float)
-    return rotation, offset
-
-
 def _axes(turn: np.ndarray) -> tuple[np.ndarray, str]:
     """The exchange of axes, with signs, nearest to a rotation or mirror (3, 3); its name."""
     place = np.abs(turn).argmax(axis=1)
@@ -381,10 +370,6 @@ def _base(arm: Arm, turn: np.ndarray, offset: np.ndarray) -> str:
     rpy = np.degrees(roll_pitch_yaw(frame[:3, :3]))
     xyz = ", ".join(f"{v:.3f}" for v in frame[:3, 3])
     return f"base: {{xyz_m: [{xyz}], rpy_deg: [{', '.join(f'{v:.1f}' for v in rpy)}]}}"
-
-
-def _spread(points: np.ndarray) -> float:
-    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
 
 
 _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.registration import Sightings, register
+from longarm_comp.core.data.registration import Sightings, median_spread, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model
 
@@ -65,7 +65,7 @@ def believe(model: Model, session: Session) -> _Belief | None:
         return None
     found = register(Sightings.of(model, session))
     distance = np.linalg.norm(found.residual, axis=1)
-    spread = float(np.median(np.linalg.norm(seen.xyz - np.median(seen.xyz, axis=0), axis=1)))
+    spread = median_spread(seen.xyz)
     least = max(_STRAY_RATIO * float(np.quantile(distance, 0.25)), _SUSPECT_SHARE * spread)
     belief = _Belief(found.misfit, spread, float((distance > least).mean()))
     # Rows that the mistakes are tried on, spread over the session

@@ -17,12 +17,10 @@ from scipy.spatial.transform import Rotation
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.kinds import across, by_name, matrices
 from longarm_comp.core.data.session import Session
-from longarm_comp.math.points import nearest_rotation, robust_kabsch, robust_weights
+from longarm_comp.math.points import ROUNDS, nearest_rotation, robust_kabsch, robust_weights
 
 _MIN_EQUATIONS = 4
 """Distances to an anchor, or equations of a base, at least: three leave a mirror image."""
-_ROUNDS = 6
-"""Times that outlying equations are weighed down: the weights change no more after it."""
 _SEEN_SHARE = 0.1
 """Singular value of R, in the largest, below which its direction was not measured; of a rotation
 all are 1."""
@@ -65,7 +63,7 @@ def lifted_base(
 def multilaterated(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Place (3,) of the anchor at N >= 4 distances (N,) from points (N, 3), m, outliers apart."""
     kept = np.ones(len(length), dtype=bool)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         place = _anchor(points[kept], length[kept])
         miss = np.abs(np.linalg.norm(points - place, axis=1) - length)
         closer = miss <= max(_FAR_MEDIANS * float(np.median(miss)), _EXACT)
@@ -85,7 +83,7 @@ def _anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     local = points - middle
     design = np.column_stack([2.0 * local, -np.ones(len(local))])
     place = np.linalg.lstsq(design, (local**2).sum(axis=1) - length**2, rcond=None)[0][:3]
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         away = place - local
         far = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         place = place + np.linalg.lstsq(away / far[:, None], length - far, rcond=None)[0]
@@ -154,7 +152,7 @@ def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
     if told.sum() < 2:
         return None
     of, to = np.concatenate([of[told], -of[told]]), np.concatenate([to[told], -to[told]])
-    return robust_kabsch(of, to, _ROUNDS)[0]  # each turn is there both ways, so the offset is 0
+    return robust_kabsch(of, to)[0]  # each turn is there both ways, so the offset is 0
 
 
 def _rotation(found: _LinearEquations) -> np.ndarray:
@@ -189,7 +187,7 @@ def _least_turned(turn: np.ndarray, axis: np.ndarray) -> np.ndarray:
 def _robust(design: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Least squares of smallest norm, the farther half of the equations counted less."""
     weights = np.ones(len(right))
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         root = np.sqrt(weights)
         x = np.linalg.lstsq(design * root[:, None], right * root, rcond=_RANK)[0]
         weights = robust_weights(np.abs(right - design @ x))

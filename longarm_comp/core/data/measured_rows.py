@@ -116,11 +116,6 @@ class MeasuredRows:
         pairs = zip(group, self.labels["sensor"], strict=True)
         return np.array([f"{g} seen by {s}".strip() for g, s in pairs])
 
-    @property
-    def mask(self) -> np.ndarray | None:
-        """`measured`; None where every row that was seen holds a whole position and no more."""
-        return None if self.plain else self.measured
-
     @cached_property
     def stated(self) -> np.ndarray:
         """(N, d) standard deviations that the rows state, m or rad; NaN where none."""

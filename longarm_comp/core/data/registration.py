@@ -22,8 +22,13 @@ def median_distance(residual: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(residual, axis=1)))
 
 
-_TURNS, _STEPS = 6, 20
-"""Times that the rows are weighed again: with the markers still, and with all free."""
+def median_spread(points: np.ndarray) -> float:
+    """Of (N, 3) points about their median, m."""
+    return median_distance(points - np.median(points, axis=0))
+
+
+_STEPS = 20
+"""Times that the rows are weighed again with all free."""
 _MIN_ROWS = 3
 """Rows of a group that fix its rotation."""
 
@@ -126,7 +131,7 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
             rotation[g] = rotation[np.argmax(counts)]
             offset[g] = np.median(seen - at @ rotation[g].T, axis=0)
         else:
-            rotation[g], offset[g] = robust_kabsch(at, seen, _TURNS)
+            rotation[g], offset[g] = robust_kabsch(at, seen)
     made = _look(rows, rotation, offset, tip)
     for _ in range(_STEPS if tips else 0):
         following = _step(rows, made)

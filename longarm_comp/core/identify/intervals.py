@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import ndtri
 
-from longarm_comp.core.calibration.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.identify.posterior.forms import neighbours
@@ -120,7 +120,7 @@ def _dropped(
 
 
 def _slopes(
-    fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
+    fit: ModelFit, columns: FitColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> list[np.ndarray]:
     """(N, d, 1) change of the rows as each scale moves half way to the next tried value."""
     ways: list[tuple[Term, Term]] = []

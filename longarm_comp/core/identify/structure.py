@@ -22,6 +22,7 @@ from longarm_comp.core.calibration.linear import Marginal, inliers, solve
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.reading_steps import read_exactly
 from longarm_comp.core.data.measurement import equations, metres, posture
+from longarm_comp.core.data.registration import median_spread
 from longarm_comp.core.data.session import Session
 
 SIGNIFICANT = 0.005
@@ -130,9 +131,7 @@ def smallest(fit: ModelFit) -> float:
     rows = fit.session.take(fit.session.located)
     limit = SMALLEST_M
     if len(rows) > 1:
-        middle = np.median(rows.xyz, axis=0)
-        spread = np.median(np.linalg.norm(rows.xyz - middle, axis=1))
-        limit = min(limit, OF_SPREAD * float(spread))
+        limit = min(limit, OF_SPREAD * median_spread(rows.xyz))
     return limit
 
 
@@ -251,10 +250,10 @@ def _of_channels(features: np.ndarray, fit: ModelFit) -> np.ndarray:
     """(N, m) features -> (N, d, dm) of one noise standard deviation in each channel."""
     n, m = features.shape
     made = np.zeros((n, fit.width, fit.width * m))
-    held = fit.session.mask
+    held = fit.session.measured
     for channel, sigma in enumerate(fit.sigma):
         if np.isfinite(sigma):
-            own = features if held is None else features * held[:, channel, None]
+            own = features * held[:, channel, None]
             made[:, channel, channel * m : (channel + 1) * m] = own * sigma
     return made
 
@@ -317,7 +316,7 @@ def _beyond(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:
 
     Gross errors say nothing of the parameters, as in every fit.
     """
-    kept = inliers(y, measured=measured)[:, None]
+    kept = inliers(y, measured)[:, None]
     shared = (kept[..., None] * a).reshape(-1, a.shape[-1])
     found = solve(shared, (kept * y).ravel())
     leverage = np.einsum("nip,pq,niq->ni", a, found.covariance, a, optimize=True)

@@ -14,15 +14,17 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SLIDE
-from longarm_comp.core.calibration.candidates import Candidate, CandidateColumns, distinct
+from longarm_comp.core.calibration.candidates import Candidate, distinct
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
+from longarm_comp.core.calibration.model_fit import priors
 from longarm_comp.core.calibration.noise import from_residual
+from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.posterior.single_effects import NONE
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import Model, slots_of
 
 RUN_UPS = (0.02, 0.035, 0.05, 0.07, 0.1)
 """Lengths that are tried (rad; a tenth as many m for a slide); the data hardly tell a factor of
@@ -79,14 +81,14 @@ def run_up(
     noise, weights = from_residual(fitted, np.concatenate([beside, columns.of(terms)], axis=-1))
     fitted = dataclasses.replace(fitted, sigma=noise.sigma, rho=noise.rho, weights=weights)
     design = np.concatenate([fitted.design, fitted.whitened(beside)], axis=1)
-    marginal = Marginal(design, fitted.data)
+    marginal, slots = Marginal(design, fitted.data), slots_of(fitted.model.arm, terms)
 
     def evidence(length: float) -> float:
         """With the arm where it was fitted: run-ups change what joints remember, hardly more."""
         session = rows(length)
         seen = session.take(session.seen)
         at = dataclasses.replace(fitted.posture, context=seen.context(), _cache={})
-        found = CandidateColumns(fitted.model, at, seen).of(terms)
+        found = equations(fitted.model, seen, at, slots).columns * priors(slots)
         return marginal.added(fitted.whitened(found)).evidence
 
     best = max(RUN_UPS, key=evidence)

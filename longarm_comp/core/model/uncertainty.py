@@ -90,6 +90,13 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
     return np.where(square == 0, 0.0, expected), within
 
 
+def factor_of(covariance: np.ndarray) -> np.ndarray:
+    """(p, p) lower triangle whose product with itself is a covariance (p, p)."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return scale[:, None] * triangular(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
 def triangular(factor: np.ndarray) -> np.ndarray:
     """(p, p) lower triangle with the same product with itself as a factor (p, r)."""
     wide = np.zeros((len(factor), max(factor.shape)))

@@ -19,7 +19,6 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.linear import whiten
 from longarm_comp.core.calibration.placement import started
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.plan import Plan, at_levels, random_joints, uniform
@@ -138,7 +137,7 @@ class Uncertainty:
         if fitted is not None:
             seen = fitted.session
             columns = equations(whole, seen, posture(whole, seen)).columns * scale
-            white = whiten(columns, fitted.weights, fitted.sigma, fitted.rho, seen.mask)
+            white = fitted.whitened(columns)
             information = information + white.T @ white
         framed = any(k.framed(model.arm) for r in (*asked, measured) if r for k in r.kinds)
         return cls(whole, scale, information, sigma, framed, read)

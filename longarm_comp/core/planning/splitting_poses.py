@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.calibration.candidates import Candidate, CandidateColumns
+from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
-from longarm_comp.core.model.model import unstack
+from longarm_comp.core.data.measurement import equations
+from longarm_comp.core.model.model import Slot, unstack
 from longarm_comp.core.planning.optimal_poses import POOL, Choice
 
 
@@ -59,10 +61,13 @@ def splitting_poses(
     if heaviest > 0:
         typical["payload_kg"] = np.where(np.arange(POOL) // 2 % 2 == 0, heaviest, 0.0)
     pool = Context(tuple(side for _ in range(arm.n)), typical)
-    rows = CandidateColumns(fit.model, fit.posture, fit.session)
-    theirs, mine = map(fit.whitened, _designs(fit, found, other, rows))
-    asked = CandidateColumns(fit.model, fit.model.posture(unstack(q), pool))
-    far, shift = _designs(fit, found, other, asked)
+    at = fit.model.posture(unstack(q), pool)
+
+    def measured(slots: Sequence[Slot]) -> np.ndarray:
+        return equations(fit.model, fit.session, fit.posture, slots).columns
+
+    theirs, mine = map(fit.whitened, _designs(fit, found, other, measured))
+    far, shift = _designs(fit, found, other, lambda slots: fit.model.columns(at, slots)[1])
     scale = _noise(fit)[None, :, None]
     own = np.concatenate([theirs, mine], axis=1)
     information = own.T @ own + np.eye(own.shape[1])
@@ -85,13 +90,12 @@ def _noise(fit: ModelFit) -> np.ndarray:
 
 
 def _designs(
-    fit: ModelFit, found: Candidate, other: Candidate, at: CandidateColumns
+    fit: ModelFit, found: Candidate, other: Candidate, of: Callable[[Sequence[Slot]], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N, d, p) by geometry, rest and alternative, and (N, d, 1) the found effect's shift."""
     places = {t.key for t in found.terms}
-    rest = [s for s in fit.slots if s.owner.key not in places]
-    columns = at.unscaled(rest) * priors(tuple(rest))
+    rest = tuple(s for s in fit.slots if s.owner.key not in places)
+    rest += other.slots(fit.model.arm)
     own = [s for s in fit.slots if s.owner.key in places]
     values = np.array([getattr(s.owner, s.parameter.name) for s in own])
-    shift = at.unscaled(own) @ values
-    return np.concatenate([columns, at.of(other.terms)], axis=-1), shift[..., None]
+    return of(rest) * priors(rest), (of(own) @ values)[..., None]
