@@ -199,8 +199,6 @@ def base(rng: np.random.Generator) -> Diagnosis:
         joints=JOINTS,
         joint_units=UNITS,
         held_out=rows,
-        before="nominal",
-        after="calibrated",
         detectable=PageTable(
             "Smaller ones may exist.",
             ("Effect", "Where", "Parameter", "Size", "Unit", "At the tip, mm RMS"),
@@ -359,9 +357,7 @@ def unknown(rng: np.random.Generator) -> Diagnosis:
         },
         "held_out": held_out(rows, "calibrated", "with_network", [-0.02, 1.1]),
     }
-    return report, _with(
-        detail, held_out=rows, guilty=("q5", "q6"), before="calibrated", after="with_network"
-    )
+    return report, _with(detail, held_out=rows, guilty=("q5", "q6"))
 
 
 def bad_data(rng: np.random.Generator) -> Diagnosis:

@@ -112,17 +112,6 @@ def test_gross_outliers_are_weighted_down_and_do_not_spoil_the_fit():
     assert spoiled.sigma < 1.2 * clean.sigma
 
 
-def test_zero_weight_leaves_a_sample_out():
-    rng = np.random.default_rng(5)
-    x, y = rng.normal(size=(60, 2)), rng.normal(size=(60, 3))
-    shape, keep = NetworkShape(2, 3, 3), np.arange(60) < 50
-    start = xavier_start(shape, rng)
-    y_far = np.where(keep[:, None], y, 1e3)
-    fit = back_propagate(shape, start, x, y_far, keep.astype(float), max_steps=20)
-    short = back_propagate(shape, start, x[keep], y[keep], max_steps=20)
-    np.testing.assert_allclose(fit.weights, short.weights, rtol=1e-6, atol=1e-9)
-
-
 def test_sixty_sparrow_starts_have_no_collapsed_units():
     data = smooth_set(300, 0)
     x = (data.q - data.q.mean(0)) / data.q.std(0)

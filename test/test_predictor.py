@@ -70,20 +70,12 @@ def test_control_start_does_as_well_after_back_propagation(data):
     assert by_init["ssa"] < 1.15 * by_init["xavier"] < 1.15**2 * by_init["ssa"]
 
 
-def test_outliers_and_zero_weights_do_not_spoil_it(data):
+def test_outliers_do_not_spoil_it(data):
     bad = np.random.default_rng(5).permutation(300)[:9]
     residual = data.residual.copy()
     residual[bad] += 0.05
-    settings = {"hidden": 12, "ensemble": 2}
-
-    def error(**kwargs):
-        found = train(data.q, residual, **settings, **kwargs).predict(data.test_q)
-        return rms_mm(found.error - data.test_truth)
-
-    weights = np.ones(300)
-    weights[bad] = 0.0
-    assert error() < 0.30
-    assert error(weights=weights) < 0.30
+    found = train(data.q, residual, hidden=12, ensemble=2).predict(data.test_q)
+    assert rms_mm(found.error - data.test_truth) < 0.30
 
 
 def test_approach_in_context_is_used_and_left_out_with_joints_only(data, small):
@@ -225,8 +217,7 @@ def test_one_row_and_many_rows_give_the_same_numbers(data, small):
         ({"context": Context((np.full(50, 3.0),) * 7)}, "approach"),
         ({"context": Context(columns={"temperature_c": np.ones(49)})}, "temperature_c"),
         ({"context": Context(columns={"payload_kg": np.inf})}, "payload_kg"),
-        ({"weights": -np.ones(50)}, "weights"),
-        ({"weights": np.eye(50)[0]}, "samples"),
+        ({"q": np.zeros((19, 7)), "residual": np.zeros((19, 3))}, "samples"),
         ({"inputs": "everything"}, "inputs"),
         ({"init": "zeros"}, "init"),
         ({"hidden": 0}, "hidden"),

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_shell import Shell, real
+from cli_shell import Shell
 from hidden_arm import at, files_of_a_gain, session, tip
-from small_arm import ARM, measured
+from small_arm import ARM
 
 import longarm_comp as la
 from longarm_comp.core.effects.catalogue import BUILT_IN
@@ -213,20 +213,6 @@ def test_plan_is_the_command(work: Path, shell: Shell, arm: la.Arm) -> None:
 
 
 # ------------------------------------------------------------------ what is handled inside
-
-
-def test_weights_are_of_all_rows_and_the_lost_ones_do_not_count() -> None:
-    rows = measured(60, np.random.default_rng(4))
-    xyz = real(rows.q)
-    xyz[:7] = np.nan
-    rows = la.Session.record(rows.q, xyz)
-    plain = la.train(ARM, rows, **QUICK)
-    weighted = la.train(ARM, rows, weights=[9.0] * 7 + [1.0] * 53, **QUICK)
-    half = la.train(ARM, rows, weights=[1.0] * 33 + [0.0] * 27, **QUICK)
-    assert np.array_equal(plain.weights, weighted.weights)
-    assert not np.array_equal(plain.weights, half.weights)
-    with pytest.raises(la.InputError, match="weights"):
-        la.train(ARM, rows, weights=[1.0] * 53, **QUICK)
 
 
 def test_admission_speaks_where_it_is_listened_to(

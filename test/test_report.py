@@ -263,7 +263,7 @@ def test_one_row_without_error_and_no_row_at_all_are_drawn(tmp_path: Path) -> No
     one = SeenRows(np.array([4]), origin, {"calibrated": origin}, (Input("q1", "rad", np.ones(1)),))
     row = dict.fromkeys(report["held_out"]["rows"][0], 0.0) | {"model": "calibrated"}
     report["held_out"] |= {"n": 1, "rows": [row]}
-    detail = dataclasses.replace(detail, held_out=one, after="calibrated", guilty=("q1",))
+    detail = dataclasses.replace(detail, held_out=one, guilty=("q1",))
     write_report(report, detail, tmp_path)
     assert page_of(tmp_path).tables["errors"][1] == ["calibratedafter", *["0.000"] * 8]
     empty = SeenRows(np.zeros(0, int), origin[:0], {"calibrated": origin[:0]})

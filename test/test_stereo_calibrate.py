@@ -203,14 +203,12 @@ def test_a_board_shown_to_the_topics_calibrates_the_head(
     board, said = Board(pictures), []
     original = board_capture.capture
 
-    def capture(
-        client: Any, target: Any, within: float, tell: Callable[[str], None], **more: Any
-    ) -> Any:
+    def capture(client: Any, target: Any, tell: Callable[[str], None], **more: Any) -> Any:
         def both(text: str) -> None:
             board.told(text)
             tell(text)
 
-        found = original(client, target, within, both, **more)
+        found = original(client, target, both, **more)
         said.append(gaps(*found))
         return found
 

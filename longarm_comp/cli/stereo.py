@@ -130,7 +130,6 @@ def webcams(frames: Path | None) -> None:
 @options.flag("--live", "Take the views from left/ and right/image_raw, with guidance.")
 @_board("7x5")
 @options.path_option("--save", "Live: folder that the used images are written to.")
-@click.option("--within", type=float, default=600.0, help="Live: give up after this time, s.")
 @options.namespace
 @options.as_json
 def calibrate(
@@ -139,7 +138,6 @@ def calibrate(
     live: bool,
     board: Target,
     save: Path | None,
-    within: float,
     namespace: str,
 ) -> None:
     """Calibrate the two cameras from views of a printed board; write DIR/cameras/left.yaml, right.
@@ -165,7 +163,7 @@ def calibrate(
     if images is not None:
         views, size = _from_files(board, images)
     else:
-        views, size = _from_topics(board, save, within, namespace)
+        views, size = _from_topics(board, save, namespace)
     found = calibrated(board, views, size)
     files = write_cameras(folder, found)
     fit = found.fit
@@ -212,9 +210,7 @@ def _from_files(target: Target, folder: Path) -> tuple[list[BoardView], Size]:
     return views, size
 
 
-def _from_topics(
-    target: Target, save: Path | None, within: float, namespace: str
-) -> tuple[list[BoardView], Size]:
+def _from_topics(target: Target, save: Path | None, namespace: str) -> tuple[list[BoardView], Size]:
     from longarm_comp.jobs.board_capture import capture
 
     last = ""
@@ -226,7 +222,7 @@ def _from_topics(
         last = text
 
     with on_graph("board_capture", namespace) as client:
-        return capture(client, target, within, tell, save=save)
+        return capture(client, target, tell, save=save)
 
 
 @click.command("hand-eye")

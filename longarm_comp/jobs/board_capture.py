@@ -19,6 +19,9 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.images import pixels_of
 
+_PATIENCE_S = 600.0
+"""With a person who holds the board; Ctrl-C ends it sooner."""
+
 
 class _Images:
     """The newest pair of images on the topics."""
@@ -42,7 +45,6 @@ class _Images:
 def capture(
     client: GraphClient,
     board: Target,
-    within_s: float,
     tell: Callable[[str], None],
     *,
     save: Path | None = None,
@@ -85,8 +87,8 @@ def capture(
 
     client.until(lambda: images.take() is not None, 30.0, "no pair of images")
     client.until(
-        complete, within_s,
-        lambda: f"not within {within_s:g} s, {len(views)} views: "
+        complete, _PATIENCE_S,
+        lambda: f"not within {_PATIENCE_S:g} s, {len(views)} views: "
         + ("board" if size is None else "; ".join(gaps(views, size))),
     )  # fmt: skip
     assert size is not None

@@ -167,9 +167,7 @@ class ArmClient(GraphClient):
         self._trajectory.publish(sent)
         return stamp_ns(sent.header.stamp)
 
-    def arrive(
-        self, path: np.ndarray, pace: Pace, start: np.ndarray | None = None, more_s: float = 0.0
-    ) -> int:
+    def arrive(self, path: np.ndarray, pace: Pace, start: np.ndarray | None = None) -> int:
         """Wait until the joints rest at the end of a path (k, n); the moment (ns) of it.
 
         Servos that give way may stay farther off: then they are there when the driver says so.
@@ -178,7 +176,6 @@ class ArmClient(GraphClient):
         Args:
             start: (n,) where the joints stood before the command; a move may be over before this
                 is called.
-            more_s: patience beside that of the pace.
         """
         q, tolerance = path[-1], pace.tolerance
         inside_since: list[float] = []
@@ -200,9 +197,7 @@ class ArmClient(GraphClient):
                 inside_since.append(time.monotonic())
             return bool(inside_since) and time.monotonic() - inside_since[0] >= pace.dwell_s
 
-        self.until(
-            there, pace.arrive_s + more_s, "the joints did not come to rest at their command"
-        )
+        self.until(there, pace.arrive_s, "the joints did not come to rest at their command")
         return int(self.node.get_clock().now().nanoseconds)
 
     def _told_at(self, q: np.ndarray) -> bool:

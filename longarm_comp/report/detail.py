@@ -101,7 +101,6 @@ class Detail:
     """Everything the page draws beyond report.json.
 
     Attributes:
-        before, after: the stages that the verdict compares.
         guilty: inputs that the findings, or the structure left, depend on; the worst first.
         correlation: of each accepted parameter, the geometry that it is most correlated with.
         detectable: the smallest size of each effect that these data would have shown, and its RMS
@@ -116,8 +115,6 @@ class Detail:
     joints: tuple[str, ...] = ()
     joint_units: tuple[str, ...] = ()
     held_out: SeenRows | None = None
-    before: str = "calibrated"
-    after: str = "with_effects"
     guilty: tuple[str, ...] = ()
     correlation: PageTable | None = None
     detectable: PageTable | None = None
@@ -138,8 +135,6 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
         joints=tuple(arm.joint_names),
         joint_units=units,
         held_out=rows,
-        before=diagnosis.compared[0],
-        after=diagnosis.compared[1],
         guilty=_guilty(diagnosis, rows),
         correlation=_correlation(diagnosis),
         detectable=_detectable(diagnosis, tried),

@@ -48,8 +48,7 @@ def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLi
 
 def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
     figures: dict[str, Figure] = {}
-    rows = detail.held_out
-    floor = floor_of(report)
+    rows, held, floor = detail.held_out, report.held_out, floor_of(report)
     sigma_mm = None if floor is None else floor.sigma_mm
     with style.rc():
         for number, found in enumerate(detail.marked, 1):
@@ -63,11 +62,11 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
                 error="measured − predicted",
                 sigma_mm=sigma_mm,
             )
-            if {detail.before, detail.after} <= set(stages):
+            if held.before in stages and held.after in stages:
                 inputs = {entry.name: entry for entry in rows.inputs}
                 for name in detail.guilty:
                     figures[against(name)] = plots.against_input(
-                        rows, inputs[name], detail.before, detail.after, sigma_mm
+                        rows, inputs[name], held.before, held.after, sigma_mm
                     )
         return {name: style.svg(figure) for name, figure in figures.items()}
 
@@ -78,7 +77,8 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
     candidates = report.candidates
     stages = stages_of(rows) if rows else ()
-    shown = detail.before if detail.before in stages else next(iter(stages), "")
+    before = report.held_out.before
+    shown = before if before in stages else next(iter(stages), "")
     return template("report.html.j2").render(
         report=report,
         detail=detail,

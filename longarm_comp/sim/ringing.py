@@ -14,7 +14,7 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm, Walk
-from longarm_comp.sim.context import State, TrueContext
+from longarm_comp.sim.context import State
 from longarm_comp.sim.hidden.base import THETA, A, D, Place
 from longarm_comp.sim.rods import Walker, rpy_matrix
 
@@ -41,9 +41,9 @@ class _Vibration:
 class _Build:
     """Springs and masses, from the foot to the tip."""
 
-    def __init__(self, true: TrueArm, q: Array, context: TrueContext | None) -> None:
+    def __init__(self, true: TrueArm, q: Array) -> None:
         self.arm, self._hidden = true.arm, true.hidden
-        self._state = State.of(self.arm, np.tile(q, (3, 1)), context)
+        self._state = State.of(self.arm, np.tile(q, (3, 1)), None)
         self._walk = Walk(self._state, self._hidden, 1, False)
         self.springs: list[tuple[Array, Array]] = []  # where, and root of its compliance
         self.masses: list[tuple[Array, float, int]] = []  # where, kg, springs before it
@@ -148,9 +148,9 @@ class _Build:
         self._at = begin + along * abs(size)
 
 
-def vibration(true: TrueArm, q: Array, context: TrueContext | None = None) -> _Vibration:
+def vibration(true: TrueArm, q: Array) -> _Vibration:
     """Modes of the true arm about one posture (n,), its drives held."""
-    built = _Build(true, q, context)
+    built = _Build(true, q)
     points = [*((at, before) for at, _, before in built.masses), built.tip]
     at, before = np.array([p for p, _ in points]), np.array([count for _, count in points])
     where = np.array([p for p, _ in built.springs]).reshape(-1, 3)

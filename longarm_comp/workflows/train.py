@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -89,7 +88,6 @@ def train(
     init: Literal["ssa", "xavier"] = "ssa",
     ensemble: int = 5,
     hidden: int | None = None,
-    weights: ArrayLike | None = None,
     seed: int = 0,
     note: Note = log_note,
     progress: Telling = False,
@@ -105,7 +103,6 @@ def train(
         init: initial weights: from sparrow search or Xavier.
         ensemble: number of networks, each from its own start.
         hidden: number of hidden units; chosen by evidence if not given.
-        weights: (N,) factors of the precision of the session's rows; 0 leaves a row out.
         note: called with each finding of the admission.
         progress: True: print each step; or a function, called with the network being trained and
             the share done.
@@ -123,15 +120,10 @@ def train(
         raise JobError(far, session=located.source)
     if partly := int((whole.seen & ~whole.located).sum()):
         note(f"{whole.source}: {partly} rows hold no whole position: the network leaves them out")
-    factors = None if weights is None else np.asarray(weights, dtype=float)
-    if factors is not None and factors.shape != whole.located.shape:
-        allowed = f"shape {whole.located.shape}"
-        raise InputError("train", "weights", f"shape {factors.shape}", allowed)
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, physics_mark(model, deflection))
     predictor = networks.train(
         *rows, inputs=inputs, init=init, seed=seed, ensemble=ensemble, hidden=hidden,
-        weights=None if factors is None else factors[whole.located], provenance=origin,
-        progress=lambda k, of: tell(f"{k} of {of} networks", k / of),
+        provenance=origin, progress=lambda k, of: tell(f"{k} of {of} networks", k / of),
     )  # fmt: skip
     residual = rows[1]
     left = residual - expected(predictor, located).error

@@ -67,33 +67,28 @@ def back_propagate(
     start: Array,
     x: Array,
     y: Array,
-    sample_weights: Array | None = None,
     max_steps: int = 150,
 ) -> Fit:
-    """Train from ``start`` (D,) on standardised ``x`` (N, d) and ``y`` (N, k).
-
-    ``sample_weights`` (N,) multiply the precision of a sample; 0 leaves it out.
-    """
+    """Train from ``start`` (D,) on standardised ``x`` (N, d) and ``y`` (N, k)."""
     x1 = with_ones(x)
-    count = np.ones(len(x)) if sample_weights is None else np.asarray(sample_weights, float)
-    used = float((count > 0).sum()) * shape.outputs
+    used = float(y.size)
     group = shape.groups()
     members = np.bincount(group).astype(float)
     alpha, beta, tail = np.full(len(members), 0.1), 10.0, _TAILS[-1]
     weights, robust, damping = start.astype(float), np.ones(len(x)), 1e-2
     gamma, settled = members, 0
-    matrix, gradient, residual = normal_equations(shape, weights, x1, y, count * robust)
+    matrix, gradient, residual = normal_equations(shape, weights, x1, y, robust)
     for step in range(1, max_steps + 1):
         prior = alpha[group]
         pull = beta * gradient - prior * weights
         curvature = beta * matrix
         diagonal = np.diag(curvature) + prior
-        cost = _cost(residual, weights, count * robust, prior, beta)
+        cost = _cost(residual, weights, robust, prior, beta)
         for _ in range(10):
             system = curvature + np.diag(prior + damping * diagonal)
             move = cho_solve(cho_factor(system, check_finite=False), pull, check_finite=False)
             trial = y - forward(shape, weights + move, x1)
-            if _cost(trial, weights + move, count * robust, prior, beta) < cost:
+            if _cost(trial, weights + move, robust, prior, beta) < cost:
                 weights = weights + move
                 damping = max(damping / 5.0, 1e-9)
                 break
@@ -102,8 +97,8 @@ def back_propagate(
             settled += 1
         residual = y - forward(shape, weights, x1)
         if step > _PLAIN_STEPS:
-            tail, robust = _student(residual, beta, count)
-        matrix, gradient, residual = normal_equations(shape, weights, x1, y, count * robust)
+            tail, robust = _student(residual, beta)
+        matrix, gradient, residual = normal_equations(shape, weights, x1, y, robust)
         if step <= _PLAIN_STEPS:
             continue
         before = np.log(beta)
@@ -112,17 +107,17 @@ def back_propagate(
         variance = np.bincount(group, np.einsum("ij,ij->j", inverse, inverse))
         gamma = np.clip(members - alpha * variance, 1e-3, members)
         alpha = np.clip(gamma / (np.bincount(group, weights**2) + 1e-9), *_ALPHA)
-        spread = float(np.sum((count * robust)[:, None] * residual**2))
+        spread = float(np.sum(robust[:, None] * residual**2))
         beta = max(used - gamma.sum(), 0.02 * used) / max(spread, 1e-12 * used)
         settled = settled + 1 if abs(np.log(beta) - before) < _SETTLED else 0
         if settled >= _SETTLED_STEPS:
             break
     prior = alpha[group]
     factor, inverse = _laplace(matrix, prior, beta)
-    square = beta * count * np.sum(residual**2, axis=1)
+    square = beta * np.sum(residual**2, axis=1)
     evidence = (
-        _student_log(square[count > 0], tail, shape.outputs)
-        + 0.5 * shape.outputs * np.sum(np.log(beta * count[count > 0]))
+        _student_log(square, tail, shape.outputs)
+        + 0.5 * used * np.log(beta)
         - 0.5 * np.sum(prior * weights**2)
         + 0.5 * np.sum(np.log(prior))
         - np.sum(np.log(np.diag(factor)))
@@ -147,12 +142,11 @@ def _laplace(matrix: Array, prior: Array, beta: float) -> tuple[Array, Array]:
     return factor, dtrtri(factor, lower=1)[0]
 
 
-def _student(residual: Array, beta: float, count: Array) -> tuple[float, Array]:
+def _student(residual: Array, beta: float) -> tuple[float, Array]:
     """The likeliest ``nu`` of the table and the robust weights (N,) for it."""
     k = residual.shape[1]
-    square = beta * count * np.sum(residual**2, axis=1)
-    used = square[count > 0]
-    logs = [_student_log(used, tail, k) for tail in _TAILS]
+    square = beta * np.sum(residual**2, axis=1)
+    logs = [_student_log(square, tail, k) for tail in _TAILS]
     tail = float(_TAILS[int(np.argmax(logs))])
     return tail, (tail + k) / (tail + square)
 
@@ -189,7 +183,6 @@ def train(
     iterations: int = 50,
     hidden: int | None = None,
     ensemble: int = 5,
-    weights: Array | None = None,
     progress: Progress | None = None,
     provenance: Provenance | None = None,
 ) -> Predictor:
@@ -205,12 +198,11 @@ def train(
         population, iterations: of the sparrow search.
         hidden: hidden units; ``None`` tries several sizes and keeps the likeliest members of any.
         ensemble: members, each from its own start.
-        weights: (N,) precision factors of the samples; 0 leaves one out.
         progress: called with (networks trained, largest number of networks).
         provenance: arm, session and model of the predictor; the settings are added.
     """
     q, known = check_rows("train", q, context)
-    y, weights = _checked_targets(q, residual, weights)
+    y = _checked_targets(q, residual)
     if init not in _INITS:
         raise InputError("train", "init", init, f"one of {sorted(_INITS)}")
     if ensemble < 1:
@@ -221,10 +213,10 @@ def train(
     search = SparrowSearch(population, iterations)
     raw = encoding.raw(q, known)
     x = encoding.standardise(raw)
-    offset = np.median(y[weights > 0], axis=0)
-    scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset)[weights > 0], axis=0) ** 2)))
+    offset = np.median(y, axis=0)
+    scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset), axis=0) ** 2)))
     scale = max(1.4826 * scale, 1e-9)
-    rows = _Rows(x, (y - offset) / scale, weights, init, seed, search)
+    rows = _Rows(x, (y - offset) / scale, init, seed, search)
     sizes = _HIDDEN_CHOICES if hidden is None else (hidden,)
     starts = ensemble if hidden is not None else (ensemble + 1) // 2
 
@@ -265,7 +257,7 @@ def train(
     for one, out in zip(networks, folds, strict=True):
         left[out] -= forward(one.shape, one.weights, with_ones(x[out])) * scale + offset
     tell(len(sizes) * starts + _FOLDS)
-    return _calibrated(draft, y, left, x, weights, probe)
+    return _calibrated(draft, y, left, x, probe)
 
 
 @dataclass(frozen=True)
@@ -274,7 +266,6 @@ class _Rows:
 
     x: Array  # x, target: (N, d) inputs and (N, 3) residual, standardised
     target: Array
-    weights: Array  # (N,) precision factors
     init: str  # init, seed, search: as `train` has them
     seed: int
     search: SparrowSearch
@@ -299,7 +290,7 @@ class _Rows:
         rng = np.random.default_rng([self.seed, units, start])
         x, target = self.x[rows], self.target[rows]
         begun = _INITS[self.init](shape, squared_error(shape, x, target), rng, self.search)
-        return back_propagate(shape, begun, x, target, self.weights[rows])
+        return back_propagate(shape, begun, x, target)
 
     def likeliest(
         self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
@@ -307,10 +298,7 @@ class _Rows:
         """Networks of rising size until the evidence falls, the likeliest first."""
         fits: list[Fit] = []
         for turn, units in enumerate(sizes):
-            if (
-                turn
-                and NetworkShape(self.x.shape[1], units, 3).size > 1.5 * (self.weights > 0).sum()
-            ):
+            if turn and NetworkShape(self.x.shape[1], units, 3).size > 1.5 * len(self.x):
                 break
             wanted = [(units, start, slice(None)) for start in range(starts)]
             networks = self.fits(wanted, tell, turn * starts)
@@ -338,19 +326,16 @@ def _padded(shape: NetworkShape, own: NetworkShape, weights: NDArray[Any]) -> ND
     return padded
 
 
-def _calibrated(
-    draft: Predictor, y: Array, left: Array, x: Array, weights: Array, probe: Array
-) -> Predictor:
+def _calibrated(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) -> Predictor:
     """With what rows left out of the training say: gain, conformal factors; the variance limit."""
-    used = weights > 0
     _, epistemic = draft._mean_and_variance(x)
-    score = (np.abs(left) / np.sqrt(epistemic + draft.noise**2))[used]
+    score = np.abs(left) / np.sqrt(epistemic + draft.noise**2)
     level = min(1.0, np.ceil(0.9 * (len(score) + 1)) / len(score))
     widen = np.quantile(score, level, axis=0) / _Z90
-    alone = np.quantile(np.abs(y[used]), level, axis=0) / _Z90
+    alone = np.quantile(np.abs(y), level, axis=0) / _Z90
     _, variance = draft._mean_and_variance(probe)
     limit = 4.0 * float(np.quantile(variance.max(axis=1), 0.99))
-    gain = LearnedGain.of(y[used], left[used])
+    gain = LearnedGain.of(y, left)
     return replace(draft, widen=widen, variance_limit=limit, alone=alone, gain=gain)
 
 
@@ -382,16 +367,13 @@ def _ranges(raw: Array) -> tuple[Array, Array]:
     return np.nanmin(known, axis=0), np.nanmax(known, axis=0)
 
 
-def _checked_targets(q: Array, residual: Array, weights: Array | None) -> tuple[Array, Array]:
+def _checked_targets(q: Array, residual: Array) -> Array:
     y = np.asarray(residual, float)
     if y.shape != (len(q), 3):
         raise InputError("train", "residual", f"shape {y.shape}", f"({len(q)}, 3) in m")
     if not np.isfinite(y).all():
         row = int(np.argwhere(~np.isfinite(y))[0, 0])
         raise InputError("train", f"residual of row {row}", y[row], "finite (drop lost markers)")
-    w = np.ones(len(q)) if weights is None else np.asarray(weights, float)
-    if w.shape != (len(q),) or not np.isfinite(w).all() or (w < 0).any():
-        raise InputError("train", "weights", f"shape {w.shape}", f"({len(q)},), finite, >= 0")
-    if (w > 0).sum() < _FEWEST_ROWS:
-        raise InputError("train", "samples", int((w > 0).sum()), f">= {_FEWEST_ROWS}")
-    return y, w
+    if len(q) < _FEWEST_ROWS:
+        raise InputError("train", "samples", len(q), f">= {_FEWEST_ROWS}")
+    return y

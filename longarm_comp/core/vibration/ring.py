@@ -129,7 +129,7 @@ def straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:
 
 
 def ring_of_moves(
-    model: Model, joints: np.ndarray, move_s: float, damping: float, context: Context | None = None
+    model: Model, joints: np.ndarray, move_s: float, damping: float
 ) -> list[tuple[Modes, _Ring]]:
     """Modes at each of the postures (N, n), and the ring of the move there from the one before.
 
@@ -144,8 +144,8 @@ def ring_of_moves(
     if not 0.0 < move_s < np.inf:
         raise InputError("ringing", "time of a move", move_s, "above 0 s")
     made, before = [], model.arm.mid
-    for row, end in enumerate(np.atleast_2d(joints)):
-        found = modes(model, end, None if context is None else context.take(row))
+    for end in np.atleast_2d(joints):
+        found = modes(model, end)
         made.append((found, along(found, straight(before, end, move_s), move_s, damping)))
         before = end
     return made
