@@ -14,7 +14,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik import solver
+from longarm_comp.core.ik import engines, solver
 from longarm_comp.core.ik.engines import is_compiled
 from longarm_comp.core.ik.kernel import kernel_of
 from longarm_comp.core.ik.solver import Engine, Reason, solve, solve_many
@@ -114,7 +114,8 @@ def test_engines_run_one_search(model, count, rng):
     assert np.allclose(made.q, reference.q, rtol=0, atol=1e-12)
 
 
-def test_a_model_is_compiled_when_its_targets_are_worth_it(demo_arm_path):
+def test_a_model_is_compiled_when_its_targets_are_worth_it(demo_arm_path, monkeypatch):
+    monkeypatch.setattr(engines._LongLived, "now", False)  # whoever was tested before
     model = Model(Arm.load(demo_arm_path), (LinkDeflection(), JointCompliance(2, 1.1e-3)))
     target = model.pose(model.arm.mid + 0.01)
     first = solve(model, target)

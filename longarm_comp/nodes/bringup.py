@@ -229,7 +229,7 @@ class BringUp:
             "kinematics": arm
             | {"servos": servos}
             | _path("model", self.model)
-            | _paths("effects", self.effects)
+            | _path("effects", *self.effects)
             | ({"trimmed": True} if (trim if said is None else said) else {})
             | ({"shaped": True} if self.shaping else {}),
             "error_predictor": arm
@@ -240,7 +240,7 @@ class BringUp:
             | ({"bus.port": port} if port else {})
             | (_PATIENT if self.sim else {}),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
-            PATHS: arm | _path("model", self.model) | _paths("effects", self.effects),
+            PATHS: arm | _path("model", self.model) | _path("effects", *self.effects),
             "simulated_arm": arm | {"servos": servos, "port": bus},
         }
         values = per_node[node]
@@ -305,12 +305,10 @@ class BringUp:
         }
 
 
-def _path(name: str, path: Path | None) -> dict[str, Any]:
-    return {} if path is None else {name: str(path.absolute())}
-
-
-def _paths(name: str, paths: tuple[Path, ...]) -> dict[str, Any]:
-    return {name: os.pathsep.join(str(p.absolute()) for p in paths)} if paths else {}
+def _path(name: str, *paths: Path | None) -> dict[str, Any]:
+    """A parameter that holds paths; absent where there are none."""
+    given = [str(path.absolute()) for path in paths if path is not None]
+    return {name: os.pathsep.join(given)} if given else {}
 
 
 def _ros_parameters(path: Path) -> dict[str, Any]:

@@ -250,7 +250,7 @@ class Worker:
                     request, header = service.handle.service_take_request(service.srv_type.Request)
                 if header is None:
                     break
-                reply = partial(_send, service, header)
+                reply = partial(service.send_response, header=header)
                 service.callback(request, reply, sent_s(header.source_timestamp))
         for topic, watch, callback in self._topics:
             depth = topic.qos_profile.depth
@@ -263,10 +263,6 @@ class Worker:
                 numbers.append(taken[1]["publication_sequence_number"] or 0)
                 callback(taken[0], sent_s(taken[1]["source_timestamp"]))
             watch.taken(numbers, full=len(numbers) >= depth > 1)
-
-
-def _send(service: Service, header: Any, response: Any) -> None:
-    service.send_response(response, header)
 
 
 class ServiceCaller:

@@ -10,17 +10,14 @@ only in the last digits.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from itertools import count
-from typing import Any
 
-from longarm_comp.core.arm.angles import arc_tangent2, cosine, sine
 from longarm_comp.core.ik.codegen.symbolic import Graph, Operand, Outputs, Program, Symbol
 from longarm_comp.core.ik.newton import Flow
 
 _INTRINSIC = ("fabs", "sqrt", "floor")
 _LIBRARY = {"tan": 1, "tanh": 1, "exp": 1, "log": 1, "pow": 2}
-_IN_ARITHMETIC: dict[str, Callable[..., Any]] = {"sin": sine, "cos": cosine, "atan2": arc_tangent2}
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARE = {"lt": "olt", "le": "ole"}
 
@@ -36,7 +33,7 @@ def module(
     lines = writer.outside()
     for name, (graph, outputs) in programs.items():
         lines += [f"define void @{name}(ptr %s) #0 {{"]
-        lines += [*writer.program(*_lowered(graph, outputs)), "ret void", "}"]
+        lines += [*writer.program(graph, outputs), "ret void", "}"]
     for name, work in flows.items():
         lines += [f"define void @{name}(ptr %s) #0 {{"]
         lines += [*writer.flow(work, place, count()), "ret void", "}"]
@@ -46,22 +43,6 @@ def module(
     return "\n".join(
         [*lines, "attributes #0 = { nounwind }", "attributes #1 = { nounwind memory(none) }", ""]
     )
-
-
-def _lowered(graph: Graph, outputs: Outputs) -> tuple[Graph, Outputs]:
-    """The graph with trigonometric functions as arithmetic, which works on all lanes at once."""
-    low = Graph()
-    nodes: dict[int, Any] = {}
-    for node in graph.needed(list(outputs.values())):
-        op, operands = graph.nodes[node]
-        args = [nodes[o] if type(o) is int else o for o in operands]
-        if op == "input":
-            nodes[node] = low.input(operands[0])
-        elif op in _IN_ARITHMETIC:
-            nodes[node] = _IN_ARITHMETIC[op](*args)
-        else:
-            nodes[node] = low.apply(op, *args)
-    return low, {k: nodes[o.node] if isinstance(o, Symbol) else o for k, o in outputs.items()}
 
 
 class _Writer:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from functools import cache
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -33,12 +32,6 @@ class _Code:
         return self._functions[name]
 
 
-@cache
-def _prepare() -> None:
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-
-
 def lanes() -> int:
     """Number of doubles in a vector register of this processor."""
     features = llvm.get_host_cpu_features()
@@ -47,7 +40,8 @@ def lanes() -> int:
 
 def compile_module(text: str, width: int) -> _Code:
     """Compile straight-line code, without LLVM's passes: they save 3 % and double the time."""
-    _prepare()
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
     module = llvm.parse_assembly(text)
     module.verify()
     machine = llvm.Target.from_default_triple().create_target_machine(

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.core.arm.angles import arc_tangent2, cosine, sine
+
 Operand = Any  # node number (int) or constant (float)
 
 _COMMUTES = {"add", "mul", "minimum", "maximum"}
@@ -21,7 +23,7 @@ _FOLD: dict[str, Callable[..., float]] = {
     "mul": lambda a, b: a * b,
     "div": lambda a, b: a / b,
 }
-_ALIKE = ("sin", "cos", "tan", "tanh", "exp", "log", "sqrt", "floor", "sign", "minimum", "maximum")
+_ALIKE = ("tan", "tanh", "exp", "log", "sqrt", "floor", "sign", "minimum", "maximum")
 _UFUNCS = {
     **{getattr(np, name): name for name in _ALIKE},
     np.add: "add",
@@ -31,11 +33,14 @@ _UFUNCS = {
     np.negative: "neg",
     np.absolute: "fabs",
     np.fabs: "fabs",
-    np.arctan2: "atan2",
     np.less: "lt",
     np.less_equal: "le",
     np.power: "pow",
 }
+_IN_ARITHMETIC: dict[Any, Callable[..., Any]] = {
+    np.sin: sine, np.cos: cosine, np.arctan2: arc_tangent2,
+}  # fmt: skip
+"""Recorded as arithmetic, which works on all lanes at once."""
 
 
 class Graph:
@@ -150,6 +155,8 @@ class Symbol:
             return self.graph.apply("lt" if ufunc is np.greater else "le", inputs[1], inputs[0])
         if ufunc is np.square:
             return self.graph.apply("mul", inputs[0], inputs[0])
+        if ufunc in _IN_ARITHMETIC:
+            return _IN_ARITHMETIC[ufunc](*inputs)
         if ufunc not in _UFUNCS:
             raise TypeError(f"numpy.{ufunc.__name__} is not among the traced operations")
         return self.graph.apply(_UFUNCS[ufunc], *inputs)
