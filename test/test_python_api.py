@@ -174,9 +174,8 @@ def test_evaluate_is_the_command(work: Path, shell: Shell, arm: la.Arm) -> None:
         assert f"{told['rows'][1]['mean_mm']:.3f}" in repr(made)
 
 
-def test_compensate_is_the_command(work: Path, shell: Shell, arm: la.Arm) -> None:
+def test_compensate_is_the_command(work: Path, shell: Shell, arm: la.Arm, model: la.Model) -> None:
     """Poses and positions in one file, each where it stood."""
-    model = la.load_model(work / "model.yaml", arm)  # after some targets it would be compiled
     inside = ARM.mid + np.array([[0.1, 0.1, 0, 0], [0, 0.2, 0.01, 0], [0.2, 0, 0, 0.1]])
     xyz = la.Model(arm).tip(inside)
     Path("t.csv").write_text(
