@@ -190,7 +190,9 @@ def test_compensate_is_the_command(work: Path, shell: Shell, arm: la.Arm, model:
     predictor = la.load_predictor(work / "predictor.npz", arm, work / "model.yaml")
     made = la.compensate(model, la.read_targets("t.csv"), predictor)
     made.save("again.csv")
-    assert Path("again.csv").read_bytes() == Path("commands.csv").read_bytes()
+    again, told = (re.split("[,\n]", Path(f).read_text()) for f in ("again.csv", "commands.csv"))
+    for one, other in zip(again, told, strict=True):  # machine code rounds at another place
+        assert one == other or float(one) == pytest.approx(float(other), abs=1e-9)
     assert [status.name for status in made.status] == ["SUCCESS", "UNREACHABLE", "SUCCESS"]
     assert made.success.tolist() == [True, False, True]
     assert made.summary == "3 targets: 2 success, 1 unreachable"
