@@ -218,7 +218,7 @@ def missed(what: str, found: Solution) -> str:
     if not found.position_residual_m < 1e7:
         why = "the declared arm bends without limit (check loads, masses, stiffness)"
         return f"{what} missed: {why}"
-    by = f"{1e3 * found.position_residual_m:.3f} mm, {np.degrees(found.angle_residual_rad):.4f} deg"
+    by = f"{1e3 * found.position_residual_m:.3g} mm, {np.degrees(found.angle_residual_rad):.3g} deg"
     return f"{what} missed by {by}: {found.reason.value}"
 
 
