@@ -271,13 +271,14 @@ def test_bounded_solution_is_the_constrained_minimum(rng: np.random.Generator) -
 def test_evidence_is_that_of_the_gaussian(rng: np.random.Generator) -> None:
     """The log Bayes factor against two multivariate normal densities written out."""
     a, b, y = rng.normal(size=(25, 5)), rng.normal(size=(25, 2)), 2 * rng.normal(size=25)
-    added = linear.Marginal(a, y).added(b)
+    products = linear.Marginal(a, y).normal(b)
+    added, evidence = linear.solved(*products), linear.marginalised(*products, np.ones(2))[0]
 
     def log_density(*blocks: np.ndarray) -> float:
         cover = np.eye(25) + sum(m @ m.T for m in blocks)
         return float(multivariate_normal(np.zeros(25), cover).logpdf(y))
 
-    assert added.evidence == pytest.approx(log_density(a, b) - log_density(a), abs=1e-9)
+    assert evidence == pytest.approx(log_density(a, b) - log_density(a), abs=1e-9)
     both = linear.solve(np.concatenate([a, b], axis=1), y)
     np.testing.assert_allclose(added.u, both.u[5:], atol=1e-10)
     np.testing.assert_allclose(added.covariance, both.covariance[5:, 5:], atol=1e-10)

@@ -32,12 +32,6 @@ class Posterior:
     covariance: np.ndarray
     effective: float
 
-    @property
-    def evidence(self) -> float:
-        """Log Bayes factor of the columns against none, bounds ignored."""
-        inverse = np.linalg.solve(self.covariance, self.u)
-        return float(self.u @ inverse + np.linalg.slogdet(self.covariance)[1]) / 2
-
 
 def solve(
     a: np.ndarray, y: np.ndarray, lower: np.ndarray | None = None, upper: np.ndarray | None = None
@@ -101,10 +95,6 @@ class Marginal:
     def project(self, b: np.ndarray) -> np.ndarray:
         """P b: what the columns already there cannot (cheaply) take up."""
         return b - self.a @ self._solved(self.a.T @ b)
-
-    def added(self, b: np.ndarray) -> Posterior:
-        """What further columns (m, k) would bring, without bounds."""
-        return solved(*self.normal(b))
 
     def normal(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``S`` (k, k) and ``t`` (k,) of further columns (m, k)."""

@@ -16,7 +16,7 @@ from longarm_comp.core.data import touched
 from longarm_comp.core.data.kinds import KINDS, matrices
 from longarm_comp.core.data.lifted_base import lifted_base, multilaterated
 from longarm_comp.core.data.measurement import errors, posture
-from longarm_comp.core.data.registration import Registration, Sightings, median_distance, register
+from longarm_comp.core.data.registration import Sightings, median_distance, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import Encoder
@@ -69,13 +69,16 @@ def placed(model: Model, session: Session) -> Model:
         return model
     effects = list(model.effects)
     for k, effect in enumerate(effects):
-        if not any(effect is h for h in held):
-            continue
-        solved = _put(effect, found, (groups, markers), model)
-        if _unknown(model, effect):
-            effects[k] = solved
+        if isinstance(effect, TipOffset) and tips and _unknown(model, effect):
+            at = found.tip[markers.index(effect.marker)]
+            effects[k] = effect.with_values(dict(zip("xyz", at, strict=True)))
         elif isinstance(effect, BasePose):
-            _check_tolerance(model, effect, solved, session.source)
+            g = groups.index(effect.group)
+            solved = _at(effect, found.rotation[g], found.offset[g], model)
+            if _unknown(model, effect):
+                effects[k] = solved
+            else:
+                _check_tolerance(model, effect, solved, session.source)
     return dataclasses.replace(model, effects=tuple(effects))
 
 
@@ -121,19 +124,6 @@ def _check_tolerance(model: Model, declared: Effect, solved: Effect, source: str
 
 def _unknown(model: Model, effect: Effect) -> bool:
     return any(s.parameter.unknown for s in slots_of(model.arm, [effect]))
-
-
-def _put(
-    effect: Effect, found: Registration, names: tuple[list[str], list[str]], model: Model
-) -> Effect:
-    groups, markers = names
-    if isinstance(effect, TipOffset):
-        return effect.with_values(
-            dict(zip("xyz", found.tip[markers.index(effect.marker)], strict=True))
-        )
-    assert isinstance(effect, BasePose)
-    g = groups.index(effect.group)
-    return _at(effect, found.rotation[g], found.offset[g], model)
 
 
 def _at(effect: Effect, rotation: np.ndarray, offset: np.ndarray, model: Model) -> Effect:
@@ -192,14 +182,6 @@ def _sensors(session: Session) -> list[str]:
     names = sorted(name for name in framed if name is not None)
     labels = session.labels.get("sensor", np.array([]))
     return sorted(names, key=lambda name: -int((session.located & (labels == name)).sum()))
-
-
-def framed(arm: Arm, session: Session) -> bool:
-    """Whether the rows measure in a frame of their own, in which the base is to be placed.
-
-    Touches do not, nor distances to anchors that are all to be solved: their frame is the base.
-    """
-    return any(kind.framed(arm) for kind in session.kinds)
 
 
 def started(model: Model, session: Session) -> Model:

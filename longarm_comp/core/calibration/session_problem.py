@@ -39,7 +39,6 @@ class SessionProblem:
     rho: float = 0.0
     posture: Posture | None = None
     near: Posture | None = None
-    looked: Model | None = None
     usual: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
@@ -73,7 +72,7 @@ class SessionProblem:
 
     def look(self) -> None:
         """Residual and design of the model as it is now."""
-        if self.looked is not self.model:
+        if self.posture is None:
             self._predict()
             self.differentiate()
 
@@ -85,7 +84,6 @@ class SessionProblem:
             self.posture = self.model.posture_near(self.near, close)
         self.residual = equations(self.model, self.seen, self.posture, ()).residual
         self._finite(self.residual)
-        self.looked = self.model
 
     def differentiate(self) -> None:
         """Design of the model as it is now; where it is next is taken to be near."""
@@ -100,7 +98,7 @@ class SessionProblem:
 
     def took(self, begun: ModelFit) -> None:
         """Residual and design as they were found before."""
-        self.residual, self.columns, self.looked = begun.residual, begun.columns, self.model
+        self.residual, self.columns = begun.residual, begun.columns
         self.posture = self.near = begun.posture
 
     def fitted(
@@ -120,8 +118,7 @@ class SessionProblem:
             converged,
             self.rho,
         )
-        if self.posture is not None:
-            found.__dict__["posture"] = self.posture
+        found.__dict__["posture"] = self.posture
         return found
 
     def moved(self, values: np.ndarray, close: bool) -> None:

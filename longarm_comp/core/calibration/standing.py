@@ -11,14 +11,9 @@ import dataclasses
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.spatial import ZERO, tangent
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.placement import (
-    framed,
-    placed,
-    reference,
-    sensor_frames,
-    started,
-)
+from longarm_comp.core.calibration.placement import placed, reference, sensor_frames, started
 from longarm_comp.core.data.measurement import equations, errors, posture, turns
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
@@ -32,14 +27,13 @@ MISPLACED = 0.25
 elsewhere.  A tip that touches a point does not travel; the arm behind it does."""
 UNTOLD = 0.1
 """Posterior standard deviation, in that of a prior that knows nothing, of what rows do not tell."""
-_H = 1e-6
 
 
 def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
     """Base placement(s), markers and what the sensors leave open: what any measurement needs."""
     groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
     bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
-    placed = bases if framed(arm, session) else ()
+    placed = bases if session.framed(arm) else ()
     return (*placed, *TipOffset.for_arm(arm), *sensor_frames(arm, session))
 
 
@@ -108,15 +102,10 @@ def untold(fit: ModelFit) -> tuple[str, ...]:
 
 def _motion(base: BasePose, arm: Arm) -> np.ndarray:
     """(6, 6) shift (m) and turn (rad) of the base, in the measurements' frame, by its values."""
-    names = ("x", "y", "z", "rx", "ry", "rz")
-    made = np.zeros((6, 6))
-    for k, name in enumerate(names):
-        value = getattr(base, name)
-        ends = [base.with_values({name: value + s * _H}).base(arm).matrix() for s in (1.0, -1.0)]
-        change = (ends[0] - ends[1]) / (2 * _H)
-        turn = change[:3, :3] @ base.base(arm).matrix()[:3, :3].T
-        made[:, k] = (*change[:3, 3], turn[2, 1], turn[0, 2], turn[1, 0])
-    return made
+    twist = (base.x, base.y, base.z, base.rx, base.ry, base.rz)
+    turns, shifts = (np.array(each).T for each in tangent(twist, ZERO, large=True))
+    axes = base.base(arm).matrix()[:3, :3]
+    return np.block([[axes @ turns, axes @ shifts], [np.zeros((3, 3)), axes @ turns]])
 
 
 _STEP = 1e-4

@@ -50,7 +50,8 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
     """What a fit does not know, judged at rows that are left out of it."""
     left = LeftOut.of(fit)
     if left is None:
-        noise, structure = _noise_of_lengths(fit), np.zeros((3, 3))
+        lengths = fit.noise_m[fit.metres > 0]  # no position tells what a row leaves
+        noise, structure = np.eye(3) * (lengths**2).sum() / max(len(lengths), 1), np.zeros((3, 3))
     else:
         spread = fit.residual[(fit.weights > 0) & fit.pointed][:, :3]
         noise = (1.0 - arm_share(fit)) * np.diag((spread**2).mean(axis=0))
@@ -180,12 +181,6 @@ def _divisions(
         yield place * PARTS // len(q), 0.5 / len(moving)
     drawn = np.random.default_rng(0).permutation(len(q))
     yield drawn * min(SMALL, len(q)) // len(q), 0.5 if moving else 1.0
-
-
-def _noise_of_lengths(fit: ModelFit) -> np.ndarray:
-    """(3, 3) m^2 of a row, where no position tells what it leaves: what the lengths leave."""
-    lengths = fit.noise_m[fit.metres > 0]
-    return (float((lengths**2).mean()) if len(lengths) else 0.0) * np.eye(3)
 
 
 def _largest(fit: ModelFit, made: ModelUncertainty) -> float:

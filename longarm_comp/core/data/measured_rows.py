@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.data.kinds import KINDS, EncoderReading, Kind
 from longarm_comp.core.errors import InputError
@@ -74,6 +75,13 @@ class MeasuredRows:
     def kinds(self) -> tuple[Kind, ...]:
         """The kinds of measurement of its blocks."""
         return tuple(KINDS[name] for name in dict.fromkeys(b.kind for b in self.blocks))
+
+    def framed(self, arm: Arm) -> bool:
+        """Whether the rows measure in a frame of their own, in which the base is to be placed.
+
+        Touches do not, nor distances to anchors that are all to be solved: their frame is the base.
+        """
+        return any(kind.framed(arm) for kind in self.kinds)
 
     @property
     def turns(self) -> bool:

@@ -87,9 +87,8 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
     if not stood:
         return
     unknowns(arm, session)
-    if len(np.unique(session.labels.get("group", np.array([""])))) > 1 and not any(
-        kind.framed(arm) for kind in session.kinds
-    ):
+    groups = session.labels.get("group", np.array([""]))
+    if len(np.unique(groups)) > 1 and not session.framed(arm):
         allowed = (
             "one base placement if all rows are touches: touches do not show where the bases stand"
         )

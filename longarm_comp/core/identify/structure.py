@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import bdtrc, fdtrc, gammaincinv
 
 from longarm_comp.core.arm.history import play
-from longarm_comp.core.calibration.linear import Marginal, inliers, solve
+from longarm_comp.core.calibration.linear import Marginal, inliers, solve, solved
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.reading_steps import read_exactly
 from longarm_comp.core.data.measurement import equations, metres, posture
@@ -141,7 +141,7 @@ def _smooth(fit: ModelFit, marginal: Marginal, bases: list[np.ndarray]) -> tuple
     if not bases:
         return np.zeros(fit.width), float(residual @ residual)
     b = np.concatenate(bases, axis=1)
-    part = marginal.project(b) @ marginal.added(b).u
+    part = marginal.project(b) @ solved(*marginal.normal(b)).u
     left = residual - part
     return np.sqrt((fit.lengths(part) ** 2).mean(0)), float(left @ left)
 

@@ -17,7 +17,7 @@ from longarm_comp.core.arm.history import SLIDE
 from longarm_comp.core.calibration.candidates import Candidate, distinct
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.linear import Marginal
+from longarm_comp.core.calibration.linear import Marginal, marginalised
 from longarm_comp.core.calibration.model_fit import priors
 from longarm_comp.core.calibration.noise import from_residual
 from longarm_comp.core.data.measurement import equations
@@ -89,7 +89,8 @@ def run_up(
         seen = session.take(session.seen)
         at = dataclasses.replace(fitted.posture, context=seen.context(), _cache={})
         found = equations(fitted.model, seen, at, slots).columns * priors(slots)
-        return marginal.added(fitted.whitened(found)).evidence
+        products = marginal.normal(fitted.whitened(found))
+        return marginalised(*products, np.ones(len(slots)))[0]
 
     best = max(RUN_UPS, key=evidence)
     needed = evidence(0.0) + NONE + math.log(len(RUN_UPS))

@@ -139,7 +139,7 @@ class Uncertainty:
             columns = equations(whole, seen, posture(whole, seen)).columns * scale
             white = fitted.whitened(columns)
             information = information + white.T @ white
-        framed = any(k.framed(model.arm) for r in (*asked, measured) if r for k in r.kinds)
+        framed = any(rows.framed(model.arm) for rows in (*asked, measured) if rows)
         return cls(whole, scale, information, sigma, framed, read)
 
     @property
