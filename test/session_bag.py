@@ -92,11 +92,11 @@ class _Recorder:
         )
 
     def _circumstances(self, stamp: int, session: Session, i: int) -> None:
-        if session.temperature_c is not None:
-            value = float(session.temperature_c[i])
+        if "temperature_c" in session.columns:
+            value = float(session.columns["temperature_c"][i])
             self._put("temperature", stamp, header=_header(stamp), temperature=value, variance=0.0)
-        if session.payload_kg is not None:
-            self._put("payload", stamp, data=float(session.payload_kg[i]))
+        if "payload_kg" in session.columns:
+            self._put("payload", stamp, data=float(session.columns["payload_kg"][i]))
 
     def _sighting(self, stamp: int, session: Session, i: int) -> None:
         xyz = session.xyz[i] if session.located[i] else np.full(3, np.nan)

@@ -301,4 +301,4 @@ def test_a_distance_that_varies_less_than_its_tolerance_is_no_input(
     spans = {n: a.high - a.low for n, a in held.items() if n.startswith("distance_")}
     assert spans and min(spans.values()) >= Span.resolution
     monkeypatch.setattr(Span, "resolution", 1.01 * max(spans.values()))
-    assert not any(n.startswith("distance_") for n in arm_inputs(arm, at, session).names)
+    assert not any(n.startswith("distance_") for n in arm_inputs(arm, at, session).by_name)

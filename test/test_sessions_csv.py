@@ -57,8 +57,7 @@ def test_reads_the_twin_as_a_plain_reader_does(case: str, data_dir: Path) -> Non
     lost = [row["x"] == "" for row in rows]
     assert (~session.seen).tolist() == lost
     assert any(lost)
-    assert session.temperature_c is not None
-    assert session.temperature_c[3] == float(rows[3]["temperature_c"])
+    assert session.columns["temperature_c"][3] == float(rows[3]["temperature_c"])
     for i, row in enumerate(rows):
         if row["approach"]:
             assert (session.approach[i] == int(row["approach"])).all()

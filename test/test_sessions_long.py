@@ -78,8 +78,7 @@ def test_context_told_late_holds_for_the_rows_before(tmp_path: Path) -> None:
                     variance=0.0)  # fmt: skip
             sighting(put, 5.0 * k + 2.0, [0.4, 0.1, 0.3])
     session = read_bag(tmp_path / "bag", ARM)
-    assert session.temperature_c is not None
-    assert session.temperature_c.tolist() == [float(max(k, 40)) for k in range(60)]
+    assert session.columns["temperature_c"].tolist() == [float(max(k, 40)) for k in range(60)]
 
 
 def test_states_of_several_senders_are_told_apart(tmp_path: Path) -> None:

@@ -39,12 +39,12 @@ def watched(model: Model, off_prediction: float, off_target: float) -> TipMonito
     """Forty rest poses: the tip is off its prediction, and its prediction off the target."""
     monitor = monitor_of()
     rng = np.random.default_rng(1)
-    for number in range(40):
+    for _ in range(40):
         q = ARM.mid + 0.2 * (ARM.upper - ARM.lower) * (rng.random(ARM.n) - 0.5)
         noise = 3e-4 * rng.standard_normal(3)
         seen = model.measured(q) + np.array([0.0, 0.0, off_prediction]) + noise
         monitor.aimed(q, model.tip(q) - [0.0, 0.0, off_target])
-        rest = RestPose(q, History.unknown(ARM.n), seen, np.full(3, 1e-8), number + 1)
+        rest = RestPose(q, History.unknown(ARM.n), seen, np.full(3, 1e-8))
         monitor.judge(rest, model, Context.empty())
     return monitor
 
@@ -81,7 +81,7 @@ def test_a_pose_that_is_no_target_is_not_judged_by_one(model: Model) -> None:
     monitor = monitor_of()
     monitor.aimed(ARM.mid, np.zeros(3))
     q = ARM.mid + 0.01
-    rest = RestPose(q, History.unknown(ARM.n), model.measured(q), np.full(3, 1e-8), 1)
+    rest = RestPose(q, History.unknown(ARM.n), model.measured(q), np.full(3, 1e-8))
     monitor.judge(rest, model, Context.empty())
     assert monitor.target_report().facts["targets"] == 0
 

@@ -191,29 +191,18 @@ def stages_of(rows: SeenRows) -> tuple[str, ...]:
     return tuple(stage for stage in LOOKS if stage in rows.errors_m)
 
 
-def points_of(rows: SeenRows) -> np.ndarray:
-    """(P, 3) every measured tip and every point of the centre-lines, m."""
-    return np.concatenate([rows.measured_m, *rows.arms_m])
-
-
-def exaggeration(rows: SeenRows, stages: tuple[str, ...]) -> float:
-    """Factor on all arrows: the largest p95 of the stages becomes about 15 % of the scene.
+def exaggeration(rows: SeenRows, stage: str) -> float:
+    """Factor on the arrows of a stage: 95 % of them become at most about 15 % of the scene.
 
     It is 1, 2 or 5 times a power of ten.
     """
-    lengths = [np.linalg.norm(rows.errors_m[stage], axis=1) for stage in stages]
-    long = max((float(np.percentile(length, 95)) for length in lengths if len(length)), default=0.0)
+    long = float(np.percentile(np.linalg.norm(rows.errors_m[stage], axis=1), 95))
     if long <= 0:
         return 1.0
-    wanted = max(1.0, 0.15 * float(np.ptp(points_of(rows), axis=0).max()) / long)
+    points = np.concatenate([rows.measured_m, *rows.arms_m])
+    wanted = max(1.0, 0.15 * float(np.ptp(points, axis=0).max()) / long)
     decade = 10.0 ** np.floor(np.log10(wanted))
     return float(decade * _ROUND[wanted / decade * (1 + 1e-9) >= _ROUND].max())
-
-
-def arrows(rows: SeenRows) -> np.ndarray:
-    """(M,) the rows that get an arrow, evenly along the session."""
-    n = len(rows.index)
-    return np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))
 
 
 def scene_json(rows: SeenRows) -> str:
@@ -221,10 +210,11 @@ def scene_json(rows: SeenRows) -> str:
 
     Every stage has its arrows at a scale of its own.
     """
-    taken = arrows(rows)
+    n = len(rows.index)
+    taken = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))
     stages = {
         stage: {
-            "times": exaggeration(rows, (stage,)),
+            "times": exaggeration(rows, stage),
             "color": LOOKS[stage].color,
             "errors": rows.errors_m[stage][taken].tolist(),
         }

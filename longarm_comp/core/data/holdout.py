@@ -59,7 +59,7 @@ class SealedError(LongarmError):
 
 
 class Sealed:
-    """A sealed hold-out.  Only its size and hash can be read until `release`.
+    """A sealed hold-out.  Only its size can be read until `release`.
 
     `open(reason)` returns it and is counted, since a hold-out that was used often proves little.
     """
@@ -71,11 +71,6 @@ class Sealed:
 
     def __len__(self) -> int:
         return len(self._session)
-
-    @property
-    def hash(self) -> str:
-        """SHA-256 of the rows."""
-        return self._session.hash
 
     @property
     def uses(self) -> tuple[str, ...]:

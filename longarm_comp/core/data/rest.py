@@ -36,7 +36,6 @@ class RestPose:
     tip: np.ndarray
     """tip, variance: (3,) m; (3,) m^2 of the mean, from the variances of the sightings."""
     variance: np.ndarray
-    command: int  # number of the command, counted from 1
 
 
 @dataclass
@@ -45,7 +44,6 @@ class RestWatch:
 
     settle_s: float = SETTLE_S
     sightings: int = 3
-    commands: int = 0
     _goal: tuple[np.ndarray, History] | None = None
     _there_since: float | None = None
     _told: bool = False
@@ -59,7 +57,6 @@ class RestWatch:
         """Take a command q (n,) and the history of the joints on arrival."""
         self._goal, self._there_since, self._told = (q, history), None, False
         self._seen.clear()
-        self.commands += 1
 
     def reached(self) -> None:
         """The driver says that the joints rest where they were sent, however far they give way."""
@@ -89,7 +86,7 @@ class RestWatch:
         (q, history), self._goal = self._goal, None
         tips, variances = (np.array(part) for part in zip(*self._seen, strict=True))
         mean, scatter = tips.mean(axis=0), np.maximum(variances, 0.0).mean(axis=0)
-        return RestPose(q, history, mean, scatter / len(tips), self.commands)
+        return RestPose(q, history, mean, scatter / len(tips))
 
 
 NO_REST = f"the joints did not rest for {REST_S} s"

@@ -188,16 +188,6 @@ class Session(MeasuredRows):
         """Time of each row in s, (N,), where recorded."""
         return self.columns.get("t_s")
 
-    @property
-    def temperature_c(self) -> np.ndarray | None:
-        """Temperature of each row in degrees Celsius, (N,), where recorded."""
-        return self.columns.get("temperature_c")
-
-    @property
-    def payload_kg(self) -> np.ndarray | None:
-        """Carried mass of each row in kg, (N,), where recorded."""
-        return self.columns.get("payload_kg")
-
     @cached_property
     def run_up(self) -> np.ndarray:
         """(N, n) where a joint turned last, rad and m; NaN: it came straight, or nobody knows."""

@@ -13,7 +13,6 @@ class RefusalReason(str, enum.Enum):
     UNCALIBRATED = "camera is not calibrated"
     BAD_IMAGE = "image is not 8-bit grey or colour"
     WRONG_SIZE = "image size differs from the calibration"
-    UNSYNCHRONISED = "left and right were not taken together"
     TOO_DARK = "image is too dark"
     TOO_BRIGHT = "image is over-exposed"
     BLURRED = "image is blurred"

@@ -108,7 +108,6 @@ class Progress:
 
     Attributes:
         done, total: visits in the bag, of the plan.
-        q: (n,) joints it goes to, rad and m; None before the first and after the last.
         made: visits of this run by their index, the last one last: why the marker was lost there,
             or "" where it was seen.
         seconds_left: NaN: not known yet.
@@ -119,7 +118,6 @@ class Progress:
     done: int
     total: int
     visit: int = -1
-    q: np.ndarray | None = None
     made: Mapping[int, str] = field(default_factory=dict)
     seconds_left: float = float("nan")
     state: str = "running"
@@ -380,8 +378,7 @@ class _Run:
         each = self._driving_s / made if made else float("nan")
         done = self._before + made
         return Progress(
-            done, self._total, -1 if visit is None else visit.index,
-            None if visit is None else visit.q, dict(self.made),
+            done, self._total, -1 if visit is None else visit.index, dict(self.made),
             each * (self._total - done), state, why,
         )  # fmt: skip
 

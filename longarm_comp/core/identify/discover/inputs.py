@@ -100,11 +100,6 @@ class Arguments:
         """Arguments by name."""
         return {i.name: i for i in self.all}
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names, in the order of the inputs."""
-        return tuple(i.name for i in self.all)
-
 
 def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
     """Arguments of the arm's side at the rows of a session."""
