@@ -39,10 +39,7 @@ def run_up_lengths(arm: Arm) -> np.ndarray:
     return 0.06 * (arm.upper - arm.lower)
 
 
-def plan_move(
-    arm: Arm, start: np.ndarray | None, q: np.ndarray, wanted: np.ndarray, *,
-    length: np.ndarray | None = None,
-) -> Move:  # fmt: skip
+def plan_move(arm: Arm, start: np.ndarray | None, q: np.ndarray, wanted: np.ndarray) -> Move:
     """The shortest move that arrives at q from the wanted sides, inside the limits.
 
     A joint whose direct way comes from its side and is as long as a run-up needs none.  One that
@@ -52,9 +49,8 @@ def plan_move(
     Args:
         start, q: (n,) where the joints stand (None: nobody knows), and where they shall rest.
         wanted: (n,) of -1, 0, +1; 0: any side.
-        length: (n,) of the run-ups; `run_up_lengths` by default.
     """
-    length = run_up_lengths(arm) if length is None else length
+    length = run_up_lengths(arm)
     step = np.zeros_like(q) if start is None else q - start
     natural = np.where(np.abs(step) < SAME_POSE, 0.0, np.sign(step))
     via = q - wanted * length

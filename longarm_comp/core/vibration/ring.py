@@ -97,15 +97,6 @@ def _rates(modes: Modes, damping: float) -> np.ndarray:
     return np.asarray(modes.omega * (-damping + 1j * np.sqrt(1.0 - damping**2)))
 
 
-def left_by(modes: Modes, times: np.ndarray, joints: np.ndarray, damping: float) -> _Ring:
-    """The ring at the end of a motion (M, n) from rest to rest, by the modes there."""
-    if not len(modes.omega):
-        return _Ring(np.zeros(0, complex), modes.tip, np.zeros(0, complex))
-    whole = amplitudes([modes], np.zeros(len(times), int), times, joints[..., None], damping,
-                       np.ones(1))  # fmt: skip
-    return _Ring(_rates(modes, damping), modes.tip, whole[0, :, 0])
-
-
 def sampled(modes: Sequence[Modes], seconds: float) -> np.ndarray:
     """(M,) s from 0 on: times in a motion that are far closer than a period of these modes."""
     fastest = max(float(each.hz.max(initial=1.0 / seconds)) for each in modes)
@@ -118,9 +109,19 @@ off by a thousandth of the way."""
 
 
 def along(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
-    """The ring after a motion that takes some seconds from time 0 on; its time 0 is their end."""
+    """The ring after a motion from rest to rest, by the modes at its end, where its time 0 is.
+
+    Args:
+        way, seconds: the motion, from time 0 on.
+    """
     times = sampled([modes], seconds)
-    return left_by(modes, times, way(times), damping)
+    left = np.zeros(0, complex)
+    if len(modes.omega):
+        where = np.zeros(len(times), int)
+        left = amplitudes([modes], where, times, way(times)[..., None], damping, np.ones(1))[
+            0, :, 0
+        ]
+    return _Ring(_rates(modes, damping), modes.tip, left)
 
 
 def straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:
@@ -129,7 +130,7 @@ def straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:
 
 
 def ring_of_moves(
-    model: Model, joints: np.ndarray, move_s: float, damping: float, context: Context | None = None
+    model: Model, joints: np.ndarray, move_s: float, damping: float
 ) -> list[tuple[Modes, _Ring]]:
     """Modes at each of the postures (N, n), and the ring of the move there from the one before.
 
@@ -144,8 +145,8 @@ def ring_of_moves(
     if not 0.0 < move_s < np.inf:
         raise InputError("ringing", "time of a move", move_s, "above 0 s")
     made, before = [], model.arm.mid
-    for row, end in enumerate(np.atleast_2d(joints)):
-        found = modes(model, end, None if context is None else context.take(row))
+    for end in np.atleast_2d(joints):
+        found = modes(model, end)
         made.append((found, along(found, straight(before, end, move_s), move_s, damping)))
         before = end
     return made
