@@ -115,13 +115,10 @@ def along(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
         way, seconds: the motion, from time 0 on.
     """
     times = sampled([modes], seconds)
-    left = np.zeros(0, complex)
+    joints, left = way(times)[..., None], np.zeros((1, 0, 1), complex)
     if len(modes.omega):
-        where = np.zeros(len(times), int)
-        left = amplitudes([modes], where, times, way(times)[..., None], damping, np.ones(1))[
-            0, :, 0
-        ]
-    return _Ring(_rates(modes, damping), modes.tip, left)
+        left = amplitudes([modes], np.zeros(len(times), int), times, joints, damping, np.ones(1))
+    return _Ring(_rates(modes, damping), modes.tip, left[0, :, 0])
 
 
 def straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:

@@ -71,11 +71,6 @@ class StereoPairer(Generic[Image]):
         mine.append((stamp_ns, image))
         return self._match()
 
-    @property
-    def waiting(self) -> tuple[int, int]:
-        """Images that wait for a partner, left and right."""
-        return len(self._waiting[0]), len(self._waiting[1])
-
     def _match(self) -> list[Pair[Image]]:
         left, right = self._waiting
         found: list[Pair[Image]] = []
