@@ -13,7 +13,6 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[Any, ...]]] = {
         "ik_single_vs_rtb_ik_lm_median": ("kinematics.single", "Toolbox"),
         "ik_warm_vs_rtb_ik_lm_median": ("kinematics.single", "Toolbox", True),
         "ik_batch_vs_rtb_ik_lm_mean": ("kinematics.batch",),
-        "ik_batch_all_cores_vs_rtb_ik_lm_mean": ("kinematics.batch_all_cores",),
         "ik_grid_vs_rtb_ik_lm_mean": ("kinematics.grid",),
         "ik_single_vs_pinocchio": ("kinematics.single", "Pinocchio"),
         "ik_single_vs_trac_ik": ("kinematics.single", "TracIk"),

@@ -8,7 +8,6 @@ above 1 mean faster than the peer.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -121,7 +120,7 @@ def _near(arm: Arm, q: np.ndarray) -> np.ndarray:
     return np.clip(q + shift, arm.lower, arm.upper)
 
 
-def _batch(q: np.ndarray, threads: int = 1) -> Result:
+def _batch(q: np.ndarray) -> Result:
     """Poses a second of a batch from mid-range, beside the peer's mean rate on the same joints."""
     model = soft_model(demo_arm())
     arm = model.arm
@@ -133,16 +132,14 @@ def _batch(q: np.ndarray, threads: int = 1) -> Result:
     targets, mid = model.pose(q), arm.mid
     some = np.random.default_rng(0).permutation(len(q))[: BLOCKS * PER_BLOCK]
     rigid = Model(arm).pose(q[some])
-    solve = partial(ik.solve_many, model, tol=TOLERANCE, threads=threads)
-    solved = solve(targets).ok.mean()
-    clock = time.process_time if threads == 1 else time.perf_counter
+    solve = partial(ik.solve_many, model, tol=TOLERANCE)
+    solved, clock = solve(targets).ok.mean(), time.process_time
     ours, theirs = [], []
     for block in range(BLOCKS):
         rows = range(block * PER_BLOCK, (block + 1) * PER_BLOCK)
         ours.append(len(q) / timed(lambda _: solve(targets), [0], clock)[0])
         theirs.append(1 / timed(lambda i: peer.solve(rigid[i], mid), rows, clock).mean())
-    by = "processor seconds, 1 thread" if threads == 1 else f"wall seconds, {threads} threads"
-    note = f"{by}; solved {solved:.4f}"
+    note = f"processor seconds; solved {solved:.4f}"
     rate = [float(np.mean(theirs))]
     return beside("poses/s", ours, Toolbox.name, rate, more_is_better=True, note=note)
 
@@ -150,11 +147,6 @@ def _batch(q: np.ndarray, threads: int = 1) -> Result:
 def batch() -> Result:
     """Random joints; goal 20."""
     return _batch(random_joints(demo_arm(), BATCH, 2))
-
-
-def batch_all_cores() -> Result:
-    """The same on every core; the peer has one thread."""
-    return _batch(random_joints(demo_arm(), BATCH, 2), len(os.sched_getaffinity(0)))
 
 
 def grid() -> Result:

@@ -126,13 +126,6 @@ def test_a_model_is_compiled_when_its_targets_are_worth_it(demo_arm_path, monkey
     assert is_compiled(kernel, Engine.AUTO)
 
 
-def test_threads_give_the_same_numbers(model, rng):
-    targets = model.pose(rng.uniform(model.arm.lower, model.arm.upper, (40, model.arm.n)))
-    one, three = (solve_many(model, targets, engine=FAST, threads=k) for k in (1, 3))
-    assert one.ok.all()
-    assert np.array_equal(one.q, three.q)
-
-
 def test_one_target_alone_is_solved_as_among_many(model, rng):
     q = rng.uniform(model.arm.lower, model.arm.upper, (7, model.arm.n))
     targets = model.pose(q)

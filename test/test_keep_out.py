@@ -123,5 +123,5 @@ def test_the_way_that_is_judged_is_the_way_that_is_gone() -> None:
     np.testing.assert_allclose(asked[-1][15], gone[9], atol=0.005)  # where the blend ends
     far = np.abs(asked[-1][:, None] - gone[None]).max(axis=2)
     assert far.min(axis=1).max() < 0.01
-    rig.follower.halt(rig.now)
+    rig.follower.accept(JointTrajectory((), ()), rig.now)
     assert len(asked) == 2  # a stop is never refused

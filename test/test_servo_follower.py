@@ -10,7 +10,8 @@ from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.vibration.modes import Modes
-from longarm_comp.core.vibration.ring import left_by
+from longarm_comp.core.vibration.ring import amplitudes
+from longarm_comp.devices.joint_path import JointTrajectory
 from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.math.shaper import Shaper
 
@@ -159,7 +160,7 @@ def test_halt_brakes_and_holds(rig: Rig) -> None:
     rig.send((2.0, {"turn": 0.9}))
     rig.run(1.0)
     before = rig.column("turn")
-    rig.follower.halt(rig.now)
+    rig.follower.accept(JointTrajectory((), ()), rig.now)
     rig.run(1.0)
     after = rig.column("turn")[len(before) :]
     assert rig.follower.state is FollowerState.HOLDING
@@ -190,7 +191,8 @@ def ring_of(rig: Rig, since: int) -> float:
     q = np.stack([rig.column("turn"), 10.0 * rig.column("slide")], axis=1)[since:]
     one = np.ones((1, 1))
     mode = Modes(np.array([OMEGA]), np.array([[1.0, 0.0, 0.0]]), one, one[0], np.ones((1, 2)))
-    return left_by(mode, DT * np.arange(len(q)), q, DAMPING).size_m()
+    where, times = np.zeros(len(q), int), DT * np.arange(len(q))
+    return abs(amplitudes([mode], where, times, q[..., None], DAMPING, np.ones(1)).item())
 
 
 def test_a_shaped_move_takes_one_period_more_and_leaves_no_ring() -> None:

@@ -142,10 +142,6 @@ class TrajectoryFollower:
             self._say(EventKind.SLOWED, f"{path.stretch:.2f} times slower, for the velocity limits")
         return accepted
 
-    def halt(self, now: float) -> None:
-        """Stop smoothly and hold. Raises as ``accept``."""
-        self.accept(JointTrajectory((), ()), now)
-
     def _taken_over(self, path: CubicPath, start: Array) -> TakenOver:
         """A path as it is followed from the present set-point and velocity."""
         blend_s = self._config.follower.blend_s

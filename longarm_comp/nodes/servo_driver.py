@@ -75,7 +75,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "servo_driver", PARAMS, tuple(SECTIONS))
         p = self.p
-        self._config = self._servo_config()
+        given = declare_sections(self, SECTIONS)
+        self._config = ServoConfig.parse(given, "parameters of servo_driver")
         self._keeps_out, self._shapes = self._rules_of(p)
         self._trim = p["trim"]
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
@@ -110,9 +111,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._fault = "the driver has ended"
         self._tell_state()
         return super().close()
-
-    def _servo_config(self) -> ServoConfig:
-        return ServoConfig.parse(declare_sections(self, SECTIONS), "parameters of servo_driver")
 
     def _rules_of(self, p: Mapping[str, Any]) -> tuple[KeepsOut | None, Shapes | None]:
         """Check the declared steps; how moves are kept out of boxes, and shaped."""

@@ -79,11 +79,6 @@ def _file(folder: str, side: Side) -> Calibration:
     return read_camera(Path(folder) / f"{side.name.lower()}.yaml")
 
 
-def _other(info: CameraInfo, file: Calibration) -> bool:
-    """Whether a message holds a calibration, and not that of the file."""
-    return bool(info.k[0]) and not same_camera(info, file)
-
-
 class _StereoBridge(ArmNode):
     """Measures pairs on a worker thread. A pair that arrives during a measurement is dropped."""
 
@@ -213,8 +208,9 @@ class _StereoBridge(ArmNode):
         """Where the calibration is from, and whether the cameras tell another one."""
         if not self._files:
             return "camera_info"
-        told = [info for side, info in self._infos.items() if _other(info, self._files[side])]
-        return "files; camera_info tells another one" if told else "files"
+        told = ((info, self._files[side]) for side, info in self._infos.items() if info.k[0])
+        same = all(same_camera(*both) for both in told)
+        return "files" if same else "files; camera_info tells another one"
 
     def _report(self) -> Report:
         facts: dict[str, object] = {

@@ -271,9 +271,9 @@ class _Problem:
         made = (tip if tip.ndim == 2 else tip[:, :3, 3]) - position
         if self.target.ndim == 1:
             return np.asarray(made)
-        turn, axes = np.zeros((3, len(q))), axes_of(self.target[None]).repeat(len(q), axis=0)
-        rotation_error(axes.T, 0, axes_of(tip).T, 0, turn, 0)
-        return np.concatenate([made, self.search.length_m * turn.T], axis=1)
+        axes = axes_of(self.target[None]).repeat(len(q), axis=0)
+        turn, _ = rotation_error(axes.T, axes_of(tip).T)
+        return np.column_stack([made, *(self.search.length_m * v for v in turn)])
 
     def near(self, at: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, int]:
         """Candidates (M, n) by the model linearised at joints (n,), and nodes that it took.

@@ -7,7 +7,6 @@ residual (rad), iterations, starts.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
@@ -39,7 +38,6 @@ class Problem:
         tol: tolerance of the search on position (m) and angle (rad).
         reached: tolerance of success on both. Targets with larger residuals are restarted.
         max_iterations: per start.
-        threads: number of threads, in machine code only.
     """
 
     targets: np.ndarray
@@ -52,7 +50,6 @@ class Problem:
     tol: float
     reached: float
     max_iterations: int
-    threads: int
 
 
 class Engine(Enum):
@@ -211,13 +208,7 @@ def _compiled(model: Model, context: Context, p: Problem, given: _Given, count: 
     kernel = kernel_of(model, context.layout)
     packed = {"c": kernel.layout.pack(context, count)}
     blocks = filled_blocks(kernel, given | packed, count)
-    search = kernel.code.function(f"many_search{p.m}")  # releases Python's lock
-    if p.threads == 1:
-        search(blocks.ctypes.data, len(blocks))
-    else:
-        parts = np.array_split(blocks, p.threads)
-        with ThreadPoolExecutor(p.threads) as pool:
-            list(pool.map(lambda part: search(part.ctypes.data, len(part)), parts))
+    kernel.code.function(f"many_search{p.m}")(blocks.ctypes.data, len(blocks))
     q, size, used = (rows_of(blocks, kernel, name, count) for name in ("q", "size", "used"))
     return q, size, used[:, 0]
 

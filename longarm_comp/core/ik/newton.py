@@ -19,22 +19,18 @@ from typing import Any, NamedTuple
 
 from longarm_comp.core.arm.spatial import absolute, atan2, maximum, minimum, sqrt, where
 
-_Buffer = Any  # list of floats, (k,) array, or (k, N) array
+_Scalars = Sequence[Any]  # floats, arrays (N,) or traced numbers
 
 
-def solve_damped(
-    J: _Buffer, e: _Buffer, free: _Buffer, damping: Any, m: int, n: int,
-    A: _Buffer, y: _Buffer, u: _Buffer,
-) -> None:  # fmt: skip
+def _solve_damped(J: _Scalars, e: _Scalars, free: _Scalars, damping: Any, m: int) -> list[Any]:
     """Smallest u with ``J F u = e`` in the damped sense: ``u = F J' (J F J' + damping 1)^-1 e``.
 
     Args:
         J, e: m x n, row after row; m.
         free: n; 1 where an unknown is free, 0 where it is held (F is its diagonal).
         damping: above 0, so that the Cholesky factor exists.
-        A, y: m x m, m, work; A keeps the factor (below the diagonal) and the inverse pivots.
-        u: n, the result.
     """
+    n, A, y, u = len(free), [0.0] * (m * m), [0.0] * m, []  # A: factor below the pivots
     for i in range(m):
         for j in range(i + 1):
             s = (J[j * n] * free[0]) * J[i * n]
@@ -66,19 +62,19 @@ def solve_damped(
         s = J[k] * y[0]
         for i in range(1, m):
             s = s + J[i * n + k] * y[i]
-        u[k] = s * free[k]
+        u.append(s * free[k])
+    return u
 
 
-def rotation_error(R: _Buffer, r: int, target: _Buffer, t: int, e: _Buffer, at: int) -> Any:
-    """Rotation vector (rad, base frame) from R to the target, written to ``e[at:at+3]``.
+def rotation_error(R: _Scalars, target: _Scalars) -> tuple[list[Any], Any]:
+    """Rotation vector (rad, base frame) from R to the target, and its angle (rad), 0 to pi.
 
-    Both hold axes n, o, a one after the other, 9 numbers each, from index r and t on.  Returns the
-    angle (rad), 0 to pi.  At pi the vector is 0, as its direction is undefined.
+    Both hold axes n, o, a one after the other, 9 numbers each.  At pi the vector is 0, as its
+    direction is undefined.
     """
     x = y = z = trace = 0.0  # sum of the cross products of the axes, and of their scalar products
     for k in (0, 3, 6):
-        a0, a1, a2 = R[r + k], R[r + k + 1], R[r + k + 2]
-        b0, b1, b2 = target[t + k], target[t + k + 1], target[t + k + 2]
+        (a0, a1, a2), (b0, b1, b2) = R[k : k + 3], target[k : k + 3]
         x = x + (a1 * b2 - a2 * b1)
         y = y + (a2 * b0 - a0 * b2)
         z = z + (a0 * b1 - a1 * b0)
@@ -87,29 +83,27 @@ def rotation_error(R: _Buffer, r: int, target: _Buffer, t: int, e: _Buffer, at: 
     s = sqrt(x * x + y * y + z * z)
     angle = atan2(s, 0.5 * (trace - 1.0))
     ratio = angle / (s + 1e-300)
-    e[at], e[at + 1], e[at + 2] = ratio * x, ratio * y, ratio * z
-    return angle
+    return [ratio * x, ratio * y, ratio * z], angle
 
 
-def skewness(R: _Buffer, r: int) -> Any:
-    """How far the axes n, o, a (9 numbers from index r on) are from a right-handed rotation: sum
-    of the squares of ``R'R - 1`` (once each) and of ``n x o - a``."""
+def skewness(R: _Scalars) -> Any:
+    """How far the axes n, o, a (9 numbers) are from a right-handed rotation: sum of the squares of
+    ``R'R - 1`` (once each) and of ``n x o - a``."""
     s = 0.0
     for i in range(3):
         for j in range(i + 1):
-            d = R[r + 3 * i] * R[r + 3 * j]
-            d = d + R[r + 3 * i + 1] * R[r + 3 * j + 1] + R[r + 3 * i + 2] * R[r + 3 * j + 2]
+            d = R[3 * i] * R[3 * j]
+            d = d + R[3 * i + 1] * R[3 * j + 1] + R[3 * i + 2] * R[3 * j + 2]
             if i == j:
                 d = d - 1.0
             s = s + d * d
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        d = R[r + j] * R[r + 3 + k] - R[r + k] * R[r + 3 + j] - R[r + 6 + i]
+        d = R[j] * R[3 + k] - R[k] * R[3 + j] - R[6 + i]
         s = s + d * d
     return s
 
 
-_Scalars = Sequence[Any]
 State = Mapping[str, _Scalars]
 Outcome = dict[str, _Scalars]
 
@@ -175,7 +169,7 @@ def accept(s: State, m: int) -> Outcome:
     fault: Any = where(size < UNKNOWN, 0.0, 1.0)
     if m == 6:
         bottom = absolute(T[12]) + absolute(T[13]) + absolute(T[14]) + absolute(T[15] - 1.0)
-        whole = (skewness(axes, 0) < ROTATION_TOLERANCE**2) * (bottom <= 0.0)
+        whole = (skewness(axes) < ROTATION_TOLERANCE**2) * (bottom <= 0.0)
         fault = fault + where(whole, 0.0, 2.0)
     q = [
         minimum(maximum(v, low), high)
@@ -206,8 +200,8 @@ def judge(s: State, span: Sequence[float], length: float, m: int, level: Level) 
     e: list[Any] = [s["target"][i] - out[i] for i in range(3)] + [0.0] * 3
     size: list[Any] = [sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]), 0.0]
     if m == 6:
-        size[1] = rotation_error(out, 3, s["target"], 3, e, 3)
-        e[3:] = [length * v for v in e[3:]]
+        turn, size[1] = rotation_error(out[3:12], s["target"][3:])
+        e[3:] = [length * v for v in turn]
     energy: Any = 0.0
     for i in range(m):
         energy = energy + e[i] * e[i]
@@ -267,9 +261,8 @@ def step_in_box(s: State, span: Sequence[float], m: int) -> Outcome:
     """
     n, free, left = len(span), s["free"], s["left"]
     J = [a + b for a, b in zip(s["J"][: m * n], s["sag"], strict=False)]
-    u: list[Any] = [0.0] * n
     damping = s["mu"][0] * sqrt(s["energy"][0]) + _FLOOR
-    solve_damped(J, left, free, damping, m, n, [0.0] * (m * m), [0.0] * m, u)
+    u = _solve_damped(J, left, free, damping, m)
     trial, out_by = [], []
     for j in range(n):
         moved = where(free[j], s["q"][j] + u[j] * span[j], s["trial"][j])

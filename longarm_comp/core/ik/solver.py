@@ -133,7 +133,6 @@ def solve_many(
     tol: float = TOLERANCE,
     max_starts: int = MAX_STARTS,
     engine: Engine = Engine.AUTO,
-    threads: int = 1,
 ) -> Solutions:
     """Joints that bring the tip to each of N targets.
 
@@ -147,7 +146,6 @@ def solve_many(
         tol: tolerance of the search on the position (m) and on the angle (rad).
         max_starts: number of starts including the seed; 1 never leaves the seed's branch.
         engine: how to run the search; see `warm_up` for the compiled one.
-        threads: number of threads, in machine code only.
     """
     arm = model.arm
     position, axes = _checked_targets(targets, position_only)
@@ -166,7 +164,6 @@ def solve_many(
     problem = Problem(
         targets, 3 if axes is None else 6, start, lower, upper, points,
         characteristic_length(model), float(tol), max(float(tol), REACHED), _MAX_ITERATIONS,
-        max(1, threads),
     )  # fmt: skip
     q, report = run(model, context or Context.empty(), problem, engine)
     position, angle = report[:, 0], report[:, 1]
@@ -192,7 +189,7 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
     if targets.ndim == 3 and not position_only:
         T = np.where(finite[:, None, None], targets, 0.0)
         columns = axes_of(T).T  # of one target as floats, which are quicker than arrays of one
-        skew = skewness(columns[:, 0].tolist() if len(T) == 1 else columns, 0)
+        skew = skewness(columns[:, 0].tolist() if len(T) == 1 else columns)
         turned &= skew < ROTATION_TOLERANCE**2
         turned &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1)
     if finite.all() and turned.all():

@@ -97,15 +97,6 @@ def _rates(modes: Modes, damping: float) -> np.ndarray:
     return np.asarray(modes.omega * (-damping + 1j * np.sqrt(1.0 - damping**2)))
 
 
-def left_by(modes: Modes, times: np.ndarray, joints: np.ndarray, damping: float) -> _Ring:
-    """The ring at the end of a motion (M, n) from rest to rest, by the modes there."""
-    if not len(modes.omega):
-        return _Ring(np.zeros(0, complex), modes.tip, np.zeros(0, complex))
-    whole = amplitudes([modes], np.zeros(len(times), int), times, joints[..., None], damping,
-                       np.ones(1))  # fmt: skip
-    return _Ring(_rates(modes, damping), modes.tip, whole[0, :, 0])
-
-
 def sampled(modes: Sequence[Modes], seconds: float) -> np.ndarray:
     """(M,) s from 0 on: times in a motion that are far closer than a period of these modes."""
     fastest = max(float(each.hz.max(initial=1.0 / seconds)) for each in modes)
@@ -118,9 +109,16 @@ off by a thousandth of the way."""
 
 
 def along(modes: Modes, way: Way, seconds: float, damping: float) -> _Ring:
-    """The ring after a motion that takes some seconds from time 0 on; its time 0 is their end."""
+    """The ring after a motion from rest to rest, by the modes at its end, where its time 0 is.
+
+    Args:
+        way, seconds: the motion, from time 0 on.
+    """
     times = sampled([modes], seconds)
-    return left_by(modes, times, way(times), damping)
+    joints, left = way(times)[..., None], np.zeros((1, 0, 1), complex)
+    if len(modes.omega):
+        left = amplitudes([modes], np.zeros(len(times), int), times, joints, damping, np.ones(1))
+    return _Ring(_rates(modes, damping), modes.tip, left[0, :, 0])
 
 
 def straight(start: np.ndarray, end: np.ndarray, seconds: float) -> Way:

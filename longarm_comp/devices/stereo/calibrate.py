@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.devices.stereo.camera import Array, StereoRig
+from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.target import Corners, Target
 from longarm_comp.devices.stereo.triangulate import triangulate
 from longarm_comp.devices.stereo.views import FEWEST_CORNERS, BoardView, gaps
@@ -68,8 +68,8 @@ def calibrate_stereo(
                 flags=cv2.CALIB_USE_INTRINSIC_GUESS,
                 criteria=_ACCURATE,
             )
-            right_from_left = np.vstack([np.hstack([turn, move.reshape(3, 1)]), [0, 0, 0, 1]])
-            rig = StereoRig.from_extrinsics((k_l, d_l), (k_r, d_r), right_from_left, size)
+            left = Camera(k_l, np.eye(3), np.zeros(3), size, d_l)
+            rig = StereoRig(left, Camera(k_r, turn, move, size, d_r))
             off = np.full(len(pairs), np.nan)
             for i in usable:
                 off[i] = triangulate(rig, lefts[i].reshape(-1, 2), rights[i].reshape(-1, 2)).rms_px

@@ -127,21 +127,6 @@ class StereoRig:
         """
         return cls(_from_info(left, rectified), _from_info(right, rectified))
 
-    @classmethod
-    def from_extrinsics(
-        cls,
-        left: tuple[ArrayLike, ArrayLike],
-        right: tuple[ArrayLike, ArrayLike],
-        right_from_left: ArrayLike,
-        size: tuple[int, int],
-    ) -> StereoRig:
-        """The rig of two (K, D) and the (4, 4) that takes left-frame points to the right frame."""
-        transform = np.asarray(right_from_left, dtype=float).reshape(4, 4)
-        return cls(
-            Camera(left[0], np.eye(3), np.zeros(3), size, left[1]),
-            Camera(right[0], transform[:3, :3], transform[:3, 3], size, right[1]),
-        )
-
 
 def _from_info(info: CameraInfo, rectified: bool) -> Camera:
     size = (int(info.width), int(info.height))
