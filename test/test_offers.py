@@ -222,6 +222,8 @@ def test_so_do_those_that_stand_in_the_place_of_another() -> None:
         chances = made.names
         assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)
     assert chances["joint_compliance"] / chances["twin"] == pytest.approx(np.exp(-0.5) / 2)
+    factors = {r.name: r.log_bayes_factor for r in twin.rivals}  # priors apart, the same physics
+    assert factors["joint_compliance"] == pytest.approx(twin.log_bayes_factor, abs=1e-3)
     judged_ones = [r.name for r in twin.fitted_rivals]
     assert "joint_compliance" in judged_ones and "servo_droop" not in judged_ones
 
