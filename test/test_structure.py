@@ -22,12 +22,12 @@ SIZE = 0.75 * SIGMA
 AXIS = np.array([1.0, 0.0, 0.0])
 
 
-def left(seed: int, size: float) -> Structure:
-    """Of 120 poses whose x is off by a function of the first joint, no geometry error's."""
+def left(seed: int, *sizes: float) -> Structure:
+    """Of 120 poses whose x is off by functions of the first joints, no geometry error's."""
     rows = measured(120, np.random.default_rng(seed))
-    share = (rows.q[:, 0] - ARM.lower[0]) / (ARM.upper[0] - ARM.lower[0])
-    wave = Legendre.basis(5)(2.0 * share - 1.0)
-    wave *= size / np.sqrt((wave**2).mean())
+    share = (rows.q - ARM.lower) / (ARM.upper - ARM.lower)
+    waves = Legendre.basis(5)(2.0 * share[:, : len(sizes)] - 1.0)
+    wave = (waves / np.sqrt((waves**2).mean(axis=0))) @ sizes
     off = dataclasses.replace(rows, xyz=rows.xyz + np.outer(wave, AXIS))
     *_, (_, fitted) = stages(declared_model(ARM), off)
     return examine(fitted, fitted)
@@ -44,6 +44,13 @@ def test_what_moves_one_axis_shows_beside_the_noise_of_the_others(seed: int) -> 
 @pytest.mark.parametrize("seed", [1, 3, 5])
 def test_noise_leaves_none(seed: int) -> None:
     assert not left(seed, 0.0).flag
+
+
+@pytest.mark.parametrize(("second", "named"), [(1.0, False), (4.0, True)])
+def test_what_is_much_weaker_than_the_strongest_is_not_named(second: float, named: bool) -> None:
+    """It is as certain where it stands alone."""
+    assert "q2" in left(2, 0.0, second * SIGMA).inputs
+    assert ("q2" in left(2, 4.0 * SIGMA, second * SIGMA).inputs) is named
 
 
 STEP = 2e-3
