@@ -46,7 +46,7 @@ def test_noise_leaves_none(seed: int) -> None:
     assert not left(seed, 0.0).flag
 
 
-@pytest.mark.parametrize(("second", "named"), [(1.0, False), (4.0, True)])
+@pytest.mark.parametrize(("second", "named"), [(2.0, False), (4.0, True)])
 def test_what_is_much_weaker_than_the_strongest_is_not_named(second: float, named: bool) -> None:
     """It is as certain where it stands alone."""
     assert "q2" in left(2, 0.0, second * SIGMA).inputs
