@@ -23,7 +23,7 @@ class Parameter:
         meaning: description in a few words.
         prior: standard deviation of plausible values; 0 means fixed at its value.
         lower, upper: physical bounds.
-        unknown: nothing is known beforehand: the fit's prior is too wide to pull (`FLAT`).
+        unknown: nothing is known beforehand: the fit's prior is too wide to pull.
         like: shared by parameters of one effect that are nearly equal beforehand (`ALIKE`). It
             counts where explanations are compared; a fit takes each by itself.
         usual: standard deviation of what every arm has of it: no finding, and never fitted.

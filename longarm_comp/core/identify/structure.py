@@ -1,7 +1,7 @@
 """Is there anything left?  An F test per group of inputs.
 
 It knows no physics: whatever moves the tip, or a joint, as some function of a joint, of a pair
-of joints, of the approach, temperature, time or payload shows here (`features`), whether the
+of joints, of the approach, temperature, time or payload shows here, whether the
 library has a name for it or not.  Besides: do poses that no fit has seen err by more than the
 noise?  That is said, and used for nothing.
 """

@@ -2,7 +2,7 @@
 
 Every name is as likely as any other beforehand.  Its probability is divided among its places and
 forms.  Functions without a name have a twentieth together.  Beside each effect in the model stands
-what its form may leave: no effect's form is right to better than a tenth (`TOLERANCE`).
+what its form may leave: no effect's form is right to better than a tenth (`FORMS`).
 """
 
 from __future__ import annotations

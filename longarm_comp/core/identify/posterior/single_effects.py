@@ -7,7 +7,7 @@ regression", J. R. Statist. Soc. B 82.  The whitened data are
 
 with the geometry A marginalised.  Each single effect l is one `Offer` c of a bank, or none.  Its
 distribution q_l over the offers is computed given what the other effects explain on average, in
-turn, until none moves.  OfferBank that explain the same share a q: that is the credible set.
+turn, until none moves.  Offers that explain the same share a q: that is the credible set.
 """
 
 from __future__ import annotations
