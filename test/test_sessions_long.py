@@ -14,9 +14,7 @@ from small_arm import ARM
 
 from bench.synthetic_bag import PERIOD_S, recording, write_raw
 from longarm_comp.sessions.bag import read_bag
-from longarm_comp.sessions.message_types import JointStates, message_types
-
-KIND = "sensor_msgs/msg/JointState"
+from longarm_comp.sessions.message_types import KIND, JointStates, message_types
 
 
 def peak_of_reading(path: Path) -> tuple[int, int]:
@@ -103,7 +101,7 @@ def test_joint_states_are_read_as_the_parser_reads_them(
 ) -> None:
     types = message_types()
     names = ARM.joint_names
-    read = JointStates(names)
+    read = JointStates(names, types)
     orders = [
         [*names],
         ["gripper", *reversed(names)],

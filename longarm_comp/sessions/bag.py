@@ -292,7 +292,7 @@ def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
 def decoded(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
     """Last part of the topic's name, time of recording (ns), message; in the order of time."""
     types = message_types()
-    joint_states = JointStates(arm.joint_names)
+    joint_states = JointStates(arm.joint_names, types)
     try:
         for topic, kind, stamp, raw in messages:
             name = _last(topic)

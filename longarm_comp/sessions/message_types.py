@@ -7,12 +7,15 @@ sightings in the order in which they happened.
 
 from __future__ import annotations
 
+import dataclasses
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -81,59 +84,73 @@ def stamp_of_raw(raw: bytes) -> int:
     return int(seconds) * 10**9 + int(rest)
 
 
+KIND = "sensor_msgs/msg/JointState"
+_ENCODING, _STAMP = slice(0, 4), 12  # the header's stamp ends here
+
+Numbers = tuple[float, ...]
+
+
 class _Layout(NamedTuple):
-    """Bytes before the positions, their format, and which of them are the arm's joints."""
+    """Bytes before the positions, format of the positions, and which of them are the arm's."""
 
     encoding: bytes
     head: bytes
     begin: int
     numbers: struct.Struct
-    order: list[int]
+    pick: Callable[[Numbers], Numbers] | None
 
 
 class JointStates:
-    """Reads positions of an arm's joints in serialised `sensor_msgs/msg/JointState` messages.
+    """Reads positions of an arm's joints without parsing each message.
 
-    A robot sends the same names in the same order a hundred times a second: what stands before the
-    positions is read again only where it differs from that of the last message of the same length.
+    A robot sends the same names in the same order a hundred times a second. If the bytes before
+    the positions equal those of a message that was parsed, the positions are at the same offset.
     """
 
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = tuple(names)
-        self._layouts: dict[int, _Layout] = {}
+    def __init__(self, names: Sequence[str], types: Typestore) -> None:
+        self._names, self._types = tuple(names), types
+        self._layouts: list[_Layout] = []
 
-    def __call__(self, raw: bytes) -> tuple[int, tuple[float, ...] | None]:
+    def __call__(self, raw: bytes) -> tuple[int, Numbers | None]:
         """Stamp (ns) and positions (n,) in the arm's order; None where one of its joints lacks."""
-        layout = self._layouts.get(len(raw))
-        if layout is None or raw[12 : layout.begin] != layout.head or raw[:4] != layout.encoding:
-            layout = self._layouts[len(raw)] = self._layout(raw)
-        positions = None
-        if len(layout.order) == len(self._names):
-            values = layout.numbers.unpack_from(raw, layout.begin)
-            positions = tuple([values[k] for k in layout.order])
-        return stamp_of_raw(raw), positions
+        return stamp_of_raw(raw), self._positions(raw)
 
-    def _layout(self, raw: bytes) -> _Layout:
-        """The names, and where the positions begin; the stamp ends before byte 12."""
-        at, sign = 12, "<" if raw[1] & 1 else ">"
+    def _positions(self, raw: bytes) -> Numbers | None:
+        for known in self._layouts:
+            if raw[_STAMP : known.begin] == known.head and raw[_ENCODING] == known.encoding:
+                if known.pick is None:
+                    return None
+                return known.pick(known.numbers.unpack_from(raw, known.begin))
+        return self._parsed(raw)
 
-        def count() -> int:
-            nonlocal at
-            at += -at % 4
-            (found,) = struct.unpack_from(f"{sign}I", raw, at)
-            at += 4
-            return int(found)
-
-        def text() -> str:
-            nonlocal at
-            size = count()
-            at += size
-            return bytes(raw[at - size : at - 1]).decode()
-
-        text()  # frame
-        names = [text() for _ in range(count())]
-        told = count()
-        at += (4 - at) % 8  # the encoding before the message has 4 bytes
-        place = {name: k for k, name in enumerate(names[:told])}
+    def _parsed(self, raw: bytes) -> Numbers | None:
+        message: Any = self._types.deserialize_cdr(raw, KIND)
+        place = {name: k for k, name in enumerate(message.name[: len(message.position)])}
         order = [place[name] for name in self._names if name in place]
-        return _Layout(raw[:4], raw[12:at], at, struct.Struct(f"{sign}{told}d"), order)
+        mine = len(order) == len(self._names)
+        layout = self._layout(raw, message, _picker(order) if mine else None)
+        if layout is not None:
+            self._layouts = [layout, *self._layouts[: 8 - 1]]
+        return tuple(float(message.position[k]) for k in order) if mine else None
+
+    def _layout(
+        self, raw: bytes, message: Any, pick: Callable[[Numbers], Numbers] | None
+    ) -> _Layout | None:
+        """Find the offset of the positions: serialise marks in their place and search them."""
+        count = len(message.position)
+        marks = 1.5 + np.arange(count)
+        probe = dataclasses.replace(message, position=marks)
+        written = bytes(self._types.serialize_cdr(probe, KIND))
+        begin = written.find(marks.tobytes()) if count else -1
+        if begin < 0 or written[_ENCODING] != raw[_ENCODING]:
+            return None
+        if written[_STAMP:begin] != raw[_STAMP:begin]:
+            return None
+        numbers = struct.Struct(f"<{count}d")
+        return _Layout(bytes(raw[_ENCODING]), bytes(raw[_STAMP:begin]), begin, numbers, pick)
+
+
+def _picker(order: list[int]) -> Callable[[Numbers], Numbers]:
+    if len(order) == 1:
+        return lambda values: (values[order[0]],)
+    return itemgetter(*order)
