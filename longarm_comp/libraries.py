@@ -1,6 +1,6 @@
 """Refuses libraries that are too old or missing, in one line with the command that helps.
 
-Ubuntu 24.04 packages pydantic 1.10 and OpenCV 4.6; rosdep installs these.
+Ubuntu 24.04 packages pydantic 1.10 and OpenCV 4.6; rosdep installs these, and no llvmlite.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 NEEDED = {
     "pydantic": ("pydantic>=2.10", "pydantic"),
     "OpenCV": ("opencv-python-headless>=4.10", "cv2"),
+    "llvmlite": ("llvmlite>=0.43", "llvmlite"),
 }
 """Of each library what pip installs, and the module that it brings."""
 

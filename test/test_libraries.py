@@ -15,12 +15,12 @@ WITHOUT_METADATA = """
 import importlib.metadata as metadata, runpy, sys, types
 known = metadata.version
 def version(name):
-    if name.startswith("opencv"):
+    if name.startswith(("opencv", "llvmlite")):
         raise metadata.PackageNotFoundError(name)
     return known(name)
 metadata.version = version
 """
-"""OpenCV is there, but not by pip."""
+"""OpenCV and llvmlite are there, but not by pip."""
 
 
 def refused(program: str, beside: Path, code: str = "") -> str:
@@ -53,4 +53,12 @@ def test_a_library_that_cannot_be_imported_is_named_with_the_command(tmp_path: P
     assert refused("longarm_comp.nodes.stereo_bridge", tmp_path) == (
         "longarm_comp: OpenCV cannot be used: numpy.core failed to import; "
         "run: pip install 'opencv-python-headless>=4.10'\n"
+    )
+
+
+def test_inverse_kinematics_without_its_compiler_is_refused_at_the_start(tmp_path: Path) -> None:
+    (tmp_path / "llvmlite.py").write_text("raise ImportError('No module named llvmlite')\n")
+    assert refused("longarm_comp.nodes.kinematics", tmp_path) == (
+        "longarm_comp: llvmlite cannot be used: No module named llvmlite; "
+        "run: pip install 'llvmlite>=0.43'\n"
     )
