@@ -18,8 +18,8 @@ from longarm_comp.core.identify.practical import Gain, Practical, practical
 from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import SPLITS, Detail, detail
-from longarm_comp.report.noise_floor import FIGURES, excess, floor_of
-from longarm_comp.report.record import SCHEMA, DiscoveredTerm, checked
+from longarm_comp.report.noise_floor import FIGURES, excess, noise_floor
+from longarm_comp.report.record import SCHEMA, DiscoveredTerm
 from longarm_comp.version import __version__
 
 _TERM = tuple(DiscoveredTerm.model_fields)
@@ -69,7 +69,7 @@ def record_of(
     sigma = _position_noise(diagnosis)
     terms = [f.terms for f in diagnosis.findings]
     real = practical(diagnosis.search.fit, terms, diagnosis.held_out)
-    report: dict[str, Any] = {
+    return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
         "summary": diagnosis.summary,
@@ -90,7 +90,7 @@ def record_of(
             "source": noise.source,
             "rho": float(noise.rho),
         },
-        "held_out": _held_out(diagnosis),
+        "held_out": _held_out(diagnosis, sigma),
         "next_poses": [
             [float(v) for v in q]
             for by in diagnosis.split_by
@@ -116,10 +116,6 @@ def record_of(
         "called": diagnosis.arm.called,
         "provenance": _provenance(diagnosis.seed, data_sha256, diagnosis.holdout_uses),
     }
-    floor = floor_of(checked(report))
-    for row in report["held_out"]["rows"]:
-        row["excess_mm"] = excess(row["rms_mm"], floor)
-    return report
 
 
 def refused(
@@ -202,14 +198,20 @@ def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
     return sigma if first in ("position", "touch") and np.isfinite(sigma).all() else None
 
 
-def _held_out(diagnosis: Diagnosis) -> dict[str, Any]:
+def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
+    rows = {n: _error_row(n, e, diagnosis.commanded[n]) for n, e in diagnosis.rows.items()}
+    floor = None
+    if sigma is not None:
+        left = 1e3 * diagnosis.structure.size_m if diagnosis.structure.flag else 0.0
+        sigma_mm = [1e3 * float(s) for s in sigma]
+        floor = noise_floor(sigma_mm, len(diagnosis.held_out), rows, diagnosis.written, left)
     before, after = diagnosis.compared
     added = after != "calibrated"
     intervals = (diagnosis.seen_gain.ci95, diagnosis.commanded_gain.ci95)
     seen, commanded = ([1e3 * g for g in gain] if added else None for gain in intervals)
     return {
         "n": len(diagnosis.held_out),
-        "rows": [_error_row(n, e, diagnosis.commanded[n]) for n, e in diagnosis.rows.items()],
+        "rows": [row | {"excess_mm": excess(row["rms_mm"], floor)} for row in rows.values()],
         "before": before,
         "after": after,
         "before_after_ci95_mm": seen,

@@ -38,13 +38,26 @@ class _NoiseFloor:
 
 def floor_of(report: DiagnosisReport) -> _NoiseFloor | None:
     """The floor of a report; None where no noise is known, or the errors leave no room for it."""
-    held, left, sigma_mm = report.held_out, report.structure_left, report.noise.sigma_mm
-    if sigma_mm is None or not held.n:
+    held, left = report.held_out, report.structure_left
+    if report.noise.sigma_mm is None or not held.n:
         return None
     written = "calibrated" if report.written is None else report.written.model
-    structure = left.size_mm or 0.0 if left.flag else 0.0
+    size = left.size_mm or 0.0 if left.flag else 0.0
     rows = {str(row.model): row.model_dump() for row in held.rows}
-    whole = _gaussian(sigma_mm, held.n)
+    return noise_floor(report.noise.sigma_mm, held.n, rows, written, size)
+
+
+def noise_floor(
+    sigma_mm: Sequence[float], n: int, rows: Mapping[str, Figures], written: str, structure: float
+) -> _NoiseFloor | None:
+    """The floor; None where the errors leave no room for noise of that kind.
+
+    Args:
+        sigma_mm: (3,) estimated noise per axis of n held-out rows.
+        rows: figures of every model on them, by its name; `written`: of the model in use.
+        structure: RMS of the structure that it leaves, mm; 0 where it leaves none.
+    """
+    whole = _gaussian(sigma_mm, n)
     if not whole["rms_mm"]:
         return None
     ratios = [
@@ -61,9 +74,7 @@ def floor_of(report: DiagnosisReport) -> _NoiseFloor | None:
     if share < 0.05:
         return None
     x, y, z = (share * s for s in sigma_mm)
-    figures = _gaussian(
-        (x, y, z), held.n, min((row["max_mm"] for row in rows.values()), default=np.inf)
-    )
+    figures = _gaussian((x, y, z), n, min((row["max_mm"] for row in rows.values()), default=np.inf))
     return _NoiseFloor((x, y, z), share < 1.0, figures)
 
 

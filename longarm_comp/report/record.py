@@ -133,7 +133,7 @@ class ErrorRow(_Record):
     max_mm: float = Field(ge=0)
     mean_abs_z_mm: float = Field(ge=0)
     variance_mm2: float = Field(ge=0)
-    excess_mm: float = Field(default=0.0, ge=0)
+    excess_mm: float = Field(ge=0)
     mean_mrad: float | None = Field(ge=0)
 
 
