@@ -39,6 +39,12 @@ def test_errors_of_zero_have_arrows_of_no_length() -> None:
     assert stage["times"] == 1.0 and stage["errors"] == np.zeros((3, 3)).tolist()
 
 
+def test_a_session_without_held_out_positions_has_an_empty_scene() -> None:
+    none = np.zeros((0, 3))
+    scene = json.loads(scene_json(SeenRows(np.zeros(0, int), none, {"nominal": none})))
+    assert (scene["rows"], scene["stages"]["nominal"]["times"]) == ([], 1.0)
+
+
 def test_scene_has_every_stage_at_its_own_scale(rng: np.random.Generator) -> None:
     rows = named(rng)[1].held_out
     assert rows is not None

@@ -196,7 +196,8 @@ def exaggeration(rows: SeenRows, stage: str) -> float:
 
     It is 1, 2 or 5 times a power of ten.
     """
-    long = float(np.percentile(np.linalg.norm(rows.errors_m[stage], axis=1), 95))
+    length = np.linalg.norm(rows.errors_m[stage], axis=1)
+    long = float(np.percentile(length, 95)) if len(length) else 0.0
     if long <= 0:
         return 1.0
     points = np.concatenate([rows.measured_m, *rows.arms_m])
