@@ -13,6 +13,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import engines, solver
 from longarm_comp.core.ik.engines import is_compiled
@@ -100,14 +101,20 @@ def test_a_target_missed_by_less_than_a_micrometre_is_reached(engine, demo_arm_p
         assert found.angle_residual_rad == pytest.approx(tilt, rel=1e-3)
 
 
+@pytest.mark.parametrize("position_only", [False, True])
 @pytest.mark.parametrize("count", [4, 20])  # on floats, on arrays
-def test_engines_run_one_search(model, count, rng):
+@pytest.mark.parametrize("base", [(), (BasePose(x=2.0, y=-1.0, rz=1.1),)])
+def test_engines_run_one_search(model, base, count, position_only, rng):
+    """Also where a calibration found the base metres away."""
+    model = Model(model.arm, (*model.effects, *base))
     arm = model.arm
     q = rng.uniform(arm.lower, arm.upper, (count, arm.n))
     q[0] = arm.lower  # a corner of the box
     targets = model.pose(q)
-    made = solve_many(model, targets, engine=Engine.MODEL)
-    reference = solve_many(model, targets, engine=FAST)
+    made, reference = (
+        solve_many(model, targets, position_only=position_only, engine=engine)
+        for engine in (Engine.MODEL, FAST)
+    )
     assert made.ok.all()
     assert (made.starts == reference.starts).all()
     assert (made.iterations == reference.iterations).all()

@@ -42,6 +42,7 @@ def arm_at_work(ros_domain: int, demo_arm_path: Path) -> Iterator[ArmClient]:
                 "move_time_s": 0.2,
                 "payload.by_load": True,
                 "context_max_age_s": 5.0,
+                "target_max_age_s": 60.0,  # a busy machine
             },
         },
         without=("error_predictor", "stereo_bridge"),

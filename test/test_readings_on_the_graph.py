@@ -60,7 +60,12 @@ def arm_at_work(
         set={
             "simulated_arm": {"hidden": DROOP, "seed": 3, "frame_rate_hz": 10.0},
             "servo_driver": {"trim": request.param, "follower.trim_pause_s": 0.5},
-            "kinematics": {"method": "deflection", "move_time_s": 0.2, "compiled": False},
+            "kinematics": {
+                "method": "deflection",
+                "move_time_s": 0.2,
+                "compiled": False,
+                "target_max_age_s": 60.0,  # a busy machine
+            },
         },
         without=("error_predictor", "stereo_bridge"),
     )

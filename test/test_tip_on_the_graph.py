@@ -181,7 +181,12 @@ def commanded(arm_path: Path, hidden: str, tmp_path: Path) -> Iterator[Stage]:
         set={
             "simulated_arm": {"hidden": hidden, "seed": SEED, "frame_rate_hz": 10.0},
             "servo_driver": {"follower.blend_s": 0.05},
-            "kinematics": {"method": "deflection", "move_time_s": 0.05, "compiled": False},
+            "kinematics": {
+                "method": "deflection",
+                "move_time_s": 0.05,
+                "compiled": False,
+                "target_max_age_s": 60.0,  # a busy machine
+            },
         },
         without=("error_predictor", "stereo_bridge"),
     )

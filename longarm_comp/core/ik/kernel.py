@@ -1,10 +1,10 @@
 """The model as small programs, for the inverse kinematics.
 
-At the trial joints, `rigid` computes the tip and its Jacobian without loads and context, `first`
-the twists under the rigid arm's loads, `again` the twists under the loads of the arm with given
-twists, and `tip` the tip and Jacobian of that arm.  The other programs are the search of `newton`.
-They run on floats and on arrays. A `Kernel` traces them and compiles them to machine code in about
-a second; parameters are constants there, joints and context are inputs.
+At the trial joints, `first` computes the twists under the rigid arm's loads, `again` the twists
+under the loads of the arm with given twists, and `tip` the tip and Jacobian of that arm.  The other
+programs are the search of `newton`.  They run on floats and on arrays.  A `Kernel` traces them and
+compiles them to machine code in about a second; parameters are constants there, joints and context
+are inputs.
 """
 
 from __future__ import annotations
@@ -113,9 +113,6 @@ def works(
 ) -> dict[str, Work]:
     """The programs by name, for circumstances that are those of the state."""
 
-    def seen(posture: Posture) -> newton.Outcome:
-        return {"out": tip_and_jacobian(model, posture)}
-
     def at(s: newton.State, x: Sequence[Any]) -> Posture:
         return model.loaded(tuple(s["trial"]), context_of(s), row.twists(x))
 
@@ -125,10 +122,9 @@ def works(
 
     span = [float(v) for v in model.arm.upper - model.arm.lower]
     made: dict[str, Work] = {
-        "rigid": lambda s: seen(at(s, [0.0] * len(row.slot))),
         "first": lambda s: carried(model.unsagged(tuple(s["trial"]), context_of(s))),
         "again": lambda s: carried(at(s, s["x"])),
-        "tip": lambda s: seen(at(s, s["x"])),
+        "tip": lambda s: {"out": tip_and_jacobian(model, at(s, s["x"]))},
         "begin": lambda s: newton.begin(model.arm.n),
         "open": newton.opening,
     }

@@ -5,10 +5,10 @@ a branch on data, so that they can be traced like the model itself.  They run on
 target, on arrays for many, and traced as machine code for the lanes of a processor.  `flow` is the
 order in which they run.
 
-The tip is evaluated at three levels: by the rigid arm while it is far; then by the deflected arm
-with the twists carried from one iterate to the next, one load pass per step; near the target by
-the model itself with all its passes.  There Broyden's rule corrects the Jacobian, which otherwise
-keeps the sag constant.
+The tip is evaluated at three levels: while it is far, by the arm with the twists of the start,
+kept; then with the twists carried from one iterate to the next, one load pass per step; near the
+target by the model itself with all its passes.  There Broyden's rule corrects the Jacobian, which
+otherwise keeps the sag constant.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class Level(NamedTuple):
     """Evaluation of the tip, and the residual down to which it is used.
 
     Attributes:
-        evaluate: "rigid", "carried" or "full".
+        evaluate: "kept", "carried" or "full".
         near: position (m) and angle (rad) at which the level ends; None for `tol`.
         skip: residual at its start at which the level is skipped.
         hasty: a step with little progress ends it too.
@@ -132,7 +132,7 @@ class Level(NamedTuple):
 
 
 LEVELS = (
-    Level("rigid", 0.1, 0.1, False, False),
+    Level("kept", 0.1, 0.1, False, False),
     Level("carried", 1e-6, 5e-3, True, True),  # a first load pass may miss by 4 mm of 100
     Level("full", None, None, False, True),
 )
@@ -311,8 +311,8 @@ def flow(passes: int, m: int) -> Flow:
 
 def evaluation(level: Level, passes: int, anew: bool) -> tuple[str, ...]:
     """Programs that evaluate the trial; `anew`: no twists are carried yet."""
-    if level.evaluate == "rigid":
-        return ("rigid",)
+    if level.evaluate == "kept":
+        return ("first", "tip") if anew else ("tip",)
     if level.evaluate == "carried":
         return ("first", "tip") if anew else ("again", "tip")
     return ("first", *["again"] * (passes - 1), "tip") if passes else ("tip",)
