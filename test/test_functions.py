@@ -179,7 +179,7 @@ def test_what_follows_the_warmth_is_no_drift() -> None:
     """The camera's drift is on offer, and what is seen follows the temperature."""
     rows = measured(SMALL, (), ROWS, 3)
     warmth = rows.columns["temperature_c"] - SMALL.reference_temperature_c
-    rows = dataclasses.replace(rows, xyz=rows.xyz + np.outer(warmth, [6e-5, -4e-5, 1.2e-4]))
+    rows = dataclasses.replace(rows, xyz=rows.xyz + np.outer(warmth, [9e-5, -6e-5, 1.8e-4]))
     assert one(explained(SMALL, rows, (CameraDrift,))).inputs == ("warmth",)
 
 

@@ -21,8 +21,8 @@ from longarm_comp.core.model.model import slots_of
 COARSEST, FINEST = 12, 1000
 """Steps in a joint's range: coarser ones are any function of it, finer ones of usual servos are
 candidates by themselves."""
-POSITIONS = 20
-"""Positions at which a joint must have stood, more than steps in the coarsest look."""
+POSITIONS = 2 * COARSEST
+"""Positions at which a joint must have stood: two on each of the coarsest steps."""
 APART, FINER = 0.25, 20
 """Steps in the range between two that are tried (at the range's end they differ by so much of a
 step), and steps tried between two neighbours, around the best."""

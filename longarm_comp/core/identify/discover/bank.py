@@ -33,7 +33,7 @@ from longarm_comp.core.effects.discovered import (
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
 from longarm_comp.core.effects.shapes import Function
-from longarm_comp.core.identify.discover.functions import EACH_JOINT, FunctionGroup, Functions
+from longarm_comp.core.identify.discover.functions import FunctionFamily, FunctionGroup, Functions
 from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
 from longarm_comp.core.identify.posterior.offers import AMPLITUDES
 from longarm_comp.core.model.model import slots_of
@@ -45,7 +45,7 @@ MOST_ROWS = 350
 SHORTLIST = 60
 """Candidates of each kind that are weighed on all rows: the first look takes the columns of a group
 to be apart."""
-_WEAK = 1e-4
+_WEAK = float(np.sqrt(np.finfo(np.float32).eps))
 """Share of a column's square that must be left beside the geometry: half of the digits of the first
 look, which counts in single precision."""
 
@@ -231,7 +231,7 @@ class Bank:
         """Of numbers of components and functions; of one function at each joint without a group."""
         named = tuple((self.places[k], self.functions.listed[f]) for k, f in members)
         if group is None:
-            prior = math.log(EACH_JOINT.share / len(self.functions.each_joint))
+            prior = -math.log(len(FunctionFamily) * len(self.functions.each_joint))
             return Hypothesis(named, (1.0,) * len(named), prior)
         decay = group.decay if len(group.decay) == len(named) else (1.0,) * len(named)
         return Hypothesis(named, decay, self._prior(group))
@@ -239,7 +239,7 @@ class Bank:
     def _prior(self, group: FunctionGroup) -> float:
         """Log prior of a group of functions at one component; half is for components alone."""
         alike = 2.0 * self.functions.counts[group.family] * len(self.places)
-        return math.log(group.family.share / alike) - RARE * group.rare
+        return -math.log(len(FunctionFamily) * alike) - RARE * group.rare
 
 
 def _by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 from itertools import combinations
 
@@ -39,34 +40,28 @@ HARMONICS = 4
 """Periods per turn of an angle, at most; half periods over the range of a column: twice these."""
 
 
-@dataclass(frozen=True)
-class FunctionFamily:
-    """A kind of function.
+class FunctionFamily(Enum):
+    """A kind of function; beforehand each is as likely as any other."""
 
-    Attributes:
-        name: in words.
-        share: of the prior probability of all kinds.
-        sharp: has a threshold; must be clearly better than a smooth one.
-    """
+    CONSTANT = "constant"
+    LINEAR = "linear"
+    SQUARE = "square"
+    PRODUCT = "product"
+    WAVE = "harmonic"
+    SMOOTH = "smooth"
+    SMOOTH_PAIR = "smooth in two"
+    SWITCH = "switch"
+    CONTACT = "contact"
+    EACH_JOINT = "the same at each joint"
 
-    name: str
-    share: float
-    sharp: bool = False
+    @property
+    def sharp(self) -> bool:
+        """Whether it has a threshold."""
+        return self in (FunctionFamily.SWITCH, FunctionFamily.CONTACT)
 
 
 OWN = ("q", "load_", "side_")
 """What every joint has of its own: names, without its number."""
-
-CONSTANT = FunctionFamily("constant", 0.05)
-LINEAR = FunctionFamily("linear", 0.25)
-SQUARE = FunctionFamily("square", 0.08)
-PRODUCT = FunctionFamily("product", 0.22)
-WAVE = FunctionFamily("harmonic", 0.08)
-SMOOTH = FunctionFamily("smooth", 0.12)
-SMOOTH_PAIR = FunctionFamily("smooth in two", 0.05)
-SWITCH = FunctionFamily("switch", 0.08, sharp=True)
-EACH_JOINT = FunctionFamily("the same at each joint", 0.05)
-CONTACT = FunctionFamily("contact", 0.07, sharp=True)
 
 
 @dataclass(frozen=True)
@@ -156,26 +151,28 @@ class Functions:
 
     def _make(self) -> None:
         inputs = self.inputs.all
-        self._group(CONSTANT, self.number())
+        self._group(FunctionFamily.CONSTANT, self.number())
         for one in inputs:
-            self._group(LINEAR, self.number(_linear(one)))
+            self._group(FunctionFamily.LINEAR, self.number(_linear(one)))
         for one in inputs:
             if not one.curves:
                 continue
             for kind in (Square, SignedSquare):
                 if (kind is Square and not one.far) or one.low < 0 < one.high:
-                    self._group(SQUARE, self.number(kind(one.name, one.low, one.high)))
+                    self._group(
+                        FunctionFamily.SQUARE, self.number(kind(one.name, one.low, one.high))
+                    )
             for order in orders(one):
                 pair = [self.number(k(one.name, one.low, one.high, order)) for k in (Cosine, Sine)]
-                self._group(WAVE, *pair)
+                self._group(FunctionFamily.WAVE, *pair)
             self._smooth(one)
             for threshold in thresholds(one):
-                self._group(SWITCH, self.number(switch(one, threshold)))
+                self._group(FunctionFamily.SWITCH, self.number(switch(one, threshold)))
                 for side in (Above, Below):
                     made = side(one.name, one.low, one.high, threshold)
-                    self._group(CONTACT, self.number(made))
+                    self._group(FunctionFamily.CONTACT, self.number(made))
         for a, b in combinations(inputs, 2):
-            self._group(PRODUCT, self.number(_linear(a), _linear(b)))
+            self._group(FunctionFamily.PRODUCT, self.number(_linear(a), _linear(b)))
         for a, b in self._pairs():
             self._smooth_pair(a, b)
         self._each_joint()
@@ -185,7 +182,7 @@ class Functions:
         if top < 2:
             return
         made = [self.number(legendre(one, n)) for n in range(1, top + 1)]
-        self._group(SMOOTH, *made, decay=[1.0 / n for n in range(1, top + 1)])
+        self._group(FunctionFamily.SMOOTH, *made, decay=[1.0 / n for n in range(1, top + 1)])
 
     def _each_joint(self) -> None:
         """One function for every joint: of its own, or of none, times what all joints share."""
@@ -218,7 +215,7 @@ class Functions:
                 numbers.append(self.number(*factors))
                 decay.append(1.0 / (i + j))
         if len(numbers) > 3:
-            self._group(SMOOTH_PAIR, *numbers, decay=decay)
+            self._group(FunctionFamily.SMOOTH_PAIR, *numbers, decay=decay)
 
 
 def _linear(one: Argument) -> Shape:

@@ -17,6 +17,8 @@ SWEEPS = 30
 AT_ONCE = 3
 """Single effects that one call adds at most: an effect's form, and what it leaves, must be fitted
 before what is smaller can be told from it."""
+BETTER = 1.0
+"""Log evidence by which an explanation, or a form, must be better to take the place of another."""
 THERE = 0.5
 """Probability from which on a single effect is there."""
 
@@ -75,7 +77,7 @@ def explain(
         others = tuple(e for e in best.effects if e is not effect)
         without = _grown(bank, others, shut, min(len(others) + 2, most))
         again = _pruned(_grown(bank, without.effects, frozenset(), most))
-        if again.evidence > best.evidence + 1.0:
+        if again.evidence > best.evidence + BETTER:
             best = again
     return best
 

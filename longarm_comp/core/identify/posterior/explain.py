@@ -23,7 +23,8 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify.give import TOLERANCES, Slack, with_give
 from longarm_comp.core.identify.intervals import LOOSE
-from longarm_comp.core.identify.posterior.forms import BETTER, refined
+from longarm_comp.core.identify.posterior.ascent import BETTER
+from longarm_comp.core.identify.posterior.forms import refined
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     FoundEffect,

@@ -18,16 +18,12 @@ from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.linear import OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 LOOKS = 7
 """Values looked at side by side; then as many again around the best of them, and so on.  Where rows
 were set aside that may want any value, all of two such looks are looked at first."""
-CLOSER = 4
-"""Times: the last values are a thousandth of the range apart."""
-BETTER = 1.0
-"""Log evidence by which an explanation, or a form, must be better to take the place of the one in
-the model."""
 
 
 def refined(fit: ModelFit, term: Term, candidates: Sequence[Candidate]) -> Term:
@@ -71,15 +67,16 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
     """
     fields = list(term.scales())
     least = float(worth([term])[0]) + BETTER
-    best, here = -np.inf, term
-    for _ in range(CLOSER + 1):
+    best, here, rises = -np.inf, term, True
+    while rises:
         found = worth([_at(term, fields, point) for point in grid])
         chances = np.exp(found - found.max())
         centre = chances @ grid / chances.sum()
         looked = [_at(term, fields, point) for point in (centre, grid[int(np.argmax(found))])]
+        rises = False
         for moved, now in zip(looked, worth(looked).tolist(), strict=True):
             if now > best + BETTER:
-                best, here = now, moved
+                best, here, rises = now, moved, True
         reach = (
             _beside(float(getattr(here, f)), np.unique(v))
             for f, v in zip(fields, grid.T, strict=True)
