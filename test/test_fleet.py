@@ -93,6 +93,19 @@ def test_the_arm_that_was_knocked_is_told(folders: Path, told: tuple[Path, str])
     assert json.loads((out / "fleet.json").read_text("utf-8"))["arms"] == list(arms.values())
 
 
+def test_a_cause_without_a_name_is_told_with_its_place_and_size(tmp_path: Path) -> None:
+    arm_yaml(tmp_path / "arms" / "shaken")
+    pump = np.random.default_rng(5).uniform(1.0, 2.0, 150)
+    rows = measured(150, np.random.default_rng(4), columns={"pump_bar": pump})
+    sway = 2e-3 * np.sin(6.0 * pump)
+    shaken = dataclasses.replace(rows, xyz=rows.xyz + np.outer(sway, [1.0, 0.0, 0.0]))
+    write_csv(shaken, tmp_path / "arms" / "shaken" / "rows.csv")
+    (arm,) = fleet(tmp_path / "arms", tmp_path / "out", network=False)
+    (found,) = arm.findings
+    assert (found.effect, found.where) == ("cause without a name", "base, move x")
+    assert found.tip_mm == pytest.approx(1e3 * sway.std(), rel=0.1)
+
+
 def test_one_arm_yaml_stands_for_arms_of_a_kind(folders: Path, tmp_path: Path) -> None:
     arm_yaml(tmp_path)
     shutil.copy(folders / "sound" / "first.csv", tmp_path / "one.csv")

@@ -49,7 +49,8 @@ class Finding:
     """An effect that was found at a place of an arm.
 
     Attributes:
-        effect: its name, or the names that no row tells apart, with "or" between them.
+        effect: its name, or the names that no row tells apart, with "or" between them; or that it
+            is a cause without a name.
         tip_mm: median size at the tip, of the effect at all of its places.
         of_kind: whether half of the arms of the kind, two at least, have it at that place.
     """
@@ -244,15 +245,15 @@ def _diagnosed(
             in_use = 1e3 * evaluate(arm, member.session, model=member.model)["calibrated"].mean
     except LongarmError as error:
         return Diagnosed(member.name, kind, where, 0, "failed", str(error), made_of=made_of)
-    left, reported = found.held_out, read_report(output / member.name).findings
-    sizes = [f.tip_mm.median if f.tip_mm else 0.0 for f in reported]
+    left, reported = found.held_out, read_report(output / member.name)
+    sizes = [f.tip_mm.median if f.tip_mm else 0.0 for f in reported.findings]
     findings = tuple(
         Finding(
             " or ".join(sorted({f.name, *(r.candidate.name for r in f.alternatives)})), place, size
         )
         for f, size in zip(found.findings, sizes, strict=True)
         for place in f.where
-    )
+    ) + tuple(Finding(c.title, c.set[0], c.tip_mm.rms) for c in reported.discovered if c.kept)
     rows = len(found.diagnosis.train) + len(found.diagnosis.held_out)
     calibrated, diagnosed = (1e3 * left[name].mean for name in ("calibrated", list(left)[-1]))
     made = Diagnosed(

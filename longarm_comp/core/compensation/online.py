@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from longarm_comp.core.arm.context import PER_JOINT, Context
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.model import Model
@@ -64,9 +64,8 @@ class Readings:
         if "payload_kg" in old and model.arm.payload is not None:
             raise _stale("payload_kg", old)
         for effect in model.effects:
-            for name in effect.inputs:
-                if name not in PER_JOINT and not context.has(name):
-                    raise _stale(name, old)
+            if name := effect.missing(context):
+                raise _stale(name, old)
         return context
 
 

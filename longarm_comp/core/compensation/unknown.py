@@ -21,9 +21,8 @@ _LEAST_M = 1e-5
 def missing_column(model: Model, context: Context) -> str:
     """Which recorded quantity an effect of the model needs and the context lacks, or ""."""
     for effect in model.effects:
-        for name in effect.inputs:
-            if name not in PER_JOINT and not context.has(name):
-                return f"{name} is not known, and {effect.name} of the model needs it"
+        if name := effect.missing(context):
+            return f"{name} is not known, and {effect.name} of the model needs it"
     return ""
 
 

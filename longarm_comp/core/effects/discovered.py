@@ -16,7 +16,7 @@ import numpy as np
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import PER_JOINT, Context
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import BASE, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
@@ -182,6 +182,8 @@ def components(arm: Arm) -> list[str]:
 
 
 CAMERA, DISTANCE = "camera", "distance"
+MEASURED = "what is measured"
+"""The place of what the camera alone sees, for people."""
 
 
 def views(arm: Arm) -> list[str]:
@@ -203,7 +205,8 @@ class _OfFunction:
 
     @property
     def where(self) -> str:
-        return f"{self.at}, {self.component}"
+        """``joint 5, force y``; ``what is measured, x``."""
+        return f"{MEASURED if self.at == CAMERA else self.at}, {self.component}"
 
     @cached_property
     def of(self) -> Function:
@@ -219,9 +222,8 @@ class _OfFunction:
         return tuple(dict.fromkeys(name for q in self.of.quantities for name in q.inputs))
 
     def require(self, context: Context) -> None:
-        for column in self.inputs:
-            if column not in PER_JOINT and not context.has(column):
-                raise InputError(self.name, column, "missing", "a recorded column of the session")
+        if column := self.missing(context):  # type: ignore[attr-defined]
+            raise InputError(self.name, column, "missing", "a recorded column of the session")
 
     def check(self, arm: Arm, where: str) -> None:
         try:

@@ -10,6 +10,7 @@ from longarm_comp.core.effects.discovered import (
     BASE_PLACE,
     CAMERA,
     COMPONENTS,
+    MEASURED,
     Discovered,
     DiscoveredView,
     Force,
@@ -35,8 +36,6 @@ from longarm_comp.core.effects.shapes import Above, Below, Cosine, Function, Sha
 
 TIME = "t_s"
 Found = Discovered | DiscoveredView
-MEASURED = "what is measured"
-"""Where a cause on the measuring side is, for people."""
 
 
 @dataclass(frozen=True)
@@ -142,13 +141,8 @@ def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> 
     """
     by_place: dict[str, list[str]] = {}
     for term, amount in zip(terms, amounts, strict=True):
-        by_place.setdefault(where(term), []).append(_part(term.of, *amount))
+        by_place.setdefault(term.where, []).append(_part(term.of, *amount))
     return "; ".join(f"{place}: {' + '.join(parts)}" for place, parts in by_place.items())
-
-
-def where(term: Found) -> str:
-    """``joint 5, force y``; ``what is measured, x``."""
-    return f"{MEASURED if term.at == CAMERA else term.at}, {term.component}"
 
 
 def seen_alike(terms: Sequence[Found]) -> list[str]:

@@ -22,7 +22,7 @@ from typing_extensions import Self
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.posture import Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
@@ -293,6 +293,11 @@ class _Term:
 
     def check(self, arm: Arm, where: str) -> None:
         """Raise `InputError` if its fields, read from `where`, mean nothing on an arm."""
+
+    def missing(self, context: Context) -> str:
+        """The first recorded quantity that it reads and the context lacks, or ""."""
+        read = (name for name in self.inputs if name not in PER_JOINT)
+        return next((name for name in read if not context.has(name)), "")
 
     def require(self, context: Context) -> None:
         """Raise `InputError` if an input that it needs was not recorded."""

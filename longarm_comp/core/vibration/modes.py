@@ -68,8 +68,11 @@ def modes_along(
 ) -> list[Modes]:
     """Modes at so many places, evenly along a way of which joints (N, n) are known, evenly too.
 
-    Between these masses and flexibility go along cubics.
+    Between these masses and flexibility go along cubics.  Effects of circumstances that the context
+    does not hold are left out.
     """
+    context = context or Context.empty()
+    model = replace(model, effects=tuple(e for e in model.effects if not e.missing(context)))
     # Of all beams together, at least; twice as many change the first frequencies by less than 1 %
     each = -(-12 // max(1, len(model.arm.links)))
     fine = replace(model, elements_per_beam=max(each, model.elements_per_beam))

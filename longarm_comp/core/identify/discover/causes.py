@@ -88,7 +88,7 @@ def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
         value = float(getattr(slot.owner, slot.parameter.name))
         error = float(fit.standard_errors[i])
         shift = shift + value * fit.columns[..., i]
-        amounts.append((words.where(term), term.of.formula, value, error, slot.parameter.unit))
+        amounts.append((term.where, term.of.formula, value, error, slot.parameter.unit))
     size = np.linalg.norm(shift * fit.metres, axis=1)
     return Cause(
         terms,
@@ -108,8 +108,8 @@ def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
 
 def _places(terms: Sequence[words.Found], found: FoundEffect) -> tuple[str, ...]:
     """Where it may act: the place in the model, then others of the credible set."""
-    first = " and ".join(dict.fromkeys(map(words.where, terms)))
-    other = [" and ".join(places) for places in found.where]
+    first = " and ".join(dict.fromkeys(t.where for t in terms))
+    other = [" and ".join(dict.fromkeys(places)) for places in found.where]
     return (*dict.fromkeys((first, *words.seen_alike(terms), *other)),)
 
 
