@@ -16,7 +16,12 @@ from longarm_comp.core.model.tip_motion import stack
 
 
 def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-    """Points (..., k, 3) m, base frame: every station from the foot to the tip, at q (..., n)."""
+    """Points (..., k, 3) m, base frame: every station from the foot to the tip, at q (..., n).
+
+    Effects of circumstances that the context does not hold are left out.
+    """
+    context = context or Context.empty()
+    model = model.told_by(context)
     posture = model.posture(unstack(q), context)
     points = [stack(frame.p) for frame in (*posture.frames, model.tip_frame(posture))]
     shape = (*np.shape(q)[:-1], 3)

@@ -174,6 +174,12 @@ class Model:
         """A copy with further terms."""
         return self.with_terms([*self.terms, *terms])
 
+    def told_by(self, context: Context) -> Model:
+        """Without the effects that read a quantity which the context lacks; itself with all."""
+        if any(effect.missing(context) for effect in self.effects):
+            return self.with_terms([t for t in self.terms if not t.missing(context)])
+        return self
+
     # ------------------------------------------------------------------ predict
 
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:

@@ -98,6 +98,8 @@ class Uncertainty:
     ) -> Uncertainty:
         """Before any measurement, or after a session.
 
+        Effects of circumstances that no plan tells, as of a recorded column, count as known.
+
         Args:
             model: the arm as declared or calibrated.
             measured: rows that were measured so far; they give the noise too, and joints that were
@@ -128,6 +130,7 @@ class Uncertainty:
             length = {c for c, u in zip(measured.channels, measured.units, strict=True) if u == "m"}
             held = [s for c, s in noise.items() if c in length and np.isfinite(s)]
             sigma = (float(np.median(held)) if held else sigma[0], sigma[1])
+        whole = whole.told_by(asked[0].context())
         if not known:
             sides = np.array([1.0, -1.0])
             at = Session.record(np.tile(model.arm.mid, (2, 1)), np.zeros((2, 3)), approach=sides)

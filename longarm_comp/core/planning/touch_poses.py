@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.parts import Vec3
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
@@ -29,6 +30,7 @@ def touch_pool(
     """
     if not points:
         raise InputError("plan", "points", "none", "names and places (m) of points to touch")
+    model = model.told_by(Context.empty())
     arm, parts, names = model.arm, [], []
     each = max(count // len(points), 2)
     for name, place in points.items():

@@ -72,7 +72,7 @@ def modes_along(
     does not hold are left out.
     """
     context = context or Context.empty()
-    model = replace(model, effects=tuple(e for e in model.effects if not e.missing(context)))
+    model = model.told_by(context)
     # Of all beams together, at least; twice as many change the first frequencies by less than 1 %
     each = -(-12 // max(1, len(model.arm.links)))
     fine = replace(model, elements_per_beam=max(each, model.elements_per_beam))
