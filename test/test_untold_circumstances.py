@@ -10,14 +10,18 @@ import pytest
 import longarm_comp as la
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import compensate
+from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.result import Status
+from longarm_comp.core.data.commanded import as_commanded
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.model.link_frames import outline, reach
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.core.planning.optimal_poses import Measure
 from longarm_comp.core.vibration.modes import modes
+from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.workflows.plan import plan
 
 TOLD = Context(columns={"pump_bar": 1.5})
@@ -64,3 +68,15 @@ def test_poses_are_planned(models: tuple[Model, Model], measure: Measure) -> Non
     planned, same = (plan(m.arm, 6, model=m, seed=3, **asked) for m in models)
     assert planned.q.shape == (6, 7)
     np.testing.assert_array_equal(planned.q, same.q)
+
+
+def test_the_graph_serves_the_model_without_what_no_topic_tells(
+    models: tuple[Model, Model], demo_arm_path: Path, tmp_path: Path
+) -> None:
+    """As `longarm diagnose` counts it in the expected error of commands."""
+    sways, still = models
+    save_model(tmp_path / "model.yaml", store(sways))
+    files = ModelFiles(str(demo_arm_path), str(tmp_path / "model.yaml"))
+    assert files.loaded.model.effects == still.effects == as_commanded(sways).effects
+    assert "left out discovered (a circumstance that no command knows)" in files.report().message
+    Readings(started_s=0.0).context(files.loaded.model, 1.0, 5.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.commanded import NEVER_TOLD, without_never_told
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
@@ -28,7 +29,10 @@ class _LoadedModel:
 
 
 class ModelFiles:
-    """arm.yaml, read once, and model.yaml, read again on demand."""
+    """arm.yaml, read once, and model.yaml, read again on demand.
+
+    Effects of circumstances that no topic tells are left out, as in the expected error of commands.
+    """
 
     def __init__(self, arm_path: str, model_path: str, trimmed: bool = False) -> None:
         if not arm_path:
@@ -39,7 +43,7 @@ class ModelFiles:
         self.rigid = Model(self.arm)
         self._of_commands = by_readings if trimmed else (lambda model: model)
         self.loaded = self.given = _LoadedModel(self._of_commands(declared_model(self.arm)))
-        self._fault = ""
+        self._fault, self._left_out = "", list[str]()
         self.loads = 0
         self.reload()
 
@@ -48,7 +52,10 @@ class ModelFiles:
         if not self._path:
             return True, "the arm as declared: no model.yaml is configured"
         try:
-            model = self._of_commands(load_model(self._path, self.arm))
+            model = load_model(self._path, self.arm)
+            kept = without_never_told(model)
+            self._left_out = sorted({e.name for e in model.effects if e not in kept.effects})
+            model = self._of_commands(kept)
             self.loaded = self.given = _LoadedModel(model, file_hash(self._path))
         except LongarmError as error:
             self._fault = str(error)
@@ -70,7 +77,8 @@ class ModelFiles:
             wrong = f": {self._fault}" if self._fault and Path(self._path).exists() else ""
             said = "not calibrated yet: plan, collect, diagnose; the arm as declared is used"
             return Report(WARN, said + wrong, facts)
-        return Report(OK, "calibrated model loaded", facts)
+        left_out = f"; left out {', '.join(self._left_out)} {NEVER_TOLD}" if self._left_out else ""
+        return Report(OK, f"calibrated model loaded{left_out}", facts)
 
 
 def file_hash(path: str | Path) -> str:

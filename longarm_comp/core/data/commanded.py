@@ -39,6 +39,11 @@ def as_commanded(model: Model) -> Model:
     )
 
 
+def without_never_told(model: Model) -> Model:
+    """The model without effects of circumstances that no command is told."""
+    return model.with_terms([t for t in model.terms if isinstance(t, Bias) or commandable(t)])
+
+
 def commandable(term: Effect | Bias) -> bool:
     """Whether a command can compensate it: on the arm's side, by what a command is told."""
     known = (name in PER_JOINT or is_told(name) for name in term.inputs)

@@ -9,8 +9,8 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.data.commanded import commandable
 from longarm_comp.core.effects import discovered_words as words
-from longarm_comp.core.effects.discovered import CAMERA
 from longarm_comp.core.effects.discovered_words import Found
 from longarm_comp.core.effects.quantities import JointPosition, OfPosture
 from longarm_comp.core.effects.shapes import Shape, Switch
@@ -47,7 +47,8 @@ class Cause:
         log_evidence: on top of the rest.
         probability: that it, or what it cannot be told from, is there.
         tip_m: rms and largest shift of the tip over the fitted rows.
-        compensated: whether commands correct for it; never what the camera alone sees.
+        compensated: whether commands correct for it: never for what the camera alone sees, nor for
+            a circumstance that no command is told.
     """
 
     terms: tuple[words.Found, ...]
@@ -102,7 +103,7 @@ def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
         found.log_bayes_factor,
         found.there,
         (float(np.sqrt((size**2).mean())), float(size.max())),
-        all(t.at != CAMERA for t in terms),
+        all(map(commandable, terms)),
     )
 
 
