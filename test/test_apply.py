@@ -218,7 +218,7 @@ def test_the_changes_are_those_of_the_values(rng: np.random.Generator) -> None:
     (added,) = changes(bare, grown, q, context)
     (removed,) = changes(grown, bare, q, context)
     assert (added.kind, removed.kind) == ("added", "removed")
-    assert "none -> 0.006" in str(added)
+    assert "width none -> 0.3438 °" in str(added)
     zeros = FOUND.with_values(FOUND.values + np.r_[1e-3, np.zeros(len(FOUND.values) - 1)])
     (geometry,) = changes(FOUND, zeros, q, context)
     assert (geometry.what, geometry.where) == ("geometry", "")

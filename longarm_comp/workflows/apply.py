@@ -21,6 +21,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.learn import predictor_file
@@ -62,10 +63,11 @@ class _Change:
 
     def __str__(self) -> str:
         place = f" at {self.where}" if self.where else ""
-        shown = [
-            f"{name} {_number(before)} -> {_number(after)} {unit}".rstrip()
-            for name, unit, before, after in self.values
-        ]
+        shown = []
+        for name, unit, *values in self.values:
+            times, read = for_people(unit)
+            before, after = (_number(times * value) for value in values)
+            shown.append(f"{name} {before} -> {after} {read}")
         listed = f" ({', '.join(shown)})" if shown else ""
         return f"{self.what}{place} {self.kind}: {self.tip_mm:.3f} mm at the tip{listed}"
 
