@@ -128,6 +128,7 @@ def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis() -> None:
     assert cause.where == ("base, move x", "what is measured, x")
     assert cause.amounts[0].value == pytest.approx(2e-3, rel=0.05)
     assert "something that depends on the recorded column" in cause.reading
+    assert not cause.compensated  # no command knows the column
 
 
 def test_a_stop_begins_where_it_begins() -> None:

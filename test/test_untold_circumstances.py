@@ -13,6 +13,7 @@ from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.data.commanded import as_commanded
+from longarm_comp.core.effects.camera_errors import CameraScale
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.link_deflection import LinkDeflection
@@ -75,8 +76,10 @@ def test_the_graph_serves_the_model_without_what_no_topic_tells(
 ) -> None:
     """As `longarm diagnose` counts it in the expected error of commands."""
     sways, still = models
+    sways = sways.plus(CameraScale(scale=0.01))
     save_model(tmp_path / "model.yaml", store(sways))
     files = ModelFiles(str(demo_arm_path), str(tmp_path / "model.yaml"))
     assert files.loaded.model.effects == still.effects == as_commanded(sways).effects
+    assert files.loaded.model.biases == sways.biases
     assert "left out discovered (a circumstance that no command knows)" in files.report().message
     Readings(started_s=0.0).context(files.loaded.model, 1.0, 5.0)
