@@ -125,6 +125,19 @@ def _urdf() -> tuple[str, ...]:
     return ("--urdf", str(example("ur_description/urdf/ur5_robot.urdf")), *UR5[2:])
 
 
+def test_gearing_and_cameras_are_those_of_the_packages_own_files(shell: Shell) -> None:
+    words = "type=prismatic alpha=90 d=0.1 limits=0..0.1", "a=0.3 limits=-30..30"
+    folder = made(shell, "mine", *(word for row in words for word in ("--joint", row)))
+    own = ServoConfig.load(made(shell, "demo", "--like", "demo") / "servo_driver.yaml").joints
+    lift, swing = ServoConfig.load(folder / "servo_driver.yaml").joints.values()
+    assert lift.si_per_tick == own["joint3"].si_per_tick
+    assert swing.si_per_tick == own["joint1"].si_per_tick
+    assert lift.zero_ticks == own["joint3"].zero_ticks
+    simulated = read_parameters(folder / "simulated_arm.yaml")
+    for key in ("camera.focal_px", "camera.width", "camera.height"):
+        assert simulated[key] == own_parameters("simulated_arm")[key]
+
+
 def test_servos_stand_at_the_steps_that_the_arm_declares(shell: Shell) -> None:
     folder = made(shell, "mine", *COLUMN)
     file = folder / "arm.yaml"

@@ -78,7 +78,7 @@ def test_a_fault_is_told_with_its_cause_and_stays_until_it_is_cured(rig: Rig, sh
 def test_without_an_arm_the_command_says_so(
     rig: Rig, shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(attend, "_PATIENCE_S", 0.3)
+    monkeypatch.setattr(attend, "FOUND_S", 0.3)
     for name in ("status", "hold"):
         said = shell.refused(name, "--namespace", "moon", code=3)
         assert "servo_driver" in said or "longarm up" in said

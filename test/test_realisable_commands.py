@@ -19,6 +19,7 @@ from longarm_comp.core.compensation.arrive import CompensationOptions, compensat
 from longarm_comp.core.compensation.compensate import commandable, compensate
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Method, Status
+from longarm_comp.core.compensation.target_frame import placement
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.learn.predictor import Expansion, Nearby, Prediction
 from longarm_comp.core.model.declared_model import declared_model
@@ -315,7 +316,8 @@ def test_a_line_of_commands_csv_has_what_was_settled_on(model: Model, joints: np
     chosen = arrival.outcome.realisable
     assert chosen is not None
     names = [f"q{j}" for j in range(1, model.arm.n + 1)]
-    (line,) = Commands(np.array([4]), (arrival,)).lines()
+    where = placement(model, model.tip(joints[:1]), "base")
+    (line,) = Commands(np.array([4]), (arrival,), (where,)).lines()
     assert list(line) == [
         *("index", "status", "reason", *names, "target_x", "target_y", "target_z"),
         *("predicted_error_x", "predicted_error_y", "predicted_error_z", "sigma_mm", "passes"),

@@ -22,7 +22,6 @@ SIDES = ("left", "right")
 
 
 def camera_path(folder: Path, side: str) -> Path:
-    """File of the left or the right camera."""
     return folder / CAMERAS / f"{side}.yaml"
 
 

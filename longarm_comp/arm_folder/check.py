@@ -16,7 +16,6 @@ from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES, camera_path
 from longarm_comp.arm_folder.make import ARM, NODES
 from longarm_comp.arm_folder.measured import FILE, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, strangers
-from longarm_comp.arm_folder.servos import ZERO_TICKS
 from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Beam, Rect, Tube
@@ -215,9 +214,9 @@ def _of_servos(folder: Path, arm: Arm, known: set[str]) -> list[_FolderFinding]:
         servos.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), path.name)
     except InputError as error:
         found.append(implausible(f"{ARM}: {error.field}", str(error.allowed)))
-    zeros = [name for name, joint in servos.joints.items() if joint.zero_ticks == ZERO_TICKS]
+    zeros = [n for n, j in servos.joints.items() if j.zero_ticks == j.servo.ticks_per_turn / 2]
     if zeros and path.name not in known:
-        said = f"{ZERO_TICKS:g} of {', '.join(zeros)}: read the encoders at joint value 0"
+        said = f"half a turn at {', '.join(zeros)}: read the encoders at joint value 0"
         said += " (longarm servo setup); check ids, gearing and directions too"
         found.append(unmeasured(f"{path.name}: zero_ticks", said))
     return found

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from longarm_comp.arm_folder.parameter_file import own_parameters
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
@@ -16,8 +17,6 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.sim.cameras import CameraPair
 
-FOCAL_PX, SIZE = 640.0, (640, 480)
-"""Of a webcam: 53 degrees across."""
 _POSES = 256
 """Poses of the tip that are looked at."""
 _LEVEL = [
@@ -32,10 +31,11 @@ _BASELINE = 0.18
 def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
     """Parameters of `stereo_bridge` and `simulated_arm` with the whole range of the tip in view.
 
-    The head looks level, from the side where the marker shows: of 16 directions the one from which
-    the marker, mounted for it, is turned away the least over 256 poses. A camera that the arm
-    declares stays where it is. The marker has 2 x 2 tags, a fifth of a tag apart; its centre is the
-    tip.
+    The cameras are those of the package's own `simulated_arm.yaml`, 53 degrees across as webcams
+    are. The head looks level, from the side where the marker shows: of 16 directions the one from
+    which the marker, mounted for it, is turned away the least over 256 poses. A camera that the
+    arm declares stays where it is. The marker has 2 x 2 tags, a fifth of a tag apart; its centre is
+    the tip.
     """
     model = declared_model(arm, deflection=False)
     tips = model.pose(sobol(arm, _POSES, 0).q)
@@ -50,13 +50,15 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
     off = points - middle
     across, down, deep = np.abs(off @ x), np.abs(off[:, 2]), off @ axis
     distance, tag = 0.3, 0.02
+    own = own_parameters("simulated_arm")
+    focal_px, width, height = (own[f"camera.{key}"] for key in ("focal_px", "width", "height"))
     for _ in range(20):  # the marker and the second camera need room of their own
         rim = 1.6 * tag
         # A tag of 22 pixels is found reliably
-        tag = math.ceil(1e3 * 22.0 / FOCAL_PX * (distance + deep.max())) / 1e3
+        tag = math.ceil(1e3 * 22.0 / focal_px * (distance + deep.max())) / 1e3
         ends = [
-            (0.9 * 0.5 * SIZE[0] / FOCAL_PX, across + rim + 0.5 * _BASELINE * distance),
-            (0.9 * 0.5 * SIZE[1] / FOCAL_PX, down + rim),
+            (0.9 * 0.5 * width / focal_px, across + rim + 0.5 * _BASELINE * distance),
+            (0.9 * 0.5 * height / focal_px, down + rim),
         ]
         distance = max(float((wide / slope - deep).max()) for slope, wide in ends)
         if given:
@@ -74,9 +76,6 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
             "camera.position": at,
             "camera.axis": along,
             "camera.baseline_m": baseline,
-            "camera.focal_px": FOCAL_PX,
-            "camera.width": SIZE[0],
-            "camera.height": SIZE[1],
             **marker,
             "marker.mounting": _rounded(mounting, 9),
         },

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from scipy.constants import inch, milli
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 PAPERS = {"A4": (210, 297), "A3": (297, 420), "A2": (420, 594), "A1": (594, 841), "A0": (841, 1189)}
 _RIM, _FOOT = 12.0, 34.0
 """Least margin, and room for the ruler and the text below the marker, mm."""
-_INCH = 25.4
 Printed = TagBoard | CharucoTarget
 
 
@@ -35,7 +35,7 @@ def sheet(board: Printed) -> tuple[str, Figure]:
         wide, high = (f"{value:.0f}" for value in needed)
         raise InputError("marker", "size", f"{wide} x {high} mm", "a marker that fits on A0")
     width, height = PAPERS[paper]
-    figure = Figure(figsize=(width / _INCH, height / _INCH))
+    figure = Figure(figsize=(width * milli / inch, height * milli / inch))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, width), ylim=(0, height))
     axes.axis("off")

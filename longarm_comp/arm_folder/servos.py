@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from longarm_comp.arm_folder.parameter_file import edited
+from longarm_comp.arm_folder.parameter_file import edited, own_parameters
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
@@ -39,10 +39,6 @@ def with_joints(
 
 
 DEFAULT_MODEL = "sts3215"
-ZERO_TICKS = 2048.0
-"""What stands there until it is measured: the middle of the first turn."""
-_GEAR, _PINION_M = 10.0, 0.008
-"""The demonstration's gearing, assumed until it is told."""
 _SPEED = 0.85 * 3000.0
 """Velocity of a joint as ticks a second of its servo: 85 % of a small servo without load."""
 
@@ -73,8 +69,9 @@ def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict
     """``reach_m``: of an arm whose joints sit on the servos' horns; 0: geared."""
     horn = reach_m > 0.0 and joint.type == "revolute"
     low, high = model.multi_turn
+    middle = model.ticks_per_turn / 2  # of the first turn: stands there until the zero is measured
     # Share of the servo's turns that a joint's range may take
-    room = 0.98 * min(high - ZERO_TICKS, ZERO_TICKS - low)
+    room = 0.98 * min(high - middle, middle - low)
     farthest = max(map(abs, joint.limits))
     if joint.step and farthest / joint.step > room:
         allowed = f"at least {farthest / room:.3g} with {model.name}, or a servo with more turns"
@@ -88,7 +85,7 @@ def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict
         "servo_id": number,
         "model": model.name,
         "type": joint.type,
-        "zero_ticks": ZERO_TICKS,
+        "zero_ticks": middle,
         **transmission,
         "multi_turn": not horn,
         "lower": round(joint.limits[0], 7),
@@ -99,13 +96,15 @@ def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict
 
 def _transmission(joint: Joint, least: float, turn: int) -> tuple[dict[str, Any], float]:
     """Keys of the gearing, and rad or m a tick; ``least``: the smallest tick that fits."""
+    own = own_parameters("servo_driver")  # the demonstration's gearing, assumed until it is told
     if joint.type == "prismatic":
         if joint.step:
             return {"screw_lead_m": joint.step * turn}, joint.step
-        radius = max(_PINION_M, math.ceil(1e3 * least * turn / (2 * math.pi)) / 1e3)
+        smallest = math.ceil(1e3 * least * turn / (2 * math.pi)) / 1e3
+        radius = max(own["joints.joint3.pinion_radius_m"], smallest)
         return {"pinion_radius_m": radius}, 2 * math.pi * radius / turn
     largest = 2 * math.pi / (turn * least)
-    gear = min(_GEAR, math.floor(10 * largest) / 10 or largest)
+    gear = min(own["joints.joint1.gear_ratio"], math.floor(10 * largest) / 10 or largest)
     if joint.step:
         gear = 2 * math.pi / (turn * joint.step)
     return {"gear_ratio": gear}, 2 * math.pi / (turn * gear)

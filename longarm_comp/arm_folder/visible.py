@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from longarm_comp.arm_folder.parameter_file import parameters_of
 from longarm_comp.core.arm import quaternion
-
-if TYPE_CHECKING:
-    from longarm_comp.devices.camera_info import CameraInfo
+from longarm_comp.devices.camera_info import CameraInfo
 
 _TAG_PX = 12.5
 """A tag that looks smaller is not found: geometric mean of its seen sides, px."""
@@ -27,15 +25,6 @@ class Lens:
     middle_px: tuple[float, float]
     size_px: tuple[int, int]
     baseline_m: float
-
-    @classmethod
-    def of(cls, left: CameraInfo, right: CameraInfo) -> Lens | None:
-        """From a calibrated pair; None where it is not calibrated."""
-        p, across = left.p, right.p
-        if not p[0] > 0.0 or not across[0] > 0.0:
-            return None
-        middle, size = (float(p[2]), float(p[6])), (int(left.width), int(left.height))
-        return cls(float(p[0]), middle, size, -float(across[3] / across[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +76,14 @@ class View:
             board.tag_m,
             Limits().seen_share,
         )
+
+    def through(self, left: CameraInfo, right: CameraInfo) -> View:
+        """The same view through the lenses of a pair; as it is where that is not calibrated."""
+        p, across = left.p, right.p
+        if not p[0] > 0.0 or not across[0] > 0.0:
+            return self
+        middle, size = (float(p[2]), float(p[6])), (int(left.width), int(left.height))
+        return replace(self, lens=Lens(float(p[0]), middle, size, -float(across[3] / across[0])))
 
     def unseen(self, tips: np.ndarray) -> list[str]:
         """For each of the tip poses (M, 4, 4), base frame: why it is not measured, or "".
@@ -157,5 +154,4 @@ def view_beside(arm: Path) -> View | None:
     view, calibrated = View.of(bridge, simulated), [camera_path(folder, side) for side in SIDES]
     if not all(file.is_file() for file in calibrated):
         return view
-    lens = Lens.of(*map(read_camera, calibrated))
-    return view if lens is None else replace(view, lens=lens)
+    return view.through(*map(read_camera, calibrated))

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+import numpy as np
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows
 from longarm_comp.core.errors import InputError, JobError
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -141,8 +139,6 @@ def _number(text: str) -> float:
 
 
 def _joints(text: str, arm: options.Arm) -> np.ndarray:
-    import numpy as np
-
     try:
         q = np.array([float(v) for v in text.split(",")])
     except ValueError:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_rows
@@ -49,8 +50,6 @@ def command(
       longarm modes arm.yaml
       longarm modes arm.yaml --model model.yaml --at poses.csv --ring tip.csv
     """
-    import numpy as np
-
     from longarm_comp.core.vibration.ring import ring_of_moves
     from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
     from longarm_comp.core.vibration.shaper import USUAL_DAMPING

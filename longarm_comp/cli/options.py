@@ -25,7 +25,6 @@ _PATH = click.Path(path_type=Path)  # type: ignore[type-var]
 
 
 def path_argument(name: str, metavar: str, **more: Any) -> _Decorator:
-    """An argument that is a path."""
     return click.argument(name, type=_PATH, metavar=metavar, **more)
 
 
@@ -48,17 +47,14 @@ def arm(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def flag(name: str, what: str) -> _Decorator:
-    """An option without a value."""
     return click.option(*name.split(), is_flag=True, help=what)
 
 
 def choice(name: str, choices: Sequence[str], what: str, **more: Any) -> _Decorator:
-    """An option that takes one of several words."""
     return click.option(*name.split(), type=click.Choice(choices), help=what, **more)
 
 
 def path_option(name: str, what: str, required: bool = False) -> _Decorator:
-    """An option that takes a path."""
     return click.option(name, type=_PATH, required=required, help=what)
 
 
@@ -183,14 +179,12 @@ effect_files = _effects(expose=True)
 
 
 def output(
-    default: str | None, what: str, kind: Kind, beside: Callable[[Path], list[Path]] = lambda p: []
+    default: str | None, what: str, kind: Kind, beside: Callable[[Path], list[Path]] | None = None
 ) -> _Decorator:
     """``-o PATH``; what of it may be overwritten says `outputs`."""
     # To click a default of None is a value, with which nothing is missing
     given: dict[str, Any] = {"required": True} if default is None else {"default": default}
-    return click.option(
-        "-o", "--output", type=_PATH, help=what, cls=Output, kind=kind, beside=beside, **given
-    )
+    return written("-o/--output", what, kind, beside=beside, **given)
 
 
 def without(name: str, what: str) -> _Decorator:
@@ -199,9 +193,9 @@ def without(name: str, what: str) -> _Decorator:
     return click.option(flag, name, is_flag=True, callback=lambda c, p, given: not given, help=what)
 
 
-def written(name: str, what: str, kind: Kind) -> _Decorator:
+def written(name: str, what: str, kind: Kind, **more: Any) -> _Decorator:
     """An option that names a further file or folder to write."""
-    return click.option(*name.split("/"), type=_PATH, help=what, cls=Output, kind=kind)
+    return click.option(*name.split("/"), type=_PATH, help=what, cls=Output, kind=kind, **more)
 
 
 like = path_option(

@@ -115,11 +115,11 @@ class Output(click.Option):
         self,
         *words: Any,
         kind: Kind,
-        beside: Callable[[Path], list[Path]] = lambda path: [],
+        beside: Callable[[Path], list[Path]] | None = None,
         **named: Any,
     ) -> None:
         super().__init__(*words, **named)
-        self.kind, self.beside = kind, beside
+        self.kind, self.beside = kind, beside or (lambda path: [])
 
 
 def guarded(command: click.Command, name: str) -> click.Command:

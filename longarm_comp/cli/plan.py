@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+import numpy as np
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json
 from longarm_comp.core.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 @click.command()
@@ -101,8 +99,6 @@ def command(
 
 
 def _sees(arm: Path) -> Callable[[np.ndarray], np.ndarray]:
-    import numpy as np
-
     from longarm_comp.arm_folder.visible import view_beside
 
     view = view_beside(arm)

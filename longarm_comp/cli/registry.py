@@ -6,10 +6,9 @@ A name of two words is a command of a group.
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    import click
+import click
 
 
 class Entry(NamedTuple):
@@ -20,7 +19,6 @@ class Entry(NamedTuple):
     summary: str
 
     def load(self, folder: str = "longarm_comp.cli") -> click.Command:
-        """Import the command."""
         module, _, name = self.module.partition(":")
         command: click.Command = getattr(
             importlib.import_module(f"{folder}.{module}"), name or "command"

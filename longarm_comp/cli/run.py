@@ -35,7 +35,6 @@ class LazyGroup(click.Group):
         return [*self._entries, *self.commands]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import one command and return it."""
         entry = self._entries.get(cmd_name)
         if entry is None:
             return super().get_command(ctx, cmd_name)
@@ -61,7 +60,6 @@ variables when it is first imported, so they are set before any command is."""
 
 
 def root() -> click.Group:
-    """The command ``longarm``."""
     group = LazyGroup(
         COMMANDS,
         "longarm",

@@ -65,7 +65,6 @@ def asked_port(command: str, port: str | None, known: str | None) -> str:
 def scanned(
     port: str, protocol: str | None, baud: int | None, ids: str, timeout: float = 0.02
 ) -> Scan:
-    """The servos on a port, with progress."""
     from longarm_comp.devices.servo_bus import scan_line
 
     with progress("scan") as tell:
@@ -80,7 +79,6 @@ def scanned(
 
 
 def show(found: Scan, on_stderr: bool = False) -> None:
-    """The servos as a table."""
     rows = [
         (s.servo_id, s.model or f"unknown model {s.model_number}", s.firmware,
          "two servos with this id, or a bad line" if s.clash else "")
@@ -91,7 +89,6 @@ def show(found: Scan, on_stderr: bool = False) -> None:
 
 
 def refuse_clashes(found: Scan) -> None:
-    """Raise JobError where ids are not unique."""
     if found.clashes:
         raise JobError(
             "answers are damaged or doubled: connect these servos one at a time and give each its "

@@ -92,11 +92,7 @@ def go_on(command: str, yes: bool, text: str) -> None:
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
     """SIGTERM and SIGINT raise KeyboardInterrupt, so that what must be put back is."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with handled(dict.fromkeys((signal.SIGINT, signal.SIGTERM), interrupt)):
+    with handled(dict.fromkeys((signal.SIGINT, signal.SIGTERM), signal.default_int_handler)):
         yield
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
+import numpy as np
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import (
@@ -69,10 +71,6 @@ def command(
       longarm verify arm.yaml -n 40
       longarm verify arm.yaml --targets targets.csv -o verified
     """
-    from functools import partial
-
-    import numpy as np
-
     from longarm_comp.core.compensation.compensate import Method
     from longarm_comp.core.data.plan import random_targets, sobol
     from longarm_comp.core.files import write_text

@@ -10,7 +10,7 @@ from std_srvs.srv import Trigger
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import JobError
-from longarm_comp.jobs.graph_client import GraphClient, Interrupted
+from longarm_comp.jobs.graph_client import FOUND_S, GraphClient, Interrupted
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.workflows.apply import Applied, apply, undo
 from longarm_comp.workflows.inputs import Note, log_note
@@ -26,15 +26,13 @@ class FilesAtWork:
 
 
 def files_at_work(client: GraphClient) -> FilesAtWork:
-    """The files of the graph's nodes."""
     arm, model = client.parameters("kinematics", "arm", "model")
     if not model:
         reason = "kinematics runs without a model file: start it with --model FILE"
         raise JobError(f"{reason} (the file need not exist yet)")
     predictor = ""
     try:
-        # A node that is there is found on the network within it, also on a busy machine
-        (predictor,) = client.parameters("error_predictor", "predictor", within_s=10.0)
+        (predictor,) = client.parameters("error_predictor", "predictor", within_s=FOUND_S)
     except Interrupted:
         raise
     except JobError:  # none is running

@@ -13,7 +13,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.jobs.graph_client import GraphClient, Reports
+from longarm_comp.jobs.graph_client import FOUND_S, GraphClient, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import INSTANCE, TIP_SAID
 from longarm_comp.nodes.interfaces import Service
@@ -21,8 +21,6 @@ from longarm_comp.nodes.messages import driver_words
 from longarm_interfaces.msg import DriverState
 
 DRIVER = "servo_driver"
-_PATIENCE_S = 5.0
-"""A node reports once a second, and a person waits for the answer."""
 _LEVELS = ("ok", "warning", "error", "stale")
 
 _LEAVE: Mapping[int, tuple[Service, Any]] = {
@@ -67,7 +65,7 @@ class Attendant:
             return here & KNOWN
 
         running = "does `longarm up` run, in this ROS_DOMAIN_ID?"
-        client.until(there, _PATIENCE_S, f"no node of an arm runs in namespace {where} ({running})")
+        client.until(there, FOUND_S, f"no node of an arm runs in namespace {where} ({running})")
 
         def heard() -> bool:
             named = there()
@@ -75,7 +73,7 @@ class Attendant:
             return driver and named <= set(self._reports.nodes)
 
         try:
-            client.until(heard, _PATIENCE_S, "reports")
+            client.until(heard, FOUND_S, "reports")
         except JobError as late:
             if client.stop.is_set():
                 raise
@@ -118,14 +116,14 @@ class Attendant:
         said = "nothing to reset"
         missing = f"no {DRIVER} reports its state: does `longarm up` run, in this namespace?"
         for state, (service, request) in _LEAVE.items():
-            driver = self._client.until(lambda: self._driver, _PATIENCE_S, missing)
+            driver = self._client.until(lambda: self._driver, FOUND_S, missing)
             if driver.state == state:
                 said = self._ask(service, request)
                 self._driver = None  # it tells its state anew
         return said
 
     def _ask(self, service: Service, request: Any) -> str:
-        answer = self._client.ask(DRIVER, service, request, _PATIENCE_S)
+        answer = self._client.ask(DRIVER, service, request, FOUND_S)
         if not answer.success:
             raise JobError(f"the driver refuses: {answer.message}")
         return str(answer.message)
@@ -136,8 +134,6 @@ KNOWN = {"kinematics", "error_predictor", "stereo_bridge", DRIVER, "simulated_ar
 
 
 SIMULATED = "simulated_arm"
-_HEARD_S = 10.0
-"""Patience with a simulated arm: a node that is there is found within it on a busy machine."""
 
 
 def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
@@ -145,7 +141,7 @@ def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
 
     Returns what has the fault now, in words. Raises JobError: no such arm or name.
     """
-    (told,) = client.parameters(SIMULATED, fault, within_s=_HEARD_S)
+    (told,) = client.parameters(SIMULATED, fault, within_s=FOUND_S)
     names = [word for word in str(told).split() if word != name] + [name] * (not back)
     client.set_parameter(SIMULATED, fault, " ".join(names))
     return f"{fault}: {', '.join(names) or 'nothing'}"
@@ -158,7 +154,7 @@ def frozen(client: GraphClient, node: str) -> Iterator[int]:
         raise InputError("sim freeze", "NODE", node, ", ".join(sorted(KNOWN)))
     reports = Reports(client)
     missing = f"no simulated arm with a {node} reports (`longarm up`)"
-    client.until(lambda: {SIMULATED, node} <= reports.nodes.keys(), _HEARD_S, missing)
+    client.until(lambda: {SIMULATED, node} <= reports.nodes.keys(), FOUND_S, missing)
     reports.close()
     told = {pair.key: pair.value for pair in reports.nodes[node]["process"].values}
     process = int(told[INSTANCE].split("-")[0])

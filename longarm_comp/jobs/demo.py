@@ -64,7 +64,7 @@ def improved(trials: Sequence[Trial]) -> bool:
 NAMESPACE = "longarm_demo"
 """Its own namespace: apart from any real arm on the same network."""
 
-PACE = Pace(sightings=3, dwell_s=0.08, move_s=0.05, arrive_s=60.0, look_s=30.0, tolerance=2e-4)
+PACE = Pace(sightings=3, dwell_s=0.08, move_s=0.05, look_s=30.0, tolerance=2e-4)
 _PATIENCE_S = 30.0
 """Age of an order: on a busy machine one waits for seconds, and no simulated arm does harm."""
 

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
+from typing_extensions import Self
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.nodes import interfaces as graph
@@ -25,14 +26,14 @@ from longarm_comp.nodes.interfaces import Service
 
 _ANSWER_S = 60.0
 """A node that is starting beside six others on two cores has answered by then."""
+FOUND_S = 10.0
+"""A node that is there is found, and has reported, within it, also on a busy machine."""
 _ASK_AGAIN_S = 0.25, 2.0
 """Pauses after which a request that may be served twice is sent again: the first, and the longest;
 each is twice the one before, and another server begins them anew."""
 
 _GET = Service("~/get_parameters", GetParameters)
 _SET = Service("~/set_parameters", SetParameters)
-
-Client = TypeVar("Client", bound="GraphClient")
 
 
 class Interrupted(JobError):  # noqa: N818
@@ -93,7 +94,7 @@ class GraphClient:
         )
         self.executor.add_node(self.node)
 
-    def __enter__(self: Client) -> Client:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *ending: object) -> None:

@@ -30,7 +30,7 @@ def read_next_poses(folder: str | Path, arm: Arm, n: int) -> Plan:
     return plan.take(np.arange(n))
 
 
-_SLACK = 1e-6  # printed digits of a joint that stands on its limit
+SLACK = 1e-6  # printed digits of a joint that stands on its limit, rad or m
 
 
 def write_poses(plan: Plan, path: str | Path, write: WriteTable = write_table) -> None:
@@ -57,7 +57,7 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
         if name not in known:
             raise InputError(table.where, f"column {name}", "unknown", " ".join(known))
     q = table.block(joints, "rad or m")
-    outside = (q < arm.lower - _SLACK) | (q > arm.upper + _SLACK)
+    outside = (q < arm.lower - SLACK) | (q > arm.upper + SLACK)
     for row, j in zip(*np.nonzero(outside & inside), strict=True):
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} (limits of {arm.joint_names[j]})"
         raise table.error(row, joints[j], limits)

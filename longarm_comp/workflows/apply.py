@@ -13,7 +13,7 @@ import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,10 +32,6 @@ from longarm_comp.core.model.model_file import AS_DECLARED, read_stored, restore
 from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.workflows import inputs
 from longarm_comp.workflows.train import TrainedPredictor, train
-
-if TYPE_CHECKING:
-    from longarm_comp.workflows.train import TrainedPredictor
-
 
 Term = Effect | Bias
 Key = tuple[str, str]

@@ -45,13 +45,12 @@ class Commands(Sequence[Compensation]):
         numbers: (N,) number of each target.
         arrivals: result of each target, and the move for which it holds, in the frame of the model:
             that of the measurements, for a calibrated one.
-        placements: frame of each target, and where it lies for the model; none where the targets
-            were given in the frame of the model.
+        placements: frame of each target, and where it lies for the model.
     """
 
     numbers: np.ndarray
     arrivals: tuple[Arrival, ...]
-    placements: tuple[Placement, ...] = ()
+    placements: tuple[Placement, ...]
 
     def __len__(self) -> int:
         return len(self.arrivals)
@@ -123,8 +122,7 @@ class Commands(Sequence[Compensation]):
 
         None: not known, or of a target that failed.
         """
-        placements = self.placements or (None,) * len(self)
-        rows = zip(self.numbers, self.arrivals, placements, strict=True)
+        rows = zip(self.numbers, self.arrivals, self.placements, strict=True)
         return [_line(int(k), arrival, placed) for k, arrival, placed in rows]
 
     def save(self, path: FilePath, write: WriteTable = write_table) -> Path:
@@ -304,18 +302,18 @@ def goals_of(
     return list(given), all_contexts.each(len(given)), np.arange(len(given))
 
 
-def _line(index: int, arrival: Arrival, placed: Placement | None) -> dict[str, Any]:
+def _line(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:
     found, move = arrival.outcome, arrival.move
-    error = placed.back(found.predicted_error) if placed else found.predicted_error
-    target = placed.asked(found.position) if placed else found.position
     ideal = found.ideal if found.realisable is None else found.realisable.ideal
     sigma = float(np.max(found.sigma))
     joints = joint_names(len(found.command))
 
-    def cells(what: str, names: Sequence[str], values: np.ndarray | None, told: bool) -> Any:
+    def cells(
+        what: str, names: Sequence[str], values: np.ndarray | None, told: bool
+    ) -> dict[str, Any]:
         columns = [f"{what}{name}" for name in names]
         held = values if told and values is not None else [None] * len(columns)
-        return zip(columns, held, strict=True)
+        return dict(zip(columns, held, strict=True))
 
     def millimetres(value: float) -> float | None:
         return 1e3 * value if np.isfinite(sigma) else None
@@ -324,15 +322,15 @@ def _line(index: int, arrival: Arrival, placed: Placement | None) -> dict[str, A
         "index": index,
         "status": str(found.status),
         "reason": found.reason,
-        **dict(cells("", joints, found.command, found.success)),
-        **dict(cells("target_", XYZ, target, True)),
-        **dict(cells("predicted_error_", XYZ, error, found.in_domain)),
+        **cells("", joints, found.command, found.success),
+        **cells("target_", XYZ, placed.asked(found.position), True),
+        **cells("predicted_error_", XYZ, placed.back(found.predicted_error), found.in_domain),
         "sigma_mm": millimetres(sigma),
         "passes": found.passes,
         "expected_mm": millimetres(found.expected_m),
         "p90_mm": millimetres(found.p90_m),
-        "frame": placed.frame if placed else "",
-        **dict(cells("approach_", joints, move.side, found.success)),
-        **dict(cells("run_up_", joints, move.run_up, found.success)),
-        **dict(cells("ideal_", joints, ideal, found.success)),
+        "frame": placed.frame,
+        **cells("approach_", joints, move.side, found.success),
+        **cells("run_up_", joints, move.run_up, found.success),
+        **cells("ideal_", joints, ideal, found.success),
     }

@@ -16,6 +16,7 @@ from longarm_comp.core.calibration.standing import standing
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.html_table import html_table
+from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.workflows import inputs
@@ -23,8 +24,6 @@ from longarm_comp.workflows.train import expected
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from longarm_comp.core.learn.predictor import Predictor
 
 
 def bars(labels: Sequence[str], heights: Mapping[str, Sequence[float]], what: str) -> Figure:
@@ -76,14 +75,9 @@ class ErrorTable(Mapping[str, Errors]):
         return bars([row["model"] for row in rows], heights, "error, mm")
 
     def __repr__(self) -> str:
-        width = max(map(len, ("model", *self)))
-        columns = list(self.rows[0])[2:] if self.errors else []
-        head = (f"{column:>18}" for column in columns)
-        lines = ["".join([f"{'model':<{width}}", f"{'n':>6}", *head])]
-        for row in self.rows:
-            cells = (f"{row[column]:18.3f}" for column in columns)
-            lines.append("".join([f"{row['model']:<{width}}", f"{row['n']:6d}", *cells]))
-        return "\n".join(lines)
+        import pandas as pd
+
+        return str(pd.DataFrame(self.rows).to_string(index=False, float_format="{:.3f}".format))
 
 
 def _row(name: str, errors: Errors, commanded: Errors) -> dict[str, Any]:

@@ -10,11 +10,12 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+
+from pydantic import TypeAdapter
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.kind_of_arm import table
@@ -86,12 +87,6 @@ class Diagnosed:
     findings: tuple[Finding, ...] = ()
     made_of: str = ""
 
-    @classmethod
-    def of_row(cls, row: Mapping[str, Any]) -> Diagnosed:
-        """From a row of fleet.json."""
-        known = {f.name: row[f.name] for f in fields(cls)}
-        return cls(**known | {"findings": tuple(Finding(**f) for f in row["findings"])})
-
     @property
     def drifted(self) -> bool:
         """Whether the model in use errs by much more than what a calibration of today leaves."""
@@ -105,6 +100,9 @@ class Diagnosed:
     def row(self) -> dict[str, object]:
         """As one row of fleet.json."""
         return {**asdict(self), "drifted": self.drifted}
+
+
+_ROWS = TypeAdapter(tuple[Diagnosed, ...])
 
 
 def members(folder: Path) -> list[_Member]:
@@ -188,7 +186,7 @@ def _known(path: Path) -> dict[str, Diagnosed]:
     """The arms of a fleet.json by name; none where it is not there or not of this version."""
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["arms"]
-        return {row["name"]: Diagnosed.of_row(row) for row in rows}
+        return {arm.name: arm for arm in _ROWS.validate_python(rows)}
     except (OSError, ValueError, TypeError, KeyError):
         return {}
 

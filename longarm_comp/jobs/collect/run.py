@@ -10,7 +10,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64, String
 
-from longarm_comp.arm_folder.visible import Lens, View
+from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.rest import NO_REST
@@ -181,10 +181,8 @@ class Causes:
 
     def _on_info(self, side: str, message: CameraInfo) -> None:
         self._infos[side] = message
-        if self._view is None or len(self._infos) < 2:
-            return
-        lens = Lens.of(self._infos["left"], self._infos["right"])
-        self._view = self._view if lens is None else replace(self._view, lens=lens)
+        if self._view is not None and len(self._infos) == 2:
+            self._view = self._view.through(self._infos["left"], self._infos["right"])
 
 
 @dataclass(frozen=True)

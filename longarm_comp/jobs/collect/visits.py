@@ -18,9 +18,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import boxes_entered, entered
 from longarm_comp.core.model.model import Model
 from longarm_comp.devices.servo_config import ServoConfig
-
-_SLACK = 1e-6
-"""Printed digits of a joint that stands on its limit, rad or m."""
+from longarm_comp.sessions.poses import SLACK
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +140,6 @@ def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
 
 
 def refuse_blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit], where: object) -> None:
-    """Raise InputError where a visit may not be driven."""
     found = blocked(checks, visits)
     for index, why in found.items():
         others = f" (and {len(found) - 1} more poses)" if len(found) > 1 else ""
@@ -165,7 +162,7 @@ def _servo_limits(arm: Arm, servos: ServoConfig, q: np.ndarray) -> tuple[str, ..
 
 
 def _outside(names: Sequence[str], path: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
-    off = (path < lower - _SLACK) | (path > upper + _SLACK)
+    off = (path < lower - SLACK) | (path > upper + SLACK)
     if not off.any():
         return ""
     row, j = np.argwhere(off)[0]
