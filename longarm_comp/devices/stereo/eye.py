@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
-from longarm_comp.devices.stereo.found import Limits, found_corners
+from longarm_comp.devices.stereo.found import Limits, found_pair
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Target
 from longarm_comp.devices.stereo.triangulate import (
@@ -93,16 +93,12 @@ class StereoEye:
         self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
     ) -> StereoSighting:
         greys = _as_grey(left, self.rig.left, "left"), _as_grey(right, self.rig.right, "right")
-        seen = (
-            found_corners(self.target, greys[0], "left", self.limits),
-            found_corners(self.target, greys[1], "right", self.limits),
-        )
-        ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
+        in_left, in_right = found_pair(self.target, greys, self.limits)
+        ids, left_px, right_px = in_left.shared(in_right)
         corners = self.target.points(ids)
         fewest = max(4, int(np.ceil(self.limits.seen_share * self.target.n_corners)))
         enough = len(ids) >= fewest and _span_m(corners) > 0.0
         self._require(RefusalReason.OCCLUDED, enough, corners=len(ids), of=self.target.n_corners)
-        left_px, right_px = seen[0].pixels[in_left], seen[1].pixels[in_right]
         off = float(np.median(epipolar_px(self.rig, left_px, right_px)))
         self._require(
             RefusalReason.EPIPOLAR, off <= self.limits.epipolar_px, epipolar_px=round(off, 3)

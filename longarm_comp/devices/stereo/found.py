@@ -71,12 +71,17 @@ def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
 _MISSING = {"left": RefusalReason.NOT_FOUND_LEFT, "right": RefusalReason.NOT_FOUND_RIGHT}
 
 
-def found_corners(target: Target, grey: Grey, side: str, limits: Limits) -> Corners:
-    """Corners of a target in an image (H, W) of the ``left`` or the ``right`` camera.
+def found_pair(target: Target, greys: tuple[Grey, Grey], limits: Limits) -> tuple[Corners, Corners]:
+    """Corners of a target in the images (H, W) of the left and the right camera.
 
     Raises:
         StereoRefusal: AMBIGUOUS, BLURRED; TOO_DARK, TOO_BRIGHT, NOT_FOUND where nothing is seen.
     """
+    left, right = greys
+    return _found(target, left, "left", limits), _found(target, right, "right", limits)
+
+
+def _found(target: Target, grey: Grey, side: str, limits: Limits) -> Corners:
     seen = target.detect(grey)
     if seen.repeated:
         raise StereoRefusal(RefusalReason.AMBIGUOUS, image=side, ids=seen.repeated)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.devices.stereo.camera import Array
-from longarm_comp.devices.stereo.found import Limits, found_corners
+from longarm_comp.devices.stereo.found import Limits, found_pair
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
@@ -51,9 +51,8 @@ class BoardView:
         """Whether the common corners have moved by less than 1 px since the pair before."""
         if before is None:
             return False
-        _, mine, its = np.intersect1d(self.left.ids, before.left.ids, return_indices=True)
-        way = self.left.pixels[mine] - before.left.pixels[its]
-        return bool(len(mine) and np.linalg.norm(way, axis=1).mean() < 1.0)
+        _, now, then = self.left.shared(before.left)
+        return bool(len(now) and np.linalg.norm(now - then, axis=1).mean() < 1.0)
 
 
 def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None) -> BoardView:
@@ -67,17 +66,13 @@ def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None
         raise StereoRefusal(
             RefusalReason.WRONG_SIZE, left=left.shape[::-1], right=right.shape[::-1]
         )
-    seen = tuple(
-        found_corners(board, grey, side, limits)
-        for side, grey in (("left", left), ("right", right))
-    )
-    ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
+    seen = found_pair(board, (left, right), limits)
+    ids, left_px, right_px = seen[0].shared(seen[1])
     if len(ids) < FEWEST_CORNERS:
         raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
-    pixels = seen[0].pixels[in_left]
-    shift = np.median(pixels[:, 0] - seen[1].pixels[in_right][:, 0])
-    distance, tilt = _rough_pose(board.points(ids), pixels, left.shape[1], left.shape[0])
-    return BoardView(seen[0], seen[1], float(shift), distance, tilt)
+    shift = np.median(left_px[:, 0] - right_px[:, 0])
+    distance, tilt = _rough_pose(board.points(ids), left_px, left.shape[1], left.shape[0])
+    return BoardView(*seen, float(shift), distance, tilt)
 
 
 def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
