@@ -37,7 +37,6 @@ class StereoSighting:
     pose_covariance: Array  # (6, 6) of ``[tip; rotation]`` along the base axes, m and rad
     corners: int  # corners that both cameras saw
     rms_px: float  # root mean square reprojection error
-    sigma_px: float  # pixel noise used for the covariances
     scale: float  # seen / declared marker size (with the declared size as a prior)
 
 
@@ -103,14 +102,12 @@ class StereoEye:
         self._require(
             RefusalReason.EPIPOLAR, off <= self.limits.epipolar_px, epipolar_px=round(off, 3)
         )
-        noise = self.expected_noise
-        points = triangulate(self.rig, left_px, right_px, noise)
-        size = _size_seen(points.points, corners)
+        points = triangulate(self.rig, left_px, right_px).points
+        size = _size_seen(points, corners)
         wrong = abs(size - 1.0) > self.limits.size
         self._require(RefusalReason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
-        pose = marker_pose(
-            self.rig, corners, points, left_px, right_px, self.limits.tolerance(left_px), noise
-        )
+        tolerance, noise = self.limits.tolerance(left_px), self.expected_noise
+        pose = marker_pose(self.rig, corners, points, left_px, right_px, tolerance, noise)
         rms = pose.rms_px
         self._require(RefusalReason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))
         self._square_px2 = _KEPT * self._square_px2 + float(np.sum(np.square(pose.residuals)))
@@ -137,7 +134,6 @@ class StereoEye:
             pose_covariance=in_base,
             corners=corners,
             rms_px=pose.rms_px,
-            sigma_px=pose.sigma_px,
             scale=pose.scale,
         )
 

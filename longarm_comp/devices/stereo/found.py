@@ -61,9 +61,8 @@ def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
         cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8),
         cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8),
     )
-    steepest = float(
-        np.partition(slope.ravel(), -max(slope.size // 500, 1))[-max(slope.size // 500, 1)]
-    )
+    sharp = max(slope.size // 500, 1)
+    steepest = float(np.partition(slope.ravel(), -sharp)[-sharp])
     total = height / (steepest * np.sqrt(2 * np.pi)) if steepest > 0.0 else np.inf
     return float(np.sqrt(max(total**2 - _PRESMOOTH_PX**2, 0.0)))
 
