@@ -96,28 +96,23 @@ class StereoEye:
         ids, left_px, right_px = in_left.shared(in_right)
         corners = self.target.points(ids)
         fewest = max(4, int(np.ceil(self.limits.seen_share * self.target.n_corners)))
-        enough = len(ids) >= fewest and _span_m(corners) > 0.0
-        self._require(RefusalReason.OCCLUDED, enough, corners=len(ids), of=self.target.n_corners)
+        if len(ids) < fewest or not _span_m(corners) > 0.0:
+            raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), of=self.target.n_corners)
         off = float(np.median(epipolar_px(self.rig, left_px, right_px)))
-        self._require(
-            RefusalReason.EPIPOLAR, off <= self.limits.epipolar_px, epipolar_px=round(off, 3)
-        )
+        if not off <= self.limits.epipolar_px:
+            raise StereoRefusal(RefusalReason.EPIPOLAR, epipolar_px=round(off, 3))
         points = triangulate(self.rig, left_px, right_px).points
         size = _size_seen(points, corners)
-        wrong = abs(size - 1.0) > self.limits.size
-        self._require(RefusalReason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
+        if abs(size - 1.0) > self.limits.size:
+            raise StereoRefusal(RefusalReason.MARKER_SIZE, seen_over_declared=round(size, 4))
         tolerance, noise = self.limits.tolerance(left_px), self.expected_noise
         pose = marker_pose(self.rig, corners, points, left_px, right_px, tolerance, noise)
         rms = pose.rms_px
-        self._require(RefusalReason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))
+        if not rms <= self.limits.rms_px:
+            raise StereoRefusal(RefusalReason.REPROJECTION, rms_px=round(rms, 3))
         self._square_px2 = _KEPT * self._square_px2 + float(np.sum(np.square(pose.residuals)))
         self._freedom = _KEPT * self._freedom + pose.residuals.size - 6
         return self._sighting(pose, len(ids), stamp_ns)
-
-    @staticmethod
-    def _require(reason: RefusalReason, met: bool, **facts: object) -> None:
-        if not met:
-            raise StereoRefusal(reason, **facts)
 
     def _sighting(self, pose: MarkerPose, corners: int, stamp_ns: int) -> StereoSighting:
         point, covariance = pose.at(self._tip)

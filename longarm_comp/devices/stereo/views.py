@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -83,7 +83,11 @@ def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
     if not views:
         return found
     for side, cells in zip(("left", "right"), covered(views, size), strict=True):
-        if bare := list(_bare(cells)):
+        bare = [
+            "centre" if row == column == 1 else f"{_ROWS[row]} {_COLUMNS[column]}"
+            for row, column in np.argwhere(~cells)
+        ]
+        if bare:
             found.append(f"{side} camera: no corner at the {', '.join(bare)} of what both see")
     distances = [view.distance_m for view in views]
     # Least ratio of the largest to the smallest distance
@@ -114,11 +118,6 @@ def covered(
         cells[down, across] = True
         made.append(cells)
     return made[0], made[1]
-
-
-def _bare(cells: NDArray[np.bool_]) -> Iterator[str]:
-    for row, column in np.argwhere(~cells):
-        yield "centre" if row == column == 1 else f"{_ROWS[row]} {_COLUMNS[column]}"
 
 
 def _rough_pose(
