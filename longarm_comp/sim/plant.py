@@ -98,13 +98,14 @@ class Plant:
         self.config = config
         self._behind = tuple(e for e in config.hidden if not isinstance(e, ServoDroop))
         droops = [e for e in config.hidden if isinstance(e, ServoDroop)]
-        order = config.arm.joint_names
+        by_name = {j.name: j for j in config.servos.joints}
+        self._servos = [by_name[name] for name in config.arm.joint_names]
         specs = {
-            j.servo_id: _drooping(config.spec, j, droops, order.index(j.name))
-            for j in config.servos.joints
+            j.servo_id: _drooping(config.spec, j, droops, number)
+            for number, j in enumerate(self._servos)
         }
         self._loads: Mapping[int, float] = {}
-        self._loaded = [j for j in config.servos.joints if j.told or droops]
+        self._loaded = [j for j in self._servos if j.told or droops]
         self.emulator = ServoEmulator(
             config.servos.protocol, config.servos.start_ticks(), specs, link=link,
             load_of=lambda _: self._loads, clock=clock,
@@ -149,10 +150,7 @@ class Plant:
     def _upwards(self, of: Callable[[Motor], float]) -> Array:
         """(n,) signed by the joint's direction, from what servos have signed by theirs."""
         turned = self.emulator.each(of)
-        direction = {
-            j.name: np.sign(j.travel) * turned[j.servo_id] for j in self.config.servos.joints
-        }
-        return np.array([direction[name] for name in self.config.arm.joint_names])
+        return np.array([np.sign(j.travel) * turned[j.servo_id] for j in self._servos])
 
     def temperature_c(self, t_s: float) -> float:
         """Temperature of the arm, which rises slowly."""
@@ -196,16 +194,15 @@ class Plant:
         turned = q + step * np.eye(len(q))
         tips = self._true.settled(np.vstack([q, turned])).pose[:, :3, 3]
         given = np.linalg.pinv((tips[1:] - tips[0]).T / step) @ away
-        for joint in self.config.servos.joints:
-            value = (q + given)[self.config.arm.joint_names.index(joint.name)]
-            self.emulator.push(joint.servo_id, joint.ticks(float(value)))
+        for joint, value in zip(self._servos, (q + given).tolist(), strict=True):
+            self.emulator.push(joint.servo_id, joint.ticks(value))
 
     def _felt(self, torques: Array) -> Mapping[int, float]:
         """What each servo feels of the joints' loads (n,), in the sense of its ticks, by id."""
-        by_name = dict(zip(self.config.arm.joint_names, torques.tolist(), strict=True))
         return {
-            j.servo_id: math.copysign(1.0, j.travel) * by_name[j.name] / j.full_effort
-            for j in self._loaded
+            j.servo_id: math.copysign(1.0, j.travel) * torque / j.full_effort
+            for j, torque in zip(self._servos, torques.tolist(), strict=True)
+            if j in self._loaded
         }
 
     def look(self, t_s: float) -> tuple[Grey, Grey]:
