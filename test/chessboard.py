@@ -39,7 +39,7 @@ class Chessboard:
         """All inner corners or none."""
         ok, found = cv2.findChessboardCorners(grey, (self.columns, self.rows))
         if not ok:
-            return Corners(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+            return Corners()
         grid = self._ordered(grey, np.asarray(found).reshape(self.rows, self.columns, 2))
         pixels = np.ascontiguousarray(grid, dtype=np.float32).reshape(-1, 1, 2)
         steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]

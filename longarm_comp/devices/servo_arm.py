@@ -154,10 +154,8 @@ class ServoArm:
                     driven = bus.driven(self._ids)
             except IncompleteReply as error:
                 trouble, states = str(error), error.states
-            except BusUnplugged as error:
-                trouble = self._lose(error)
             except ServoBusError as error:
-                trouble = str(error)
+                trouble = self._lose(error)
         step = self.follower.step(now, states, driven)
         if step.goals and self.bus is not None and self.powered:
             try:

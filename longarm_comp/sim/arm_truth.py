@@ -84,10 +84,10 @@ class Walk:
         return masses
 
     def rigid(self) -> Array:
-        """Gravity in the last frame's axes of the rigid arm, (3, N)."""
-        weightless = np.zeros((3, 1, len(self._state.q)))
-        end = self._walk(weightless, last=True)[0]
-        return np.stack([np.sum(self.gravity[:, None] * end.seen(k)[:, 0], 0) for k in range(3)])
+        """Gravity in the last frame's axes of the arm without weight, (3, N)."""
+        small = 1e-9  # m/s^2 along each axis: it bends nothing
+        gamma = np.broadcast_to(small * np.eye(3)[..., None], (3, 3, len(self._state.q)))
+        return np.tensordot(self.gravity, self._walk(gamma)[0].gravity / small, 1)
 
     def solve(self, start: Array) -> Array:
         """Gravity in the last frame's axes at rest, (3, N)."""
@@ -102,17 +102,11 @@ class Walk:
             pose[:, :3, column] = end.seen(mark)[:, 0].T
         return Settled(pose, torques)
 
-    def _walk(
-        self, gamma: Array, *, tip: bool = False, last: bool = False
-    ) -> tuple[Walker, list[int], Array]:
+    def _walk(self, gamma: Array, *, tip: bool = False) -> tuple[Walker, list[int], Array]:
         """Integrate to the base. Returns the walker there, its marks and the joint loads."""
         walker = Walker(gamma)
         marks: list[int] = []
         torques = np.zeros_like(self._state.q)
-
-        if last:
-            for axis in np.eye(3):
-                walker.mark(axis, point=False)
         for row in range(len(self._arm.joints), -1, -1):
             self._give(walker, Place("frame", row))
             for mass, at in self.masses[row]:

@@ -25,6 +25,7 @@ from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.hidden.drives import Backlash, ServoDroop
 from longarm_comp.sim.ringing import Ringing
+from longarm_comp.sim.rods import QUICK_STEPS
 from longarm_comp.sim.servo_emulator import (
     EmulatedArm,
     EmulatedJoint,
@@ -35,14 +36,11 @@ from longarm_comp.sim.servo_emulator import (
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
-_STEPS = 2  # integration steps a rod: good to 10 nm, and the images are due
 _SAME = 1e-7  # rad or m: the arm has not moved
 _MOUTH_M = 0.009
 """Radius of a socket's mouth, from which the ball slides in."""
 _SEATED_M = 5e-5
 """From the bottom of a socket, within which the ball touches all round."""
-_SLIDES = 5
-"""Newton steps of a ball into its socket; three are enough for a wide one."""
 
 
 def hidden_effects(
@@ -100,19 +98,20 @@ class Plant:
         self.config = config
         self._behind = tuple(e for e in config.hidden if not isinstance(e, ServoDroop))
         droops = [e for e in config.hidden if isinstance(e, ServoDroop)]
-        order = config.arm.joint_names
+        by_name = {j.name: j for j in config.servos.joints}
+        self._servos = [by_name[name] for name in config.arm.joint_names]
         specs = {
-            j.servo_id: _drooping(config.spec, j, droops, order.index(j.name))
-            for j in config.servos.joints
+            j.servo_id: _drooping(config.spec, j, droops, number)
+            for number, j in enumerate(self._servos)
         }
         self._loads: Mapping[int, float] = {}
-        self._loaded = [j for j in config.servos.joints if j.told or droops]
+        self._loaded = [j for j in self._servos if j.told or droops]
         self.emulator = ServoEmulator(
             config.servos.protocol, config.servos.start_ticks(), specs, link=link,
             load_of=lambda _: self._loads, clock=clock,
         )  # fmt: skip
         self._rng = rng
-        self._true = TrueArm(config.arm, self._behind, steps=_STEPS)
+        self._true = TrueArm(config.arm, self._behind, steps=QUICK_STEPS)
         self._last: tuple[Array, Array] | None = None
         self._lit: tuple[Array, tuple[Light, Light]] | None = None
         self._ringing = Ringing(self._true, config.damping) if config.damping else None
@@ -133,7 +132,7 @@ class Plant:
             if not 0.0 <= value < np.inf:
                 raise InputError("plant", f"more_play {joint}", value, "0 or more, rad or m")
         more = np.array([play.get(name, 0.0) for name in names])
-        self._true = TrueArm(self.config.arm, _with_play(self._behind, more), steps=_STEPS)
+        self._true = TrueArm(self.config.arm, _with_play(self._behind, more), steps=QUICK_STEPS)
         self._last = None
 
     def start(self) -> None:
@@ -148,21 +147,10 @@ class Plant:
         values = self.config.servos.values(self.emulator.positions())
         return np.array([values[name] for name in self.config.arm.joint_names])
 
-    def side(self) -> Array:
-        """(n,) of -1, 0, +1: the side that each joint arrived from."""
-        return self._upwards(lambda motor: motor.approach)
-
-    def wound(self) -> Array:
-        """(n,) of -1 to +1: how far each joint's gear train is wound up."""
-        return self._upwards(lambda motor: motor.wound)
-
     def _upwards(self, of: Callable[[Motor], float]) -> Array:
         """(n,) signed by the joint's direction, from what servos have signed by theirs."""
         turned = self.emulator.each(of)
-        direction = {
-            j.name: np.sign(j.travel) * turned[j.servo_id] for j in self.config.servos.joints
-        }
-        return np.array([direction[name] for name in self.config.arm.joint_names])
+        return np.array([np.sign(j.travel) * turned[j.servo_id] for j in self._servos])
 
     def temperature_c(self, t_s: float) -> float:
         """Temperature of the arm, which rises slowly."""
@@ -171,7 +159,8 @@ class Plant:
 
     def tip_pose(self, t_s: float) -> Array:
         """(4, 4) true tip in the base frame. It is published only for evaluation."""
-        q, side, wound = self.joints(), self.side(), self.wound()
+        q, side = self.joints(), self._upwards(lambda motor: motor.approach)
+        wound = self._upwards(lambda motor: motor.wound)
         known = np.concatenate([q, side, wound, [self.temperature_c(t_s)]])
         if self._last is None or np.abs(known - self._last[0]).max() > _SAME:
             context = TrueContext(
@@ -187,20 +176,16 @@ class Plant:
     def contact(self, t_s: float) -> str:
         """Name of the socket that the ball at the tip sits in, or blank.
 
-        A ball in the mouth of a socket slides to its bottom where the servos let the arm go, each
-        joint by as little as it takes. Driven servos keep it where they stand.
+        A ball in the mouth of a socket slides towards its bottom where the servos let the arm go,
+        each joint by as little as it takes; after two or three calls it is there. Driven servos
+        keep it where they stand.
         """
         for name, place in self.config.sockets.items():
             away = np.asarray(place) - self.tip_pose(t_s)[:3, 3]
-            if np.linalg.norm(away) > _MOUTH_M:
-                continue
-            for _ in range(_SLIDES):
-                if np.linalg.norm(away) <= _SEATED_M:
-                    return name
-                if any(self.emulator.torques_on().values()):
-                    return ""
+            if np.linalg.norm(away) <= _SEATED_M:
+                return name
+            if np.linalg.norm(away) <= _MOUTH_M and not any(self.emulator.torques_on().values()):
                 self._slide(away)
-                away = np.asarray(place) - self.tip_pose(t_s)[:3, 3]
         return ""
 
     def _slide(self, away: Array) -> None:
@@ -209,16 +194,15 @@ class Plant:
         turned = q + step * np.eye(len(q))
         tips = self._true.settled(np.vstack([q, turned])).pose[:, :3, 3]
         given = np.linalg.pinv((tips[1:] - tips[0]).T / step) @ away
-        for joint in self.config.servos.joints:
-            value = (q + given)[self.config.arm.joint_names.index(joint.name)]
-            self.emulator.push(joint.servo_id, joint.ticks(float(value)))
+        for joint, value in zip(self._servos, (q + given).tolist(), strict=True):
+            self.emulator.push(joint.servo_id, joint.ticks(value))
 
     def _felt(self, torques: Array) -> Mapping[int, float]:
         """What each servo feels of the joints' loads (n,), in the sense of its ticks, by id."""
-        by_name = dict(zip(self.config.arm.joint_names, torques.tolist(), strict=True))
         return {
-            j.servo_id: math.copysign(1.0, j.travel) * by_name[j.name] / j.full_effort
-            for j in self._loaded
+            j.servo_id: math.copysign(1.0, j.travel) * torque / j.full_effort
+            for j, torque in zip(self._servos, torques.tolist(), strict=True)
+            if j in self._loaded
         }
 
     def look(self, t_s: float) -> tuple[Grey, Grey]:

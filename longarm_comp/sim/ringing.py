@@ -204,7 +204,7 @@ class Ringing:
         before, came, speed = self._last
         if t_s > before:
             fresh = (q - came) / (t_s - before)
-            rate = now.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
+            rate = self._rate(now)
             kick = now.driven @ (fresh - speed) / (1j * rate.imag)  # when the last span began
             self._wave = (self._wave + kick) * np.exp(rate * (t_s - before))
             self._last = t_s, q, fresh
@@ -221,8 +221,12 @@ class Ringing:
     def _later(self, since_s: Array, part: Callable[[_Vibration], Array]) -> Array:
         assert self._about is not None
         modes = self._about[1]
-        rate = modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
-        return np.real(self._wave * np.exp(np.multiply.outer(since_s, rate))) @ part(modes).T
+        turns = np.exp(np.multiply.outer(since_s, self._rate(modes)))
+        return np.real(self._wave * turns) @ part(modes).T
+
+    def _rate(self, modes: _Vibration) -> Array:
+        """(k,) complex 1/s of the modes' decay and turn."""
+        return modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
 
     def _modes(self, q: Array) -> _Vibration:
         """Those of the posture; a wave goes on in them with the motion that the masses have."""
@@ -235,14 +239,11 @@ class Ringing:
             self._wave = np.zeros(len(new.omega), complex)
         else:
             old, last = self._about[1], self._last
-            damped = [v.omega * np.sqrt(1.0 - self._damping**2) for v in (old, new)]
-            decay = [self._damping * v.omega for v in (old, new)]
-            place = self._wave.real
-            speed = -decay[0] * place - damped[0] * self._wave.imag
+            speed, rate = (self._rate(old) * self._wave).real, self._rate(new)
             pull = new.shape.T * new.mass  # the masses go on where they are and as they move
-            there = pull @ (old.shape @ place)
+            there = pull @ (old.shape @ self._wave.real)
             turning = (old.carried - new.carried) @ (np.zeros(len(q)) if last is None else last[2])
             then = pull @ (old.shape @ speed + turning)
-            self._wave = there - 1j * (then + decay[1] * there) / damped[1]
+            self._wave = there - 1j * (then - rate.real * there) / rate.imag
         self._about = np.array(q), new
         return new

@@ -25,8 +25,8 @@ import numpy as np
 from longarm_comp.core.errors import JobError
 
 Array = np.ndarray
-STEPS = 4
-"""Integration steps of a piece of rod: 1 nm at the tip of an arm that sags by 20 mm (2: 10 nm)."""
+STEPS, QUICK_STEPS = 4, 2
+"""Integration steps of a piece of rod: 1 and 10 nm at the tip of an arm that sags by 20 mm."""
 _GRAVITY, _MOMENT = 0, 1
 _CONVERGED = 3e-7  # rad, of gravity's direction in the base frame, before the last Newton step
 

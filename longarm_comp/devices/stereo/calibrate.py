@@ -39,41 +39,31 @@ def calibrate_stereo(
     Pairs whose triangulation residuals exceed twice the median are left out and the rest
     fitted again: hand-held boards move between exposures that are not simultaneous.
     """
-    common = [np.intersect1d(left.ids, right.ids, return_indices=True) for left, right in pairs]
-    usable = [i for i, (ids, _, _) in enumerate(common) if len(ids) >= FEWEST_CORNERS]
-    if len(usable) < _FEWEST_PAIRS:
+    common = [left.shared(right) for left, right in pairs]
+    views = {
+        i: (_flat(board.points(ids)), _flat(left), _flat(right))
+        for i, (ids, left, right) in enumerate(common)
+        if len(ids) >= FEWEST_CORNERS
+    }
+    if len(views) < _FEWEST_PAIRS:
         allowed = f"{_FEWEST_PAIRS} or more with {FEWEST_CORNERS} corners seen by both cameras"
-        raise InputError("stereo calibration", "pairs", len(usable), allowed)
-    objects = {i: _flat(board.points(common[i][0])) for i in usable}
-    lefts = {i: _flat(pairs[i][0].pixels[common[i][1]]) for i in usable}
-    rights = {i: _flat(pairs[i][1].pixels[common[i][2]]) for i in usable}
+        raise InputError("stereo calibration", "pairs", len(views), allowed)
     try:
-        cameras = [
-            cv2.calibrateCamera(
-                [objects[i] for i in usable], [seen[i] for i in usable], size, None, None
-            )
-            for seen in (lefts, rights)
-        ]
-        used = usable
+        objects, lefts, rights = zip(*views.values(), strict=True)
+        k_l, d_l = cv2.calibrateCamera(objects, lefts, size, None, None)[1:3]
+        k_r, d_r = cv2.calibrateCamera(objects, rights, size, None, None)[1:3]
+        used = list(views)
         for _ in range(3):
+            objects, lefts, rights = zip(*(views[i] for i in used), strict=True)
             rms, k_l, d_l, k_r, d_r, turn, move, *_ = cv2.stereoCalibrate(
-                [objects[i] for i in used],
-                [lefts[i] for i in used],
-                [rights[i] for i in used],
-                cameras[0][1],
-                cameras[0][2],
-                cameras[1][1],
-                cameras[1][2],
-                size,
-                flags=cv2.CALIB_USE_INTRINSIC_GUESS,
-                criteria=_ACCURATE,
-            )
+                objects, lefts, rights, k_l, d_l, k_r, d_r, size,
+                flags=cv2.CALIB_USE_INTRINSIC_GUESS, criteria=_ACCURATE,
+            )  # fmt: skip
             left = Camera(k_l, np.eye(3), np.zeros(3), size, d_l)
             rig = StereoRig(left, Camera(k_r, turn, move, size, d_r))
-            off = np.full(len(pairs), np.nan)
-            for i in usable:
-                off[i] = triangulate(rig, lefts[i].reshape(-1, 2), rights[i].reshape(-1, 2)).rms_px
-            keep = [i for i in usable if off[i] <= 2.0 * np.median(off[used])]
+            off = {i: triangulate(rig, *common[i][1:]).rms_px for i in views}
+            limit = 2.0 * np.median([off[i] for i in used])
+            keep = [i for i in views if off[i] <= limit]
             if keep == used or len(keep) < _FEWEST_PAIRS:
                 break
             used = keep
@@ -119,14 +109,14 @@ def calibrated(
     out = kept[::_HELD_OUT_EVERY]
     other = calibrate_stereo(board, rest, size).rig
     squares = [_off(board, other, *pair) for pair in out]
-    depths = [_depth(fit.rig, *pair) for pair in kept]
+    depths = [float(np.median(_points(fit.rig, *pair)[1][:, 2])) for pair in kept]
     rms = 1e3 * float(np.sqrt(np.mean(np.concatenate(squares))))
     return BoardCalibration(fit, rms, len(out), (min(depths), max(depths)))
 
 
 def _points(rig: StereoRig, left: Corners, right: Corners) -> tuple[np.ndarray, np.ndarray]:
-    ids, in_left, in_right = np.intersect1d(left.ids, right.ids, return_indices=True)
-    return ids, triangulate(rig, left.pixels[in_left], right.pixels[in_right]).points
+    ids, left_px, right_px = left.shared(right)
+    return ids, triangulate(rig, left_px, right_px).points
 
 
 def _off(board: Target, rig: StereoRig, left: Corners, right: Corners) -> np.ndarray:
@@ -134,10 +124,6 @@ def _off(board: Target, rig: StereoRig, left: Corners, right: Corners) -> np.nda
     ids, points = _points(rig, left, right)
     turn, move = kabsch(board.points(ids), points, np.ones(len(ids)))
     return np.sum((points - board.points(ids) @ turn.T - move) ** 2, axis=1)
-
-
-def _depth(rig: StereoRig, left: Corners, right: Corners) -> float:
-    return float(np.median(_points(rig, left, right)[1][:, 2]))
 
 
 @dataclass(frozen=True)

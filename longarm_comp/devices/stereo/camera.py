@@ -25,7 +25,6 @@ _MODELS = {"": 8, "plumb_bob": 5, "rational_polynomial": 8}  # distortion model 
 class Camera:
     """One pinhole camera with Brown-Conrady (plumb bob or rational) distortion.
 
-
     Raises:
         StereoRefusal: UNCALIBRATED, if k is zero, not finite, without focal length, or skewed
             (OpenCV's camera is not).

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
-from longarm_comp.devices.stereo.found import Limits, found_corners
+from longarm_comp.devices.stereo.found import Limits, found_pair
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Target
 from longarm_comp.devices.stereo.triangulate import (
@@ -37,7 +37,6 @@ class StereoSighting:
     pose_covariance: Array  # (6, 6) of ``[tip; rotation]`` along the base axes, m and rad
     corners: int  # corners that both cameras saw
     rms_px: float  # root mean square reprojection error
-    sigma_px: float  # pixel noise used for the covariances
     scale: float  # seen / declared marker size (with the declared size as a prior)
 
 
@@ -93,38 +92,27 @@ class StereoEye:
         self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
     ) -> StereoSighting:
         greys = _as_grey(left, self.rig.left, "left"), _as_grey(right, self.rig.right, "right")
-        seen = (
-            found_corners(self.target, greys[0], "left", self.limits),
-            found_corners(self.target, greys[1], "right", self.limits),
-        )
-        ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
+        in_left, in_right = found_pair(self.target, greys, self.limits)
+        ids, left_px, right_px = in_left.shared(in_right)
         corners = self.target.points(ids)
         fewest = max(4, int(np.ceil(self.limits.seen_share * self.target.n_corners)))
-        enough = len(ids) >= fewest and _span_m(corners) > 0.0
-        self._require(RefusalReason.OCCLUDED, enough, corners=len(ids), of=self.target.n_corners)
-        left_px, right_px = seen[0].pixels[in_left], seen[1].pixels[in_right]
+        if len(ids) < fewest or not _span_m(corners) > 0.0:
+            raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), of=self.target.n_corners)
         off = float(np.median(epipolar_px(self.rig, left_px, right_px)))
-        self._require(
-            RefusalReason.EPIPOLAR, off <= self.limits.epipolar_px, epipolar_px=round(off, 3)
-        )
-        noise = self.expected_noise
-        points = triangulate(self.rig, left_px, right_px, noise)
-        size = _size_seen(points.points, corners)
-        wrong = abs(size - 1.0) > self.limits.size
-        self._require(RefusalReason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
-        pose = marker_pose(
-            self.rig, corners, points, left_px, right_px, self.limits.tolerance(left_px), noise
-        )
+        if not off <= self.limits.epipolar_px:
+            raise StereoRefusal(RefusalReason.EPIPOLAR, epipolar_px=round(off, 3))
+        points = triangulate(self.rig, left_px, right_px).points
+        size = _size_seen(points, corners)
+        if abs(size - 1.0) > self.limits.size:
+            raise StereoRefusal(RefusalReason.MARKER_SIZE, seen_over_declared=round(size, 4))
+        tolerance, noise = self.limits.tolerance(left_px), self.expected_noise
+        pose = marker_pose(self.rig, corners, points, left_px, right_px, tolerance, noise)
         rms = pose.rms_px
-        self._require(RefusalReason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))
+        if not rms <= self.limits.rms_px:
+            raise StereoRefusal(RefusalReason.REPROJECTION, rms_px=round(rms, 3))
         self._square_px2 = _KEPT * self._square_px2 + float(np.sum(np.square(pose.residuals)))
         self._freedom = _KEPT * self._freedom + pose.residuals.size - 6
         return self._sighting(pose, len(ids), stamp_ns)
-
-    @staticmethod
-    def _require(reason: RefusalReason, met: bool, **facts: object) -> None:
-        if not met:
-            raise StereoRefusal(reason, **facts)
 
     def _sighting(self, pose: MarkerPose, corners: int, stamp_ns: int) -> StereoSighting:
         point, covariance = pose.at(self._tip)
@@ -141,7 +129,6 @@ class StereoEye:
             pose_covariance=in_base,
             corners=corners,
             rms_px=pose.rms_px,
-            sigma_px=pose.sigma_px,
             scale=pose.scale,
         )
 

@@ -61,9 +61,8 @@ def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
         cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8),
         cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8),
     )
-    steepest = float(
-        np.partition(slope.ravel(), -max(slope.size // 500, 1))[-max(slope.size // 500, 1)]
-    )
+    sharp = max(slope.size // 500, 1)
+    steepest = float(np.partition(slope.ravel(), -sharp)[-sharp])
     total = height / (steepest * np.sqrt(2 * np.pi)) if steepest > 0.0 else np.inf
     return float(np.sqrt(max(total**2 - _PRESMOOTH_PX**2, 0.0)))
 
@@ -71,12 +70,17 @@ def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
 _MISSING = {"left": RefusalReason.NOT_FOUND_LEFT, "right": RefusalReason.NOT_FOUND_RIGHT}
 
 
-def found_corners(target: Target, grey: Grey, side: str, limits: Limits) -> Corners:
-    """Corners of a target in an image (H, W) of the ``left`` or the ``right`` camera.
+def found_pair(target: Target, greys: tuple[Grey, Grey], limits: Limits) -> tuple[Corners, Corners]:
+    """Corners of a target in the images (H, W) of the left and the right camera.
 
     Raises:
         StereoRefusal: AMBIGUOUS, BLURRED; TOO_DARK, TOO_BRIGHT, NOT_FOUND where nothing is seen.
     """
+    left, right = greys
+    return _found(target, left, "left", limits), _found(target, right, "right", limits)
+
+
+def _found(target: Target, grey: Grey, side: str, limits: Limits) -> Corners:
     seen = target.detect(grey)
     if seen.repeated:
         raise StereoRefusal(RefusalReason.AMBIGUOUS, image=side, ids=seen.repeated)

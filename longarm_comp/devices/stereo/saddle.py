@@ -10,7 +10,6 @@ from longarm_comp.devices.stereo.camera import Array
 
 _ALONG = np.linspace(0.12, 0.88, 24)  # where on a side the edge is located
 _STEP_PX = 0.25  # between samples across an edge: four in a pixel
-_BEFORE = [3, 0, 1, 2]  # the side that ends in each corner
 _REACH = (0.7, 0.5, 0.45, 0.45)  # half window across a side, in cells; one pass each
 
 
@@ -51,7 +50,7 @@ def _intersections(edge: Array, fallback: Array) -> Array:
     angle = 0.5 * np.arctan2(2 * np.sum(x * y, axis=2), np.sum(x * x - y * y, axis=2))
     nx, ny = -np.sin(angle), np.cos(angle)  # across the direction of most spread
     offset = nx * centre[..., 0] + ny * centre[..., 1]
-    before = [a[:, _BEFORE] for a in (nx, ny, offset)]
+    before = [np.roll(a, 1, axis=1) for a in (nx, ny, offset)]  # the side that ends in a corner
     cross = before[0] * ny - before[1] * nx
     parallel = np.abs(cross) < 1e-3
     cross = np.where(parallel, 1.0, cross)
@@ -85,28 +84,18 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
     values = grey[window[..., 1], window[..., 0]].astype(float)
     weight = np.exp(-(dx**2 + dy**2) / (2 * (0.6 * half) ** 2))
     state = _start(grey, values, start - middle, middle)
-    cost, jacobian, residual = _linearised(state, dx, dy, values, weight)
-    damping = np.full(len(state), 1e-3)
     for _ in range(12):
+        jacobian, residual = _linearised(state, dx, dy, values)
         weighted = jacobian.transpose(0, 2, 1) * weight
         normal = weighted @ jacobian
-        gradient = weighted @ residual[..., None]
-        diagonal = np.einsum("nii->ni", normal)
-        damped = normal + (damping[:, None] * diagonal + 1e-9)[:, :, None] * np.eye(9)
-        step = np.linalg.solve(damped, gradient)[..., 0]
-        tried = state + step
-        tried[:, 4] = np.clip(tried[:, 4], 0.3, half / 2)
-        new_cost, new_jacobian, new_residual = _linearised(tried, dx, dy, values, weight)
-        better = new_cost < cost
-        damping = np.where(better, damping * 0.2, damping * 8.0)
-        state = np.where(better[:, None], tried, state)
-        cost = np.where(better, new_cost, cost)
-        jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
-        residual = np.where(better[:, None], new_residual, residual)
+        # Damped by a hundredth: what a corner hardly tells stays near its start
+        damped = normal + (0.01 * np.einsum("nii->ni", normal) + 1e-9)[:, :, None] * np.eye(9)
+        state = state + np.linalg.solve(damped, weighted @ residual[..., None])[..., 0]
+        state[:, 4] = np.clip(state[:, 4], 0.3, half / 2)
     found = state[:, :2] + middle
     # px; farther off it is another corner
-    strayed = np.linalg.norm(found - start, axis=1) > 2.0
-    out[inside] = np.where(strayed[:, None], start, found)
+    near = np.linalg.norm(found - start, axis=1) <= 2.0
+    out[inside] = np.where(near[:, None], found, start)
     return out
 
 
@@ -130,10 +119,8 @@ def _start(grey: NDArray[np.uint8], values: Array, at: Array, middle: NDArray[np
     return state
 
 
-def _linearised(
-    state: Array, dx: Array, dy: Array, values: Array, weight: Array
-) -> tuple[Array, Array, Array]:
-    """Cost (N,), Jacobian of the model (N, M, 9) and residuals (N, M)."""
+def _linearised(state: Array, dx: Array, dy: Array, values: Array) -> tuple[Array, Array]:
+    """Jacobian of the model (N, M, 9) and residuals (N, M)."""
     from scipy.special import erf  # a quarter of a second; tags do without
 
     u, v, angle_1, angle_2, blur, contrast, level, slope_x, slope_y = state.T[..., None]
@@ -163,5 +150,4 @@ def _linearised(
         ],
         axis=-1,
     )
-    residual = values - (level + slope_x * x + slope_y * y + contrast * product)
-    return np.sum(weight * residual**2, axis=1), jacobian, residual
+    return jacobian, values - (level + slope_x * x + slope_y * y + contrast * product)

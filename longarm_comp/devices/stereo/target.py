@@ -7,7 +7,7 @@ the paper towards the viewer; metres.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -29,12 +29,17 @@ class Corners:
     `repeated`: ids of tags that were seen more than once (none of them is among the corners).
     """
 
-    ids: NDArray[np.int64]
-    pixels: Array
+    ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    pixels: Array = field(default_factory=lambda: np.zeros((0, 2)))
     repeated: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def shared(self, other: Corners) -> tuple[NDArray[np.int64], Array, Array]:
+        """Ids (N,) that both have, and their pixels (N, 2) here and there."""
+        ids, here, there = np.intersect1d(self.ids, other.ids, return_indices=True)
+        return ids, self.pixels[here], other.pixels[there]
 
 
 class Target(Protocol):
@@ -104,14 +109,14 @@ class TagBoard:
             if tag_ids is not None and len(tag_ids) >= self.columns * self.rows:
                 break
         if tag_ids is None or not len(tag_ids):
-            return _NONE
+            return Corners()
         ours = np.asarray(tag_ids).ravel().astype(np.int64) - self.first_id
         count = np.bincount(ours[ours >= 0], minlength=1)
         mine = (ours >= 0) & (ours < self.columns * self.rows)
         repeated = tuple(int(i) + self.first_id for i in np.unique(ours[mine]) if count[i] > 1)
         keep = [i for i in np.argsort(ours) if mine[i] and count[ours[i]] == 1]
         if not keep:
-            return Corners(_NONE.ids, _NONE.pixels, repeated)
+            return Corners(repeated=repeated)
         refined = refine_quads(grey, np.array([quads[i][0] for i in keep]), self._modules)
         ids = (4 * ours[keep][:, None] + np.arange(4)).ravel()
         return Corners(ids, refined.reshape(-1, 2), repeated)
@@ -162,7 +167,7 @@ class CharucoTarget:
         """Inner corners next to tags that were read."""
         found, ids, _, _ = self._detector.detectBoard(grey)
         if ids is None or not len(ids):
-            return _NONE
+            return Corners()
         order = np.argsort(np.asarray(ids).ravel())
         ids = np.asarray(ids).ravel()[order].astype(np.int64)
         pixels = np.asarray(found, dtype=float).reshape(-1, 2)[order]
@@ -183,9 +188,6 @@ class CharucoTarget:
             (self.columns, self.rows), self.square_m, self.tag_m, _dictionary(self.dictionary)
         )
         return cv2.aruco.CharucoDetector(board)
-
-
-_NONE = Corners(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
 
 
 def _check_size(what: str, **sizes: float) -> None:

@@ -38,24 +38,20 @@ class PixelNoise:
 
 @dataclass(frozen=True)
 class Triangulation:
-    """Points (N, 3) m in the rig frame, covariances (N, 3, 3) m^2, residuals (N, 4) px.
+    """Points (N, 3) m in the rig frame, residuals (N, 4) px.
 
     Residuals are seen - projected, ordered (left u, left v, right u, right v).
     """
 
     points: Array
-    covariances: Array
     residuals: Array
-    sigma_px: float
 
     @property
     def rms_px(self) -> float:
         return float(np.sqrt(np.mean(np.square(self.residuals))))
 
 
-def triangulate(
-    rig: StereoRig, left_px: Array, right_px: Array, noise: PixelNoise | None = None
-) -> Triangulation:
+def triangulate(rig: StereoRig, left_px: Array, right_px: Array) -> Triangulation:
     """Triangulate corners seen in both images.
 
     Args:
@@ -65,7 +61,6 @@ def triangulate(
     Raises:
         StereoRefusal: BEHIND_CAMERA, if a point does not lie in front of both cameras.
     """
-    noise = noise or PixelNoise()
     points = _linear(rig, left_px, right_px)
     # Gauss-Newton from the linear start settles in two, to parts in 1e9 of the depth
     for _ in range(2):
@@ -75,10 +70,7 @@ def triangulate(
         gradient = jacobian.transpose(0, 2, 1) @ residuals[..., None]
         points = points + np.linalg.solve(normal, gradient)[..., 0]
     in_front(rig, points)
-    residuals, jacobian = stereo_residuals(rig, points, left_px, right_px)
-    sigma = noise.estimate(residuals, dof=len(points))  # 4 equations less 3 unknowns a point
-    normal = jacobian.transpose(0, 2, 1) @ jacobian
-    return Triangulation(points, sigma**2 * np.linalg.inv(normal), residuals, sigma)
+    return Triangulation(points, stereo_residuals(rig, points, left_px, right_px)[0])
 
 
 def stereo_residuals(
@@ -138,7 +130,6 @@ class MarkerPose:
     covariance: Array
     scale: float
     residuals: Array
-    sigma_px: float
 
     @property
     def rms_px(self) -> float:
@@ -155,7 +146,7 @@ class MarkerPose:
 def marker_pose(
     rig: StereoRig,
     corners: Array,
-    seen: Triangulation,
+    seen: Array,
     left_px: Array,
     right_px: Array,
     size_tolerance: float,
@@ -175,7 +166,7 @@ def marker_pose(
     Raises:
         StereoRefusal: BEHIND_CAMERA.
     """
-    rotation, translation = kabsch(corners, seen.points, np.ones(len(corners)))
+    rotation, translation = kabsch(corners, seen, np.ones(len(corners)))
     log_scale = 0.0
     prior = (noise.sigma_px / size_tolerance) ** 2
     for _ in range(8):
@@ -202,7 +193,7 @@ def marker_pose(
     transform = np.eye(4)
     transform[:3, :3], transform[:3, 3] = rotation, translation
     covariance = sigma**2 * np.linalg.inv(normal)[:6, :6]
-    return MarkerPose(transform, covariance, float(np.exp(log_scale)), residuals, sigma)
+    return MarkerPose(transform, covariance, float(np.exp(log_scale)), residuals)
 
 
 def _cross_matrices(vectors: Array) -> Array:

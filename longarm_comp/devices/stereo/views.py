@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.devices.stereo.camera import Array
-from longarm_comp.devices.stereo.found import Limits, found_corners
+from longarm_comp.devices.stereo.found import Limits, found_pair
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
@@ -51,9 +51,8 @@ class BoardView:
         """Whether the common corners have moved by less than 1 px since the pair before."""
         if before is None:
             return False
-        _, mine, its = np.intersect1d(self.left.ids, before.left.ids, return_indices=True)
-        way = self.left.pixels[mine] - before.left.pixels[its]
-        return bool(len(mine) and np.linalg.norm(way, axis=1).mean() < 1.0)
+        _, now, then = self.left.shared(before.left)
+        return bool(len(now) and np.linalg.norm(now - then, axis=1).mean() < 1.0)
 
 
 def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None) -> BoardView:
@@ -67,17 +66,13 @@ def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None
         raise StereoRefusal(
             RefusalReason.WRONG_SIZE, left=left.shape[::-1], right=right.shape[::-1]
         )
-    seen = tuple(
-        found_corners(board, grey, side, limits)
-        for side, grey in (("left", left), ("right", right))
-    )
-    ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
+    seen = found_pair(board, (left, right), limits)
+    ids, left_px, right_px = seen[0].shared(seen[1])
     if len(ids) < FEWEST_CORNERS:
         raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
-    pixels = seen[0].pixels[in_left]
-    shift = np.median(pixels[:, 0] - seen[1].pixels[in_right][:, 0])
-    distance, tilt = _rough_pose(board.points(ids), pixels, left.shape[1], left.shape[0])
-    return BoardView(seen[0], seen[1], float(shift), distance, tilt)
+    shift = np.median(left_px[:, 0] - right_px[:, 0])
+    distance, tilt = _rough_pose(board.points(ids), left_px, left.shape[1], left.shape[0])
+    return BoardView(*seen, float(shift), distance, tilt)
 
 
 def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
@@ -88,7 +83,11 @@ def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
     if not views:
         return found
     for side, cells in zip(("left", "right"), covered(views, size), strict=True):
-        if bare := list(_bare(cells)):
+        bare = [
+            "centre" if row == column == 1 else f"{_ROWS[row]} {_COLUMNS[column]}"
+            for row, column in np.argwhere(~cells)
+        ]
+        if bare:
             found.append(f"{side} camera: no corner at the {', '.join(bare)} of what both see")
     distances = [view.distance_m for view in views]
     # Least ratio of the largest to the smallest distance
@@ -119,11 +118,6 @@ def covered(
         cells[down, across] = True
         made.append(cells)
     return made[0], made[1]
-
-
-def _bare(cells: NDArray[np.bool_]) -> Iterator[str]:
-    for row, column in np.argwhere(~cells):
-        yield "centre" if row == column == 1 else f"{_ROWS[row]} {_COLUMNS[column]}"
 
 
 def _rough_pose(

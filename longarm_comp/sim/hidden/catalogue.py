@@ -13,9 +13,9 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import drives, geometry, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.rods import QUICK_STEPS
 
 Array = np.ndarray
-_STEPS = 2  # integration steps a rod: sizes need no nanometres
 _Maker = Callable[[Arm, np.random.Generator], HiddenEffect]
 
 
@@ -168,7 +168,7 @@ def moved_tip(
     effect: HiddenEffect, arm: Arm, poses: Array, context: TrueContext, sound: Array
 ) -> Array:
     """Tip (N, 3) with one effect; `sound` is the tip without it."""
-    return TrueArm(arm, [effect], steps=_STEPS).tip(poses, context)
+    return TrueArm(arm, [effect], steps=QUICK_STEPS).tip(poses, context)
 
 
 def sized(
@@ -187,7 +187,7 @@ def sized(
     """
     poses = rng.uniform(arm.lower, arm.upper, (60, arm.n)) if poses is None else poses
     context = typical_context(len(poses), arm, rng)
-    sound = TrueArm(arm, steps=_STEPS).tip(poses, context)
+    sound = TrueArm(arm, steps=QUICK_STEPS).tip(poses, context)
     dose = 1.0
     for _ in range(8):
         moved = seen(effect.scaled(dose), arm, poses, context, sound) - sound

@@ -206,9 +206,11 @@ class ServoEmulator:
                     _send(master, heard)
             with self._lock:
                 self._advance()
+                frames = self._wire.take(buffer)
+                self.frames_heard += len(frames)
                 sent = [
                     self.faults.apply(servo_id, reply)
-                    for frame in self._frames(buffer)
+                    for frame in frames
                     for servo_id, reply in self._answers(frame)
                 ]
             for late_s, reply in sent:
@@ -225,11 +227,6 @@ class ServoEmulator:
         if any(i != device.servo_id for i, device in self._devices.items()):
             self._devices = {device.servo_id: device for device in self._devices.values()}
         return [(i, _collided(reply, others.get(i, reply))) for i, reply in replies]
-
-    def _frames(self, buffer: bytearray) -> list[bytes]:
-        frames = self._wire.take(buffer)
-        self.frames_heard += len(frames)
-        return frames
 
 
 def _collided(one: bytes, other: bytes) -> bytes:
