@@ -112,13 +112,8 @@ class FoundEffect:
 
     @property
     def fitted_rivals(self) -> list[Rival]:
-        """Rivals whose worth only a fit in its place tells.
-
-        Of what no measurement distinguishes from it, and of functions, which need no other effect,
-        the columns tell all.
-        """
-        judged = (r for r in self.rivals if r.name == r.judged != self.name)
-        return [r for r in judged if not r.unnamed]
+        """Rivals whose worth only a fit in its place tells: all that a measurement distinguishes."""
+        return [r for r in self.rivals if r.name == r.judged != self.name]
 
     def against(self, worth: Mapping[str, float]) -> tuple[FoundEffect, bool]:
         """With the probabilities of fits; what is best leads. Whether that is another effect.
