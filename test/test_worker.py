@@ -129,7 +129,7 @@ def test_of_two_publishers_every_target_is_heard_or_counted_as_lost(stage: Bench
         assert worker.lost == 0
         worker.submit(go_on.wait)
         stage.spin(lambda: worker.waiting == 0)
-        sent = graph.TARGET_POSE.depth + 600
+        sent = graph.TARGET_POSE.qos.depth + 600
         for number in range(sent):
             both[number % 2].publish(PoseStamped())
         go_on.set()

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from longarm_comp.devices.camera_info import CameraInfo as Calibration
@@ -185,7 +185,8 @@ class ImageInlet:
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
         self._how = wanted
-        self._subscription = self._topic.subscription(self._node, self._hear, listens=wanted)
+        qos = QoSProfile(depth=self._topic.qos.depth, reliability=wanted)
+        self._subscription = self._topic.subscription(self._node, self._hear, qos=qos)
 
     def _hear(self, message: Any, info: Any) -> None:
         self._watch.taken([info["publication_sequence_number"] or 0], full=True)

@@ -142,7 +142,7 @@ class Intake:
         self._withdrawn: deque[str] = deque(maxlen=100)
         graph.WITHDRAWN.subscription(node, self._on_withdrawn)
         # Trajectories that may wait: a later one replaces those before it anyway
-        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, depth=10)
+        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, qos=graph.DEFAULT)
 
     def too_old(self, message: JointTrajectory) -> str:
         """Why a trajectory is too old to move the arm; empty if it is not. A stop never is."""

@@ -101,7 +101,7 @@ class TargetInlet:
     def _on_target(self, message: bytes, sent: float) -> None:
         if self._latest is not None:
             self._passed.append(self._latest)
-        if len(self._passed) > graph.TARGET_POSE.depth:
+        if len(self._passed) > graph.TARGET_POSE.qos.depth:
             self._passed.popleft()
             self._untold += 1
         self._latest = message, sent
