@@ -93,6 +93,9 @@ def test_a_worker_hears_serves_asks_and_counts(stage: Bench) -> None:
         number = caller.send(PredictError.Request(temperature_c=float(len(answers))))
         answer = caller.answer(number, 10.0)
         assert caller.answer(forgotten, 0.0) is None
+        first = caller.send(PredictError.Request())
+        caller.send(PredictError.Request())
+        assert caller.answer(first, 10.0) and caller.answer(first, 10.0)  # the later one's
         answers.append(answer.sigma)
 
     try:
