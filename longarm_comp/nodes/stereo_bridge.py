@@ -31,7 +31,7 @@ from longarm_comp.nodes.clock import stamp_ns, stamp_of, steady_timer
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
 from longarm_comp.nodes.images import ImageInlet, decoded, pixels_of, same_camera
-from longarm_comp.nodes.messages import pose_message, tip_message
+from longarm_comp.nodes.messages import quaternion_message, tip_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
 
@@ -115,19 +115,18 @@ class _StereoBridge(ArmNode):
         self._worker = self.worker(2)
         self._worker.start()
         self._tips = graph.TIP_MEASURED.publisher(self)
-        left, right = Side.LEFT, Side.RIGHT
         topics, self._pixels = _TRANSPORTS[p["image_transport"]]
         self._inlets = {
             side: ImageInlet(
                 self, topic, partial(self._on_image, side), reliable=p["reliable_images"]
             )
-            for side, topic in zip((left, right), topics, strict=True)
+            for side, topic in zip(Side, topics, strict=True)
         }
         for inlet in self._inlets.values():
             # Pause between two looks at who publishes images
             steady_timer(self, 0.5, inlet.adapt)
-        graph.LEFT_INFO.subscription(self, lambda m: self._on_info(left, m))
-        graph.RIGHT_INFO.subscription(self, lambda m: self._on_info(right, m))
+        graph.LEFT_INFO.subscription(self, partial(self._on_info, Side.LEFT))
+        graph.RIGHT_INFO.subscription(self, partial(self._on_info, Side.RIGHT))
         self.health.parts["stereo"] = self._report
 
     def _on_info(self, side: Side, message: CameraInfo) -> None:
@@ -186,9 +185,9 @@ class _StereoBridge(ArmNode):
         message = tip_message(
             seen.point, seen.pose_covariance, stamp_of(seen.stamp_ns), self._base_frame
         )
-        message.pose.pose.orientation = pose_message(seen.pose).orientation
-        self._tips.publish(message)
         turn = quaternion.from_rotation(seen.pose[:3, :3])
+        message.pose.pose.orientation = quaternion_message(turn)
+        self._tips.publish(message)
         tip = Placed(self._base_frame, f"{self._prefix}tip_measured", seen.point, turn)
         self._frames.tell([tip], message.header.stamp)
 
@@ -218,7 +217,7 @@ class _StereoBridge(ArmNode):
             "pairs": self._pairer.pairs,
             **dict(sorted(self.tally.counts.items())),
             **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
-            **{f"lost on the way: {s.name.lower()}": i.lost for s, i in self._inlets.items()},
+            **{f"lost on the way: {s.name.lower()}": i.watch.lost for s, i in self._inlets.items()},
             "calibration": self._calibration(),
             **{f"images {s.name.lower()}": i.reliability for s, i in self._inlets.items()},
         }
