@@ -23,7 +23,14 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
-from longarm_comp.nodes.messages import driver_words, efforts_of, joints_of, path_of, tilt_of
+from longarm_comp.nodes.messages import (
+    driver_words,
+    efforts_of,
+    joints_of,
+    path_of,
+    tilt_of,
+    way_of,
+)
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode
 from longarm_comp.nodes.orders import untimely
@@ -256,10 +263,8 @@ class DriverLink:
         self.told(message)
 
     def _accepted(self, message: Motion) -> None:
-        names = list(message.start.name)
         try:
-            start = joints_of(message.start, self._arm, "start of motion")
-            path = path_of(JointTrajectory(joint_names=names, points=message.points), self._arm)
+            start, path = way_of(message, self._arm)
         except InputError as error:
             self._refused("bad motion", str(error))
             self.lose()

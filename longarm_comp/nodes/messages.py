@@ -30,7 +30,6 @@ from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.devices import joint_path as devices
 from longarm_comp.devices.servo_arm import ServoReading
-from longarm_comp.devices.servo_follower import Accepted
 from longarm_interfaces.msg import Compensation, DriverState, Motion
 from longarm_interfaces.srv import Compensate
 
@@ -41,7 +40,6 @@ class Refusal(LongarmError):  # noqa: N818
     def __init__(self, status: Status, reason: str) -> None:
         super().__init__(reason)
         self.status = status
-        self.reason = reason
 
 
 def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
@@ -53,8 +51,7 @@ def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
     p, o = message.pose.position, message.pose.orientation
     xyz = np.array([p.x, p.y, p.z])
     if not np.isfinite(xyz).all():
-        text = f"position {xyz.tolist()} is not finite"
-        raise Refusal(Status.BAD_TARGET, text)
+        raise Refusal(Status.BAD_TARGET, f"position {xyz.tolist()} is not finite")
     if position_only:
         return xyz
     turn = np.array([o.x, o.y, o.z, o.w])
@@ -136,6 +133,13 @@ def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
         raise InputError(where, "points", 0, "at least one")
     rows = [JointState(name=names, position=point.positions) for point in message.points]
     return np.array([joints_of(row, arm, where) for row in rows])
+
+
+def way_of(message: Motion, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+    """Start (n,) and way-points (k, n) of a trajectory that the driver accepted."""
+    start = joints_of(message.start, arm, "start of motion")
+    way = JointTrajectory(joint_names=message.start.name, points=message.points)
+    return start, path_of(way, arm)
 
 
 def duration(value_s: float) -> Duration:
@@ -338,31 +342,4 @@ def readings_message(readings: Mapping[str, ServoReading], stamp: Time) -> Joint
     if all(map(math.isnan, message.effort)):
         message.effort = []  # of no joint is it known
     message.header.stamp = stamp
-    return message
-
-
-def motion_message(
-    name: str,
-    event: int,
-    why: str,
-    joints: JointState,
-    taken: Accepted | None,
-    names: Sequence[str],
-) -> Motion:
-    """What became of the trajectory of that id, and where the joints are.
-
-    Args:
-        name: id. event: as `Motion` lists them. why: in words.
-        joints: read-back with the time of the event.
-        taken: start and way-points, where it was accepted now.
-        names: of the joints.
-    """
-    message = Motion(id=name, event=event, message=why, joints=joints)
-    message.header.stamp = joints.header.stamp
-    if taken is not None:
-        message.start = JointState(name=list(names), position=taken.start.tolist())
-        message.points = [
-            JointTrajectoryPoint(positions=row, time_from_start=duration(at))
-            for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
-        ]
     return message
