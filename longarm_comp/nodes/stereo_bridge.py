@@ -75,10 +75,6 @@ PARAMS = (
 )
 
 
-def _file(folder: str, side: Side) -> Calibration:
-    return read_camera(Path(folder) / f"{side.name.lower()}.yaml")
-
-
 class _StereoBridge(ArmNode):
     """Measures pairs on a worker thread. A pair that arrives during a measurement is dropped."""
 
@@ -102,7 +98,10 @@ class _StereoBridge(ArmNode):
         )
         self._pairer: StereoPairer[Any] = StereoPairer(round(p["slop_ms"] * 1e6), p["queue"])
         self._infos: dict[Side, CameraInfo] = {}
-        self._files = {s: _file(p["cameras"], s) for s in Side} if p["cameras"] else {}
+        self._files = {
+            side: read_camera(Path(p["cameras"]) / f"{side.name.lower()}.yaml")
+            for side in (Side if p["cameras"] else ())
+        }
         self._eye: StereoEye | None = None
         self._sightings = 0
         self._last = "no pair of images yet"
@@ -146,7 +145,7 @@ class _StereoBridge(ArmNode):
             self._refuse(error, None)
 
     def _calibrate(self, cameras: Mapping[Side, Calibration]) -> None:
-        """Measure with this calibration from now on.
+        """Measure with this calibration from now on, and say where the cameras are.
 
         Raises:
             StereoRefusal, InputError: the calibration cannot be used.
@@ -155,14 +154,10 @@ class _StereoBridge(ArmNode):
             cameras[Side.LEFT], cameras[Side.RIGHT], rectified=self._rectified
         )
         self._eye = StereoEye(rig, self._target, self._hand_eye, self._tip_in_marker, self._limits)
-        self._tell_cameras(self._eye.cameras)
-
-    def _tell_cameras(self, poses: tuple[np.ndarray, np.ndarray]) -> None:
-        """Say where the cameras are, by the names that they give their frames."""
         told = {side: info.header.frame_id for side, info in self._infos.items()}
         names = [told.get(s) or f"{self._prefix}{s.name.lower()}_optical" for s in Side]
-        frames = [Placed.at(self._base_frame, *camera) for camera in zip(names, poses, strict=True)]
-        self._frames.tell_static(frames)
+        placed = zip(names, self._eye.cameras, strict=True)
+        self._frames.tell_static([Placed.at(self._base_frame, *camera) for camera in placed])
 
     def _on_image(self, side: Side, message: Any) -> None:
         for pair in self._pairer.add(side, stamp_ns(message.header.stamp), message):
