@@ -260,12 +260,9 @@ def compensation_message(
     sides = {float(side) for side in context.approach}
     published = Compensation(
         header=Header(stamp=answer.target.header.stamp, frame_id=base_frame),
-        id=answer.name,
         accepted=accepted,
         target=answer.target,
         position_only=answer.position_only,
-        status=int(answer.status),
-        message=answer.message,
         method=answer.method,
         temperature_c=float(context.column("temperature_c", math.nan)),
         payload_kg=float(context.payload_kg(arm.payload.mass_kg if arm.payload else 0.0)),
@@ -283,14 +280,12 @@ def compensation_message(
 
 
 def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Response:
-    response = Compensate.Response(
-        success=answer.status.success, status=int(answer.status), message=answer.message,
-        id=answer.name,
-    )  # fmt: skip
+    response, arrival = Compensate.Response(success=answer.status.success), answer.arrival
     _fill(response, answer, arm, base_frame)
-    if answer.status.success and answer.arrival is not None and answer.outcome is not None:
-        response.command = joints_message(arm, answer.outcome.command, answer.target.header.stamp)
-        response.approach = [int(side) for side in answer.arrival.move.side]
+    if answer.status.success and arrival is not None:
+        stamp = answer.target.header.stamp
+        response.command = joints_message(arm, arrival.outcome.command, stamp)
+        response.approach = [int(side) for side in arrival.move.side]
     return response
 
 
@@ -298,14 +293,15 @@ def _fill(
     message: Compensation | Compensate.Response, answer: Answer, arm: Arm, base_frame: str
 ) -> None:
     """Set the fields that both messages share. An unknown number is NaN."""
-    message.sigma = math.nan
-    outcome = answer.outcome
-    if outcome is None:
+    message.id, message.status, message.message = answer.name, int(answer.status), answer.message
+    arrival = answer.arrival
+    if arrival is None:
+        message.sigma = math.nan
         message.predicted_error = vector_message([math.nan] * 3)
         return
-    stamp = answer.target.header.stamp
-    if answer.arrival is not None and answer.arrival.move.run_up is not None:
-        message.run_up = joints_message(arm, answer.arrival.move.run_up, stamp)
+    stamp, outcome = answer.target.header.stamp, arrival.outcome
+    if arrival.move.run_up is not None:
+        message.run_up = joints_message(arm, arrival.move.run_up, stamp)
     message.ideal = joints_message(arm, outcome.ideal, stamp)
     message.predicted_error = vector_message(outcome.predicted_error)
     message.pseudo_target = PoseStamped(
