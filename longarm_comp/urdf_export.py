@@ -17,7 +17,7 @@ import numpy as np
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.spatial import roll_pitch_yaw
+from longarm_comp.core.arm.spatial import exp_large, roll_pitch_yaw
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import BASE_LINK, TIP, joint_name, link_name
@@ -130,7 +130,9 @@ def _rows(
         axis, point = _screw(turn, moved, joint.type == "prismatic")
         shift = np.eye(4)
         shift[:3, 3] = point
-        back = _moved(axis, point, -values[0, k], joint.type == "prismatic")
+        turned = np.zeros(3) if joint.type == "prismatic" else -values[0, k] * axis
+        slid = -values[0, k] * axis if joint.type == "prismatic" else np.cross(point, turned)
+        back = exp_large((*slid, *turned)).matrix()
         placed.append(_Placed(joint, before @ step @ back @ shift, axis))
         before = inner[joint.id] = np.linalg.inv(shift)
     return placed, before @ _within(at[-2], at[-1]), inner
@@ -195,16 +197,6 @@ def _screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np
     axis = quaternion.rotation_vector(quaternion.from_rotation(turn[:3, :3])) / moved
     point = np.linalg.lstsq(np.eye(3) - turn[:3, :3], turn[:3, 3], rcond=1e-6)[0]
     return axis / np.linalg.norm(axis), point
-
-
-def _moved(axis: np.ndarray, point: np.ndarray, value: float, slides: bool) -> np.ndarray:
-    made = np.eye(4)
-    if slides:
-        made[:3, 3] = value * axis
-        return made
-    made[:3, :3] = quaternion.rotation(quaternion.from_rotation_vector(value * axis))
-    made[:3, 3] = point - made[:3, :3] @ point
-    return made
 
 
 # ------------------------------------------------------------------ XML
