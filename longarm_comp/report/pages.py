@@ -121,9 +121,8 @@ def day_page(arm: str, bag: str, day: Day) -> str:
 def _errors_of_day(day: Day, changes: list[Notice]) -> Figure:
     drawn = Figure(figsize=(9, 3.4), layout="constrained")
     axes = drawn.subplots()
-    hour = np.array([s.t_s / 3600.0 for s in day.served])
     axes.plot(
-        hour, [s.error_mm for s in day.served], color=BLUE, marker="o", markersize=3, linestyle="",
+        day.t_s / 3600.0, day.error_mm, color=BLUE, marker="o", markersize=3, linestyle="",
         label="a target",
     )  # fmt: skip
     for k, said in enumerate(changes[1:]):

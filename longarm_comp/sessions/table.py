@@ -15,9 +15,10 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path, check_regular
+from longarm_comp.core.yaml_file import RANGES
 from longarm_comp.sessions.foreign.units import split_name
 
-FARTHEST = 1e6
+FARTHEST = RANGES["_m"][1]
 """Largest joint (rad, m) and coordinate (m)."""
 
 
