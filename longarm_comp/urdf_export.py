@@ -237,14 +237,13 @@ def _ends(node: ET.Element, origin: np.ndarray, parent: str, child: str) -> None
 
 def _inertial(node: ET.Element, points: Sequence[tuple[float, np.ndarray]]) -> None:
     """Point masses (kg, (3,) m) as one inertia about their common centre."""
-    total = math.fsum(mass for mass, _ in points)
-    if not total:
+    if not points:
         return
-    centre = sum((mass * p for mass, p in points), np.zeros(3)) / total
-    tensor = np.zeros((3, 3))
-    for mass, p in points:
-        r = p - centre
-        tensor += mass * (r @ r * np.eye(3) - np.outer(r, r))
+    masses, at = (np.array(values) for values in zip(*points, strict=True))
+    total, centre = float(masses.sum()), np.average(at, axis=0, weights=masses)
+    off = at - centre
+    spread = (masses * off.T) @ off
+    tensor = np.trace(spread) * np.eye(3) - spread
     inertial = ET.SubElement(node, "inertial")
     ET.SubElement(inertial, "origin", {"xyz": _text(centre), "rpy": "0 0 0"})
     ET.SubElement(inertial, "mass", {"value": repr(total)})

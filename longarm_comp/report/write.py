@@ -15,7 +15,7 @@ from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, plots, record, style, verdict, words
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.pages import beside, data_uri, template
+from longarm_comp.report.pages import data_uri, template
 from longarm_comp.report.plots import MOST, at_the_tip, scene_json, stages_of
 
 
@@ -93,8 +93,6 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
         most=MOST,
         plots={name: data_uri(content) for name, content in plots.items()},
         scene=scene_json(rows) if rows else None,
-        style=beside("report.css"),
-        script=beside("report.js"),
     )
 
 

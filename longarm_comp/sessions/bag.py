@@ -23,7 +23,7 @@ from longarm_comp.core.data.rest import Sighting, nowhere, settled, stood
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer, SessionRow
+from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer, SessionRow, between
 from longarm_comp.sessions.message_types import CLOCKS_APART, JointStates, message_types
 
 
@@ -67,7 +67,7 @@ class Rows:
         """The oldest command, which the next one followed at `end` (s)."""
         buffer = self._buffer
         begin, points = buffer.commands.popleft()
-        sightings, rows = buffer.sightings_between(begin, end), buffer.rows_between(begin, end)
+        sightings, rows = (between(held, begin, end) for held in (buffer.sightings, buffer.rows))
         states = buffer.states_between(begin, end)
         seen, why = settled(sightings, *states, begin)
         row = rows[0][1] if rows else SessionRow()
@@ -79,12 +79,13 @@ class Rows:
         gap = not passed and self._rows and not self._passed and not 0 <= number - last <= 1
         if gap:
             self._at, self._history = None, History.unknown(buffer.arm.n)
-        self._history = self._history.after(points, self._at).told(_sides(row, buffer))
+        told = _sides(row, buffer)
+        self._history = self._history.after(points, self._at).told(told)
         self._at = points[-1]
         self._passed = passed
         if seen is not None:
             held = {name: held.at(seen.t) for name, held in buffer.columns.items()}
-            told, read = _sides(row, buffer), stood(*states, begin)
+            read = stood(*states, begin)
             self._rows.append(_Row(number, self._at, self._history, told, seen, read, row, held))
             if why:
                 self._lost[number] = why

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import yaml
@@ -86,12 +85,7 @@ class SegmentedBag:
             self.finish_segment()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         self.finish_segment()
         known = self._information
         empty = self._discarded or not (known and known["message_count"])

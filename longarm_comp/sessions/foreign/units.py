@@ -106,8 +106,7 @@ class Rotation:
             turn = Turn.from_rotvec(held)
         else:
             turn = Turn.from_euler(self.convention, held)
-        quaternion = (turn.inv() if self.inverse else turn).as_quat()
-        made[told] = np.where(quaternion[:, 3:] < 0, -quaternion, quaternion)
+        made[told] = (turn.inv() if self.inverse else turn).as_quat(canonical=True)
         return made
 
 
