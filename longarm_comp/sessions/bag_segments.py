@@ -71,11 +71,8 @@ class SegmentedBag:
 
     def _empty(self) -> bool:
         """Whether there is a bag that a killed recorder left without a message."""
-        metadata = self._path / "metadata.yaml"
-        if not metadata.is_file():
-            return False
         try:
-            return read_yaml(metadata)[_KEY]["message_count"] == 0
+            return read_yaml(self._path / "metadata.yaml")[_KEY]["message_count"] == 0
         except (LongarmError, KeyError, TypeError):
             return False
 
