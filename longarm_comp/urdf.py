@@ -66,8 +66,8 @@ def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
     }
 
 
-def chain_ends(path: str | Path, base: str = "", tip: str = "") -> tuple[str, str]:
-    """Base and tip link of a chain; the root and the only link at an end where none is given."""
+def chain_ends(path: str | Path, base: str, tip: str) -> tuple[str, str]:
+    """Base and tip link of a chain; the root and the only link at an end where one is blank."""
     robot = UrdfRobot(path)
     if not base:
         base = next(link for link in robot.links if link not in robot.above)
@@ -143,15 +143,9 @@ def _carried(
     for name, place in robot.below(link, following, at):
         held = robot.links[name]
         if held.mass > 0:
-            position = (place @ np.append(held.com, 1.0))[:3]
-            made.append(
-                {
-                    "name": name,
-                    "frame": frame,
-                    "position_m": [_tidy(v) for v in position],
-                    "mass_kg": held.mass,
-                }
-            )
+            position = [_tidy(v) for v in (place @ np.append(held.com, 1.0))[:3]]
+            mass = {"name": name, "frame": frame, "position_m": position, "mass_kg": held.mass}
+            made.append(mass)
     return made
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.spatial import roll_pitch_yaw
+from longarm_comp.core.arm.spatial import exp_large, roll_pitch_yaw
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import BASE_LINK, TIP, joint_name, link_name
@@ -130,7 +130,9 @@ def _rows(
         axis, point = _screw(turn, moved, joint.type == "prismatic")
         shift = np.eye(4)
         shift[:3, 3] = point
-        back = _moved(axis, point, -values[0, k], joint.type == "prismatic")
+        turned = np.zeros(3) if joint.type == "prismatic" else -values[0, k] * axis
+        slid = -values[0, k] * axis if joint.type == "prismatic" else np.cross(point, turned)
+        back = exp_large((*slid, *turned)).matrix()
         placed.append(_Placed(joint, before @ step @ back @ shift, axis))
         before = inner[joint.id] = np.linalg.inv(shift)
     return placed, before @ _within(at[-2], at[-1]), inner
@@ -197,16 +199,6 @@ def _screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np
     return axis / np.linalg.norm(axis), point
 
 
-def _moved(axis: np.ndarray, point: np.ndarray, value: float, slides: bool) -> np.ndarray:
-    made = np.eye(4)
-    if slides:
-        made[:3, 3] = value * axis
-        return made
-    made[:3, :3] = quaternion.rotation(quaternion.from_rotation_vector(value * axis))
-    made[:3, 3] = point - made[:3, :3] @ point
-    return made
-
-
 # ------------------------------------------------------------------ XML
 
 
@@ -245,14 +237,13 @@ def _ends(node: ET.Element, origin: np.ndarray, parent: str, child: str) -> None
 
 def _inertial(node: ET.Element, points: Sequence[tuple[float, np.ndarray]]) -> None:
     """Point masses (kg, (3,) m) as one inertia about their common centre."""
-    total = math.fsum(mass for mass, _ in points)
-    if not total:
+    if not points:
         return
-    centre = sum((mass * p for mass, p in points), np.zeros(3)) / total
-    tensor = np.zeros((3, 3))
-    for mass, p in points:
-        r = p - centre
-        tensor += mass * (r @ r * np.eye(3) - np.outer(r, r))
+    masses, at = (np.array(values) for values in zip(*points, strict=True))
+    total, centre = float(masses.sum()), np.average(at, axis=0, weights=masses)
+    off = at - centre
+    spread = (masses * off.T) @ off
+    tensor = np.trace(spread) * np.eye(3) - spread
     inertial = ET.SubElement(node, "inertial")
     ET.SubElement(inertial, "origin", {"xyz": _text(centre), "rpy": "0 0 0"})
     ET.SubElement(inertial, "mass", {"value": repr(total)})

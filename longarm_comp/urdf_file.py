@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from urdf_parser_py import urdf, xml_reflection
 
-from longarm_comp.core.arm.spatial import rpy_frame
+from longarm_comp.core.arm.spatial import exp_large, rpy_frame
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.strict_yaml import MOST_BYTES
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
-MOST_BYTES = 64_000_000
 _LINK = {"link": {"inertial"}, "inertial": {"origin", "mass"}}
 _JOINT = {"joint": {"origin", "axis", "parent", "child", "limit", "mimic"}}
 
@@ -51,15 +51,11 @@ class UrdfJoint:
 
     def at(self, value: float) -> np.ndarray:
         """(4, 4) parent to child at a joint value (rad or m)."""
-        if value == 0.0 or self.type not in MOVING:
+        if self.type not in MOVING:
             return self.origin
-        align, move = turn_z_to(self.axis), np.eye(4)
-        if MOVING[self.type] == "revolute":
-            c, s = math.cos(value), math.sin(value)
-            move[:2, :2] = [[c, -s], [s, c]]
-        else:
-            move[2, 3] = value
-        made: np.ndarray = self.origin @ align @ move @ align.T
+        way, still = value * self.axis, (0.0, 0.0, 0.0)
+        twist = (*way, *still) if self.type == "prismatic" else (*still, *way)
+        made: np.ndarray = self.origin @ exp_large(twist).matrix()
         return made
 
 
@@ -176,15 +172,11 @@ class UrdfRobot:
 
     def _check_tree(self) -> None:
         """Every link hangs, over however many joints, on one without a joint above it."""
-        reached = deque(name for name in self.links if name not in self.above)
-        seen = set(reached)
-        while reached:
-            for joint in self.children.get(reached.popleft(), []):
-                seen.add(joint.child)
-                reached.append(joint.child)
-        for name in self.links:
-            if name not in seen:
-                raise self.error(f"link {name}", "in a cycle of joints", "a tree of links")
+        try:
+            TopologicalSorter({link: [j.parent] for link, j in self.above.items()}).prepare()
+        except CycleError as error:
+            link = min(error.args[1])
+            raise self.error(f"link {link}", "in a cycle of joints", "a tree of links") from error
 
     def _numbers(self, values: Any, count: int, field: str) -> np.ndarray:
         made = np.array([float(v) for v in values])

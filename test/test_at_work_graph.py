@@ -166,6 +166,6 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
         stage.spin(lambda: work.said()[0].startswith("learning"))
 
     day = read_day(bag, ARM, None, (LEARNED_SAID,))
-    errors = np.array([served.error_mm for served in day.served])
+    errors = day.error_mm
     assert np.nanmax(errors) > 0.5 and np.nanmin(errors) < 0.2
     assert any(f"joint {JOINT}" in notice.message for notice in day.said)

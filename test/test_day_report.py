@@ -57,7 +57,7 @@ def bag(tmp_path: Path) -> Path:
 
 def test_a_day_is_read_from_its_bag(bag: Path) -> None:
     day = read_day(bag, ARM, None, (LEARNED_SAID,))
-    assert [s.error_mm for s in day.served] == pytest.approx([0.5, 1.5, np.nan], nan_ok=True)
+    assert day.error_mm == pytest.approx([0.5, 1.5, np.nan], nan_ok=True)
     first, second, whole = day.by_hour()
     assert (first["hours"], first["targets"], first["mean_mm"]) == ("0-1 h", 1, pytest.approx(0.5))
     assert (second["targets"], second["seen"]) == (2, 1)
@@ -91,6 +91,6 @@ def test_a_bag_without_targets_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_day_on_which_nothing_was_seen_has_a_row() -> None:
-    assert Day(1.0, ()).by_hour() == [
+    assert Day(1.0, np.zeros(0), np.zeros(0)).by_hour() == [
         {"hours": "all", "targets": 0, "seen": 0, "mean_mm": None, "p95_mm": None, "max_mm": None}
     ]

@@ -38,9 +38,8 @@ for (const kind of ["error", "warn"]) console[kind] = (...said) => faults.push(s
 VISITOR = """<pre id="visit"></pre><script>
 const byId = (id) => document.getElementById(id);
 const shows = (id) => !!byId(id) && byId(id).checkVisibility();
-const rows = (id) => [...(byId(id)?.tBodies[0].rows ?? [])].map((r) => r.cells[0].textContent);
-const all = () => [...rows("best"), ...rows("rest")];
-const folded = () => ({ rows: all().length, open: byId("more")?.open });
+const all = () => [...byId("tried").tBodies[0].rows].map((r) => r.cells[0].textContent);
+const folded = () => ({ rows: all().length, open: byId("all").open });
 const wait = (ms) => new Promise((done) => setTimeout(done, ms));
 const picture = () => byId("plot").toDataURL();
 const drag = (by) => byId("plot").dispatchEvent(new PointerEvent("pointermove", by));
@@ -57,11 +56,11 @@ addEventListener("load", async () => {
     seen.verdict = { text: summary.innerText, top: box.top, tall: box.height };
     seen.wide = document.documentElement.scrollWidth - innerWidth;
     seen.scene = shows("plot");
-    if (byId("best")) {
-      seen.sorted = { start: [rows("best").length, rows("rest").length] };
-      document.querySelector("#best th[data-key=effect] button").click();
+    if (byId("tried")) {
+      seen.sorted = { start: folded() };
+      document.querySelector("#tried th[data-key=effect] button").click();
       seen.sorted.effect = all();
-      seen.sorted.says = document.querySelector("#best th[data-key=effect]").ariaSort;
+      seen.sorted.says = document.querySelector("#tried th[data-key=effect]").ariaSort;
       seen.filtered = { words: type("words", "session has no TIME") };
       type("words", "");
       seen.filtered.state = type("state", "accepted");
@@ -143,7 +142,7 @@ def test_full_page_shows_sorts_and_filters(visit: Visit, reports: Path) -> None:
     first, then = seen["times"]
     assert re.fullmatch(r"arrows × \d+", first) and then != first
 
-    assert seen["sorted"]["start"] == [20, 32]
+    assert seen["sorted"]["start"] == {"rows": 52, "open": False}
     assert seen["sorted"]["effect"] == sorted(seen["sorted"]["effect"])
     assert seen["sorted"]["says"] == "ascending"
     assert seen["filtered"]["words"] == ["creep"]

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.strict_yaml import MOST_BYTES
 from longarm_comp.urdf import import_urdf
+from longarm_comp.urdf_file import UrdfRobot
 
 ROBOTS = (
     ("panda_description/urdf/panda.urdf", "panda_link0", "panda_hand_tcp", 7),
@@ -221,6 +224,23 @@ def test_no_file_and_xacro(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match=r"xacro xacro \S*robot.xacro > robot.urdf"):
         import_urdf(path, "a", "b")
+
+
+def test_a_file_without_end_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "long.urdf"
+    path.write_bytes(b"<robot>" + b" " * MOST_BYTES)
+    with pytest.raises(InputError, match="a smaller file"):
+        import_urdf(path, "base", "c")
+
+
+def test_a_joint_turns_and_slides_along_its_own_axis(tmp_path: Path) -> None:
+    path = tmp_path / "lift.urdf"
+    path.write_text(CHAIN)
+    joints = UrdfRobot(path).joints
+    turn = Rotation.from_rotvec(np.full(3, 0.7 / np.sqrt(3.0))).as_matrix()
+    np.testing.assert_allclose(joints["jc"].at(0.7)[:3, :3], turn, atol=1e-14)
+    slid = joints["jb"].at(0.4)[:3, 3] - joints["jb"].origin[:3, 3]
+    np.testing.assert_allclose(slid, joints["jb"].origin[:3, :3] @ [0, -0.4, 0], atol=1e-14)
 
 
 COLUMN = """<robot name="column">

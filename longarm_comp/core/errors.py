@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from functools import partial
+from typing import Any, ClassVar
 
 _LONGEST_VALUE = 120
 
@@ -49,21 +50,16 @@ class JobError(LongarmError):
     def __init__(self, reason: str, **facts: object) -> None:
         super().__init__(reason)
         self.reason = _one_line(reason)
-        self.facts = facts
+        self.facts: dict[str, Any] = facts
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _job_error, (type(self), self.reason, self.facts)
+        return partial(type(self), **self.facts), (self.reason,)  # pickle forgets keywords
 
     def __str__(self) -> str:
         if not self.facts:
             return self.reason
         facts = ", ".join(f"{name}={_shown(value)}" for name, value in self.facts.items())
         return f"{self.reason} ({facts})"
-
-
-def _job_error(kind: type[JobError], reason: str, facts: dict[str, object]) -> JobError:
-    """Rebuild a JobError that crossed a process boundary (exceptions forget keyword arguments)."""
-    return kind(reason, **facts)
 
 
 def _one_line(text: object) -> str:

@@ -145,11 +145,10 @@ def _check_number(node: yaml.ScalarNode, field: str) -> None:
     text = node.value
     if node.style is not None:
         return
-    number = node.tag in (_INT, _FLOAT)
-    if number and (_DECIMAL if node.tag == _INT else _REAL).fullmatch(text) is not None:
-        plain = True
+    if node.tag in (_INT, _FLOAT):
+        plain = (_DECIMAL if node.tag == _INT else _REAL).fullmatch(text) is not None
     else:
-        plain = not number and _OCTAL_LIKE.fullmatch(text) is None
+        plain = _OCTAL_LIKE.fullmatch(text) is None
     if not plain:
         line = node.start_mark.line + 1
         raise _Refused(

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from longarm_comp.core.effects.units import for_people
+from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.report.record import (
     DiagnosisReport,
     FindingParameter,
@@ -14,8 +15,8 @@ from longarm_comp.report.record import (
 )
 from longarm_comp.report.words import change, interval, listed, millimetres, number, odds
 
-CERTAIN, LIKELY = 0.999, 0.95
-"""Probability from which on something is called certain, and likely."""
+CERTAIN = 0.999
+"""Probability from which on something is called certain; from `CREDIBLE` on it is likely."""
 MOST_SIZES = 8
 WORTH_MM = 0.5
 """Gain of the mean error from which on a repair is advised, mm: shims, clamps and preloads are set
@@ -197,7 +198,7 @@ def _with_doubts(doubts: list[str]) -> str:
 def _word(probability: float) -> str:
     if probability >= CERTAIN:
         return "certain"
-    return "likely" if probability >= LIKELY else "not sure"
+    return "likely" if probability >= CREDIBLE else "not sure"
 
 
 def _software(finding: ReportFinding, report: DiagnosisReport) -> str:

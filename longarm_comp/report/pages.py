@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import jinja2
@@ -32,11 +31,6 @@ def template(name: str) -> jinja2.Template:
     return environment.get_template(name)
 
 
-def beside(name: str) -> str:
-    """Text of a style or script that lies beside the templates."""
-    return files("longarm_comp.report").joinpath(f"templates/{name}").read_text("utf-8")
-
-
 def data_uri(svg: bytes) -> str:
     """A picture as an address that holds it."""
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
@@ -45,7 +39,7 @@ def data_uri(svg: bytes) -> str:
 def _rendered(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
     with rc():
         picture = data_uri(svg(draw()))
-    return template(f"{page}.html.j2").render(picture=picture, style=beside("report.css"), **told)
+    return template(f"{page}.html.j2").render(picture=picture, **told)
 
 
 def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
@@ -121,9 +115,8 @@ def day_page(arm: str, bag: str, day: Day) -> str:
 def _errors_of_day(day: Day, changes: list[Notice]) -> Figure:
     drawn = Figure(figsize=(9, 3.4), layout="constrained")
     axes = drawn.subplots()
-    hour = np.array([s.t_s / 3600.0 for s in day.served])
     axes.plot(
-        hour, [s.error_mm for s in day.served], color=BLUE, marker="o", markersize=3, linestyle="",
+        day.t_s / 3600.0, day.error_mm, color=BLUE, marker="o", markersize=3, linestyle="",
         label="a target",
     )  # fmt: skip
     for k, said in enumerate(changes[1:]):

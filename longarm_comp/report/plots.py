@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from longarm_comp.report.detail import Input, Marked, SeenRows
 from longarm_comp.report.noise_floor import normal_length
-from longarm_comp.report.record import rounded
+from longarm_comp.report.record import mapped
 from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, VERMILLION, Look
 
 _LEVELS = 8
@@ -228,5 +228,5 @@ def scene_json(rows: SeenRows) -> str:
         "stages": stages,
     }
     # To a hundredth of a millimetre, to keep the file small
-    short = rounded(plain, lambda v: round(v, 5))
+    short = mapped(plain, float, lambda v: round(v, 5))
     return json.dumps(short, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

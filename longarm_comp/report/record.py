@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import ConfigDict, Field
 
@@ -23,6 +23,7 @@ Stage = Literal[
     "nominal", "frames_only", "calibrated", "with_effects", "with_functions", "with_network"
 ]
 Interval = tuple[float, float]
+T = TypeVar("T")
 
 
 class _Record(Closed):
@@ -254,15 +255,9 @@ class DiagnosisReport(_Record):
 
     def for_people(self) -> DiagnosisReport:
         """The same with joints by their names instead of by rows of arm.yaml."""
-
-        def named(value: Any) -> Any:
-            if isinstance(value, list | tuple):
-                return [named(entry) for entry in value]
-            if isinstance(value, dict):
-                return {key: named(entry) for key, entry in value.items()}
-            return in_names(value, self.called) if isinstance(value, str) else value
-
-        return type(self).model_validate(named(self.model_dump(by_alias=True)))
+        plain = self.model_dump(by_alias=True)
+        named = mapped(plain, str, lambda text: in_names(text, self.called))
+        return type(self).model_validate(named)
 
 
 def checked(report: dict[str, Any]) -> DiagnosisReport:
@@ -293,16 +288,17 @@ def read_report(folder: str | Path) -> DiagnosisReport:
 def text(report: DiagnosisReport) -> str:
     """report.json: keys in the order of the schema, numbers to `DIGITS` digits."""
     plain = report.model_dump(mode="json", by_alias=True)
-    short = rounded(plain, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)  # + 0.0: no negative zero
+    # + 0.0: no negative zero
+    short = mapped(plain, float, lambda v: float(f"{v:.{DIGITS}g}") + 0.0)
     return json.dumps(short, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def rounded(value: Any, to: Callable[[float], float]) -> Any:
-    """Lists and mappings with every float rounded by `to`."""
-    if isinstance(value, float):
+def mapped(value: Any, kind: type[T], to: Callable[[T], T]) -> Any:
+    """Lists and mappings with `to` of every value of a kind, float or str."""
+    if isinstance(value, kind):
         return to(value)
-    if isinstance(value, list):
-        return [rounded(entry, to) for entry in value]
+    if isinstance(value, list | tuple):
+        return [mapped(entry, kind, to) for entry in value]
     if isinstance(value, dict):
-        return {key: rounded(entry, to) for key, entry in value.items()}
+        return {key: mapped(entry, kind, to) for key, entry in value.items()}
     return value

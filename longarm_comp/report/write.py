@@ -15,11 +15,8 @@ from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, plots, record, style, verdict, words
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.pages import beside, data_uri, template
+from longarm_comp.report.pages import data_uri, template
 from longarm_comp.report.plots import MOST, at_the_tip, scene_json, stages_of
-
-_FEW = 20
-"""Number of candidates shown; the others are folded."""
 
 
 def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLike[str]) -> Path:
@@ -75,7 +72,6 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
     """The page as text, joints by their names; ``plots``: SVG of the still figures by name."""
     report = report.for_people()
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
-    candidates = report.candidates
     stages = stages_of(rows) if rows else ()
     before = report.held_out.before
     shown = before if before in stages else next(iter(stages), "")
@@ -88,8 +84,6 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
         picture=place_name,
         significant=SIGNIFICANT,
         rows=rows,
-        candidates=candidates[:_FEW],
-        more_candidates=candidates[_FEW:],
         looks=style.LOOKS,
         against=against,
         stages=stages,
@@ -99,8 +93,6 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
         most=MOST,
         plots={name: data_uri(content) for name, content in plots.items()},
         scene=scene_json(rows) if rows else None,
-        style=beside("report.css"),
-        script=beside("report.js"),
     )
 
 

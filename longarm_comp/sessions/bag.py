@@ -23,7 +23,7 @@ from longarm_comp.core.data.rest import Sighting, nowhere, settled, stood
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer, SessionRow
+from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer, SessionRow, between
 from longarm_comp.sessions.message_types import CLOCKS_APART, JointStates, message_types
 
 
@@ -67,7 +67,7 @@ class Rows:
         """The oldest command, which the next one followed at `end` (s)."""
         buffer = self._buffer
         begin, points = buffer.commands.popleft()
-        sightings, rows = buffer.sightings_between(begin, end), buffer.rows_between(begin, end)
+        sightings, rows = (between(held, begin, end) for held in (buffer.sightings, buffer.rows))
         states = buffer.states_between(begin, end)
         seen, why = settled(sightings, *states, begin)
         row = rows[0][1] if rows else SessionRow()
@@ -79,12 +79,13 @@ class Rows:
         gap = not passed and self._rows and not self._passed and not 0 <= number - last <= 1
         if gap:
             self._at, self._history = None, History.unknown(buffer.arm.n)
-        self._history = self._history.after(points, self._at).told(_sides(row, buffer))
+        told = _sides(row, buffer)
+        self._history = self._history.after(points, self._at).told(told)
         self._at = points[-1]
         self._passed = passed
         if seen is not None:
             held = {name: held.at(seen.t) for name, held in buffer.columns.items()}
-            told, read = _sides(row, buffer), stood(*states, begin)
+            read = stood(*states, begin)
             self._rows.append(_Row(number, self._at, self._history, told, seen, read, row, held))
             if why:
                 self._lost[number] = why
@@ -200,7 +201,7 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
         chosen = _of_one_arm(reader, namespace, where)
         has_rows = any(_last(c.topic) == "session_row" and c.msgcount for c in chosen)
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
-        rows = _rows(_recorded(reader, chosen), buffer)
+        rows = _rows(recorded(reader, chosen), buffer)
     for topic, found in (("joint_trajectory", buffer.commanded), ("tip_measured", buffer.sighted)):
         if not found:
             raise InputError(where, topic, "no message", "commands and the sightings they led to")
@@ -239,8 +240,8 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
     where = str(path)
     with open_bag(path) as reader:
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=True)
-        recorded = _recorded(reader, _of_one_arm(reader, None, where))
-        for name, stamp, message in decoded(recorded, arm, where):
+        messages = recorded(reader, _of_one_arm(reader, None, where))
+        for name, stamp, message in decoded(messages, arm, where):
             buffer.take(name, stamp, message)
             while len(buffer.commands) > 1:
                 buffer.commands.popleft()
@@ -252,23 +253,25 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
 
 def _of_one_arm(reader: Reader, namespace: str | None, where: str) -> list[Connection]:
     """The topics of one arm that are read."""
-    chosen = {}
-    for connection in reader.connections:
-        space, _, name = connection.topic.rpartition("/")
-        wanted = namespace is None or space.strip("/") == namespace.strip("/")
-        if wanted and TYPES.get(name) == connection.msgtype:
-            chosen[connection.id] = connection
-    spaces = sorted({c.topic.rpartition("/")[0] or "/" for c in chosen.values()})
+    known = (c for c in reader.connections if TYPES.get(_last(c.topic)) == c.msgtype)
+    chosen = [c for c in known if in_namespace(c.topic, namespace)]
+    spaces = sorted({c.topic.rpartition("/")[0] or "/" for c in chosen})
     if len(spaces) > 1:
         raise InputError(where, "namespaces", ", ".join(spaces), "one arm, or say which")
     if not chosen:
         topics = ", ".join(sorted({c.topic for c in reader.connections})) or "no topic"
         raise InputError(where, "topics", topics, ", ".join(TYPES))
-    return list(chosen.values())
+    return chosen
 
 
-def _recorded(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
-    raw = reader.messages(connections=chosen)
+def in_namespace(topic: str, namespace: str | None) -> bool:
+    """Whether a topic is of this namespace; None: of any."""
+    return namespace is None or topic.rpartition("/")[0].strip("/") == namespace.strip("/")
+
+
+def recorded(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
+    """The messages of these topics; none of an empty list."""
+    raw = reader.messages(connections=chosen) if chosen else ()
     return ((c.topic, c.msgtype, stamp, data) for c, stamp, data in raw)
 
 

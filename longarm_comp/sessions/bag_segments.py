@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import yaml
@@ -72,11 +71,8 @@ class SegmentedBag:
 
     def _empty(self) -> bool:
         """Whether there is a bag that a killed recorder left without a message."""
-        metadata = self._path / "metadata.yaml"
-        if not metadata.is_file():
-            return False
         try:
-            return read_yaml(metadata)[_KEY]["message_count"] == 0
+            return read_yaml(self._path / "metadata.yaml")[_KEY]["message_count"] == 0
         except (LongarmError, KeyError, TypeError):
             return False
 
@@ -86,12 +82,7 @@ class SegmentedBag:
             self.finish_segment()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         self.finish_segment()
         known = self._information
         empty = self._discarded or not (known and known["message_count"])

@@ -42,11 +42,9 @@ READ = tuple(
 def _check_measured(table: Table) -> None:
     """Raise `InputError` where a table measures nothing, or a coordinate's name is misspelt."""
     first = [(*kind.cells, kind.label)[0] for kind in _FURTHER]
-    for name in XYZ:
-        others = [n for n in table.header if n not in XYZ]
-        if name not in table.header and nearest(name, others):
-            check_header(table.where, table.header, XYZ)
-    if not any(name in table.header for name in (*XYZ, *first)):
+    others = set(table.header) - set(XYZ)
+    misspelt = any(nearest(name, others) for name in XYZ if name not in table.header)
+    if misspelt or not table.has((*XYZ, *first)):
         check_header(table.where, table.header, XYZ)
 
 
@@ -111,8 +109,8 @@ def read_csv(path: str | Path, arm: Arm) -> Session:
         if re.fullmatch(r"[qQ]_?\d+", name) and name not in joints:
             allowed = f"q1..q{arm.n} of arm {arm.name}"
             raise InputError(table.where, f"column {name}", "unknown", allowed)
-    kept = set(filter(INCLINATION.match, table.header))
-    check_unknown(table.where, table.header, known, kept)
+    names = [name for name in table.header if not INCLINATION.match(name)]
+    check_unknown(table.where, names, known)
     columns, labels = recorded_besides(table, set(known))
     readings, sigmas = _read_readings(table)
     blank = np.full(len(table), np.nan)

@@ -14,25 +14,9 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.bag import decoded, open_bag, read_bag
+from longarm_comp.sessions.bag import decoded, in_namespace, open_bag, read_bag, recorded
 
 _ASKED, _SAID = "compensation", "diagnostics"
-
-
-@dataclass(frozen=True, eq=False)
-class _Served:
-    """A target (3,), m, base frame, asked for at `t_s` since the bag began, and where the tip came
-    to rest (3,), m; NaN where it was not seen.
-    """
-
-    t_s: float
-    target: np.ndarray
-    tip: np.ndarray
-
-    @property
-    def error_mm(self) -> float:
-        """Distance of the tip from its target; NaN where it was not seen."""
-        return 1e3 * float(np.linalg.norm(self.tip - self.target))
 
 
 @dataclass(frozen=True)
@@ -46,25 +30,28 @@ class Notice:
     message: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Day:
     """A bag of work that lasts some hours.
 
-    `refused`: how often, by reason; of reasons that differ in numbers alone the last. `said`:
-    warnings, faults and what was learned, in the order of their beginning.
+    Attributes:
+        t_s: (N,) when each target was asked for, since the bag began.
+        error_mm: (N,) distance from it at which the tip came to rest; NaN where it was not seen.
+        refused: how often, by reason; of reasons that differ in numbers alone the last.
+        said: warnings, faults and what was learned, in the order of their beginning.
     """
 
     hours: float
-    served: tuple[_Served, ...]
+    t_s: np.ndarray
+    error_mm: np.ndarray
     refused: Counter[str] = field(default_factory=Counter)
     said: tuple[Notice, ...] = ()
 
     def by_hour(self) -> list[dict[str, Any]]:
         """A row an hour and one of the whole: targets, those seen, errors in mm."""
-        hour = np.array([int(s.t_s // 3600) for s in self.served], dtype=int)
-        error = np.array([s.error_mm for s in self.served])
-        rows = [_row(f"{h}-{h + 1} h", error[hour == h]) for h in sorted(set(hour.tolist()))]
-        return [*rows, _row("all", error)]
+        hour = (self.t_s // 3600).astype(int)
+        rows = [_row(f"{h}-{h + 1} h", self.error_mm[hour == h]) for h in np.unique(hour)]
+        return [*rows, _row("all", self.error_mm)]
 
 
 def _row(name: str, error: np.ndarray) -> dict[str, Any]:
@@ -93,11 +80,10 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
         start = reader.start_time
         wanted = [
             c for c in reader.connections
-            if c.topic.endswith(f"/{_SAID}") or _is_of(c.topic, _ASKED, namespace)
+            if c.topic.endswith(f"/{_SAID}")
+            or (c.topic.endswith(f"/{_ASKED}") and in_namespace(c.topic, namespace))
         ]  # fmt: skip
-        raw = reader.messages(connections=wanted) if wanted else ()
-        messages = ((c.topic, c.msgtype, stamp, data) for c, stamp, data in raw)
-        for name, stamp, message in decoded(messages, arm, str(path)):
+        for name, stamp, message in decoded(recorded(reader, wanted), arm, str(path)):
             t = (stamp - start) * 1e-9
             if name == _ASKED:
                 asked.append((t, message))
@@ -107,25 +93,18 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
         hours = reader.duration * 1e-9 / 3600.0
     if not asked:
         raise InputError(path, _ASKED, "no message", "a bag of `longarm record` while targets came")
-    rows = list(zip(session.columns["t_s"].tolist(), session.q, session.xyz, strict=True))
-    served: list[_Served] = []
     sent = [(t, m) for t, m in asked if m.accepted]
-    for k, (t, message) in enumerate(sent):
-        until = sent[k + 1][0] if k + 1 < len(sent) else math.inf
-        q = np.array(message.executed.position)
-        at = message.target.pose.position
-        seen = (xyz for s, row, xyz in rows if t <= s < until and np.abs(row - q).max() < SAME_POSE)
-        tip = next(seen, np.full(3, np.nan))
-        served.append(_Served(t, np.array([at.x, at.y, at.z]), tip))
+    t_s, at, error_mm = np.array([t for t, _ in sent]), session.columns["t_s"], []
+    for (t, message), until in zip(sent, [*t_s[1:], math.inf], strict=True):
+        off = np.abs(session.q - message.executed.position).max(axis=1)
+        place = message.target.pose.position
+        tips = session.xyz[(t <= at) & (at < until) & (off < SAME_POSE)]
+        errors = np.linalg.norm(tips - [place.x, place.y, place.z], axis=1)
+        error_mm.append(1e3 * errors[0] if len(errors) else math.nan)
     reasons = {_without_numbers(m.message): m.message for _, m in asked if not m.accepted}
     refused = Counter(reasons[_without_numbers(m.message)] for _, m in asked if not m.accepted)
     said = tuple(sorted(told.values(), key=lambda s: s.first_s))
-    return Day(hours, tuple(served), refused, said)
-
-
-def _is_of(topic: str, name: str, namespace: str | None) -> bool:
-    space, _, last = topic.rpartition("/")
-    return last == name and (namespace is None or space.strip("/") == namespace.strip("/"))
+    return Day(hours, t_s, np.array(error_mm), refused, said)
 
 
 def _tell(

@@ -12,7 +12,7 @@ from array import array
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -23,6 +23,8 @@ from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.rest import Sighting
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import moment
+
+T = TypeVar("T", bound=tuple[Any, ...])
 
 TYPES = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
@@ -115,14 +117,6 @@ class MessageBuffer:
     def _moment(self, stamp_ns: int) -> float:
         """Time (s) of the message at hand."""
         return self._since_start(moment(stamp_ns, self._received_ns))
-
-    def sightings_between(self, begin: float, end: float) -> list[Sighting]:
-        """Sightings taken after `begin` and before `end`."""
-        return self.sightings[_within(self.sightings, begin, end)]
-
-    def rows_between(self, begin: float, end: float) -> list[tuple[float, SessionRow]]:
-        """Row messages after `begin` and before `end`."""
-        return self.rows[_within(self.rows, begin, end)]
 
     def states_between(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
         """Times (m,) and measured joints (m, n) after `begin` and before `end`."""
@@ -238,5 +232,7 @@ def _time(record: tuple[Any, ...]) -> float:
     return float(record[0])
 
 
-def _within(records: list[Any], begin: float, end: float) -> slice:
-    return slice(bisect_right(records, begin, key=_time), bisect_left(records, end, key=_time))
+def between(records: list[T], begin: float, end: float) -> list[T]:
+    """The sightings or rows of a buffer after `begin` and before `end`."""
+    low, high = bisect_right(records, begin, key=_time), bisect_left(records, end, key=_time)
+    return records[low:high]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import approach_names, joint_names, read_approach, written_approach
@@ -28,9 +29,6 @@ def read_next_poses(folder: str | Path, arm: Arm, n: int) -> Plan:
     if not 1 <= n <= len(plan):
         raise InputError("plan", "n", n, f"1 to {len(plan)} (poses of the diagnosis)")
     return plan.take(np.arange(n))
-
-
-SLACK = 1e-6  # printed digits of a joint that stands on its limit, rad or m
 
 
 def write_poses(plan: Plan, path: str | Path, write: WriteTable = write_table) -> None:
@@ -57,7 +55,7 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
         if name not in known:
             raise InputError(table.where, f"column {name}", "unknown", " ".join(known))
     q = table.block(joints, "rad or m")
-    outside = (q < arm.lower - SLACK) | (q > arm.upper + SLACK)
+    outside = (q < arm.lower - SAME_POSE) | (q > arm.upper + SAME_POSE)
     for row, j in zip(*np.nonzero(outside & inside), strict=True):
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} (limits of {arm.joint_names[j]})"
         raise table.error(row, joints[j], limits)

@@ -45,6 +45,7 @@ def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:
 def _of_bag(path: Path, arm: Arm) -> _RecordedRing:
     from longarm_comp.core.data.rest import still_since
     from longarm_comp.sessions.bag import read_last  # a CSV needs none of its libraries
+    from longarm_comp.sessions.message_buffer import between
 
     buffer = read_last(path, arm)
     begin, points = buffer.commands[0]
@@ -53,7 +54,7 @@ def _of_bag(path: Path, arm: Arm) -> _RecordedRing:
         allowed = "what tells when the joints stand after the last command"
         raise InputError(str(path), "joint_states", "no message", allowed)
     since = still_since(times, joints, begin)
-    seen = [s for s in buffer.sightings_between(since, np.inf) if np.isfinite(s.xyz).all()]
+    seen = [s for s in between(buffer.sightings, since, np.inf) if np.isfinite(s.xyz).all()]
     if len(seen) >= LEAST:
         at, xyz = np.array([s.t for s in seen]), np.array([s.xyz for s in seen])
         return _RecordedRing(at, xyz, False, points[-1])

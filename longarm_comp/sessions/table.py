@@ -15,9 +15,10 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path, check_regular
+from longarm_comp.core.yaml_file import RANGES
 from longarm_comp.sessions.foreign.units import split_name
 
-FARTHEST = 1e6
+FARTHEST = RANGES["_m"][1]
 """Largest joint (rad, m) and coordinate (m)."""
 
 
@@ -195,22 +196,17 @@ def _conversion(where: str, header: Sequence[str]) -> str:
     return f"; to convert it: longarm import-data {where} -o samples.csv{units}"
 
 
-def check_unknown(
-    where: str, names: Collection[str], known: Collection[str], kept: Collection[str] = ()
-) -> None:
+def check_unknown(where: str, names: Collection[str], known: Collection[str]) -> None:
     """Raise `InputError` for an unknown name that comes close to a known one.
 
     Close: the same but for case, blanks and punctuation; without its unit (`temperature`); one
     letter wrong, or two of eight or more.  A column with any other name is kept as context.
     """
     for name in names:
-        if name in known or name in kept:
-            continue
-        meant = nearest(name, known)
+        meant = None if name in known else nearest(name, known)
         if meant is not None:
-            raise InputError(
-                where, f"column {name}", f"unknown, close to {meant}", f"{meant}, or another name"
-            )
+            value, allowed = f"unknown, close to {meant}", f"{meant}, or another name"
+            raise InputError(where, f"column {name}", value, allowed)
 
 
 def nearest(name: str, known: Collection[str]) -> str | None:

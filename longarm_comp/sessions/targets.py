@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.quaternion import LENGTH_TOLERANCE
 from longarm_comp.core.compensation.target_frame import FRAMES
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import UNITS, XYZ, read_approach, recorded_besides
 from longarm_comp.sessions.table import FARTHEST, Table, check_header, check_unknown, read_table
 
 QUATERNION = ("qx", "qy", "qz", "qw")
-_UNIT_LENGTH = 1e-3  # a quaternion printed with few digits is this far from length 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Targets:
         if len(values) == 3:
             return single
         length = np.linalg.norm(values[3:])
-        if abs(length - 1) > _UNIT_LENGTH:
+        if abs(length - 1) > LENGTH_TOLERANCE:
             raise InputError("target", "qx qy qz qw", f"length {length:.4g}", "length 1")
         return dataclasses.replace(single, quaternion=values[None, 3:] / length)
 
@@ -84,7 +84,7 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
         length = np.linalg.norm(quaternion, axis=1)
         for row in range(len(table)):
             blanks = np.isnan(quaternion[row]).sum()
-            if blanks not in (0, 4) or abs(length[row] - 1) > _UNIT_LENGTH:
+            if blanks not in (0, 4) or abs(length[row] - 1) > LENGTH_TOLERANCE:
                 raise table.error(row, "qx", "a quaternion of length 1, or four blanks")
         quaternion = quaternion / length[:, None]
     sides = read_approach(table, 0)

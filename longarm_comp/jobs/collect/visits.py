@@ -11,6 +11,7 @@ import numpy as np
 
 from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.data.plan import FLOOR, Plan, with_room
 from longarm_comp.core.errors import InputError
@@ -18,7 +19,6 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import boxes_entered, entered
 from longarm_comp.core.model.model import Model
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.sessions.poses import SLACK
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ def _servo_limits(arm: Arm, servos: ServoConfig, q: np.ndarray) -> tuple[str, ..
 
 
 def _outside(names: Sequence[str], path: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
-    off = (path < lower - SLACK) | (path > upper + SLACK)
+    off = (path < lower - SAME_POSE) | (path > upper + SAME_POSE)
     if not off.any():
         return ""
     row, j = np.argwhere(off)[0]

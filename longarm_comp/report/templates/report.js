@@ -71,13 +71,11 @@
   }
 
   function candidateTables() {
-    const best = byId("best");
-    if (!best) return;
-    const bodies = [best, byId("rest")].filter(Boolean).map((table) => table.tBodies[0]);
-    const heads = [...document.querySelectorAll(".candidates th[data-key]")];
-    const keys = [...best.querySelectorAll("th[data-key]")].map((head) => head.dataset.key);
-    const rows = bodies.flatMap((body) => [...body.rows]);
-    const shown = bodies[0].rows.length;
+    const table = byId("tried");
+    if (!table) return;
+    const heads = [...table.querySelectorAll("th[data-key]")];
+    const keys = heads.map((head) => head.dataset.key);
+    const rows = [...table.tBodies[0].rows];
     let sorted = { key: "score", down: true };
 
     const value = (row, key) => {
@@ -98,8 +96,7 @@
     };
     const show = (all = false) => {
       const kept = rows.filter((row) => all || fits(row)).sort(order);
-      rows.forEach((row) => row.remove());
-      kept.forEach((row, k) => bodies[k < shown || bodies.length === 1 ? 0 : 1].append(row));
+      table.tBodies[0].replaceChildren(...kept);
       const direction = sorted.down ? "descending" : "ascending";
       heads.forEach((head) => {
         head.setAttribute("aria-sort", head.dataset.key === sorted.key ? direction : "none");

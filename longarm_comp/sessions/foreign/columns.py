@@ -154,24 +154,17 @@ def understand(
         rank[name] = by
         found[name] = Column(name, source, place, unit)
 
-    def fitting(c: Column) -> Column:
-        timed = c.name == "t_s" and seconds(cells.column(c.place)) is not None  # it has no unit
-        fits = None if timed else _fitting(where, c.name, c.source, c.unit, defaults, arm)
-        return replace(c, unit=fits)
-
-    return sorted(map(fitting, found.values()), key=lambda c: _order(c.name))
+    made = [replace(c, unit=_fitting(cells, c, defaults, arm)) for c in found.values()]
+    return sorted(made, key=lambda c: _order(c.name))
 
 
 def _fitting(
-    where: str,
-    name: str,
-    source: str,
-    unit: Unit | None,
-    defaults: Mapping[str, Unit],
-    arm: Arm | None,
+    cells: Cells, column: Column, defaults: Mapping[str, Unit], arm: Arm | None
 ) -> Unit | None:
+    """The unit of a column; None where it has none, as times of the day."""
+    name, source, unit = column.name, column.source, column.unit
     kind = kind_of(name, arm)
-    if not kind:
+    if not kind or (name == "t_s" and seconds(cells.column(column.place)) is not None):
         return None
     kinds = (ANGLE, LENGTH) if kind == JOINT else (kind,)
     if unit is None and name in UNITS and source == name:
@@ -180,9 +173,9 @@ def _fitting(
     choice = ", ".join(u.name for u in KNOWN.values() if u.kind in kinds)
     if unit is None:
         allowed = f"a unit: --units, or --map '{source}={name}:UNIT' with one of {choice}"
-        raise InputError(where, f"column {source}", "no unit", allowed)
+        raise InputError(cells.where, f"column {source}", "no unit", allowed)
     if unit.kind not in kinds:
-        raise InputError(where, f"column {source}", unit.name, f"for {name}: {choice}")
+        raise InputError(cells.where, f"column {source}", unit.name, f"for {name}: {choice}")
     return unit
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,12 +75,9 @@ def ordered(cells: Cells, column: str) -> Cells:
     texts = [row[place] for _, row in cells.rows]
     numbers = [cells.number(text) for text in texts]
     clock = seconds(texts)
-    if clock is not None:
-        order = np.argsort(clock, kind="stable").tolist()
-    elif None not in numbers:
-        order = np.argsort(np.array(numbers, float), kind="stable").tolist()
-    else:
-        order = sorted(range(len(texts)), key=lambda k: texts[k])
+    keys: Sequence[Any] = texts if None in numbers else numbers
+    keys = keys if clock is None else clock.tolist()
+    order = sorted(range(len(texts)), key=keys.__getitem__)
     return replace(cells, rows=tuple(cells.rows[k] for k in order))
 
 

@@ -106,8 +106,7 @@ class Rotation:
             turn = Turn.from_rotvec(held)
         else:
             turn = Turn.from_euler(self.convention, held)
-        quaternion = (turn.inv() if self.inverse else turn).as_quat()
-        made[told] = np.where(quaternion[:, 3:] < 0, -quaternion, quaternion)
+        made[told] = (turn.inv() if self.inverse else turn).as_quat(canonical=True)
         return made
 
 
@@ -125,7 +124,6 @@ class Unit:
     also: str = ""  # other names of it, with blanks between
 
 
-_DEGREE = math.pi / 180
 UNITS = {
     unit.name: unit
     for unit in (
@@ -136,9 +134,9 @@ UNITS = {
         Unit("in", LENGTH, 0.0254, also="inch inches"),
         Unit("rad", ANGLE, 1.0, also="radian radians"),
         Unit("mrad", ANGLE, 1e-3),
-        Unit("deg", ANGLE, _DEGREE, also="° degree degrees"),
-        Unit("arcmin", ANGLE, _DEGREE / 60),
-        Unit("arcsec", ANGLE, _DEGREE / 3600),
+        Unit("deg", ANGLE, math.radians(1), also="° degree degrees"),
+        Unit("arcmin", ANGLE, math.radians(1 / 60)),
+        Unit("arcsec", ANGLE, math.radians(1 / 3600)),
         Unit("s", TIME, 1.0, also="sec seconds"),
         Unit("ms", TIME, 1e-3, also="msec"),
         Unit("us", TIME, 1e-6, also="µs"),
