@@ -28,7 +28,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.lattice import EDGE, nearest
 from longarm_comp.core.ik.newton import rotation_error
-from longarm_comp.core.ik.solver import axes_of
+from longarm_comp.core.ik.solver import axes_of, position_of
 
 Predict = Callable[[np.ndarray], np.ndarray]
 """The tip at joints (M, n): positions (M, 3) in m or poses (M, 4, 4)."""
@@ -265,8 +265,7 @@ class _Problem:
     def errors(self, q: np.ndarray) -> np.ndarray:
         """Tip less target at joints (M, n): m, and rad times a length, (M, m)."""
         tip = self.predict(q)
-        position = self.target if self.target.ndim == 1 else self.target[:3, 3]
-        made = (tip if tip.ndim == 2 else tip[:, :3, 3]) - position
+        made = position_of(tip) - position_of(self.target)
         if self.target.ndim == 1:
             return np.asarray(made)
         axes = axes_of(self.target[None]).repeat(len(q), axis=0)

@@ -197,6 +197,11 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
     ]
 
 
+def position_of(targets: np.ndarray) -> np.ndarray:
+    """Positions (..., 3) of targets (..., 3) or (..., 4, 4), as a view."""
+    return targets[..., :3, 3] if targets.shape[-2:] == (4, 4) else targets
+
+
 def axes_of(T: np.ndarray) -> np.ndarray:
     """n, o, a one after the other (N, 9) of poses (N, 4, 4)."""
     return T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)

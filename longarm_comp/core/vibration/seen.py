@@ -140,7 +140,7 @@ def corrected(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
     """
     if not seen or not len(modes.omega) or not len(at_ring.omega):
         return modes
-    steep = [_steep(wave.size) for wave in seen]
+    steep = _steepness(np.array([wave.size for wave in seen]))
     model = _steepness(at_ring.tip)
     slow = at_ring.omega < 2.0 * at_ring.omega[0]
     factors = []
@@ -151,9 +151,6 @@ def corrected(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
     return replace(modes, omega=modes.omega * np.array(factors)[nearest_wave])
 
 
-def _steep(move: np.ndarray) -> float:
-    return float(abs(move[2]) / np.linalg.norm(move))
-
-
 def _steepness(moves: np.ndarray) -> np.ndarray:
-    return np.array([_steep(move) for move in moves])
+    """(k,) share of moves (k, 3) that goes up or down."""
+    return np.asarray(np.abs(moves[:, 2]) / np.linalg.norm(moves, axis=1))
