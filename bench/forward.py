@@ -18,8 +18,7 @@ from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.ik import solver as ik
-from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of
-from longarm_comp.core.ik.newton import LEVELS, evaluation
+from longarm_comp.core.ik.kernel import Layout, kernel_of
 from longarm_comp.core.model.model import Model, unstack
 
 COUNT = 4096
@@ -34,18 +33,8 @@ def machine_forward(model: Model, q: np.ndarray) -> Callable[[], None]:
     width = kernel.code.width
     blocks = np.zeros((len(q) // width, kernel.size, width))
     blocks[:, kernel.slice("trial")] = q.reshape(-1, width, q.shape[1]).swapaxes(1, 2)
-    calls = [kernel.code.function(f"many_{name}") for name in _passes(kernel)]
-
-    def work() -> None:
-        for at in range(0, len(blocks), 16):  # a few blocks at a time stay in the cache
-            for call in calls:
-                call(blocks[at:].ctypes.data, min(16, len(blocks) - at))
-
-    return work
-
-
-def _passes(kernel: Kernel) -> tuple[str, ...]:
-    return evaluation(LEVELS[-1], kernel.passes, anew=True)
+    evaluate = kernel.code.function("many_evaluate")
+    return lambda: evaluate(blocks.ctypes.data, len(blocks))
 
 
 def _per_pose(work: Work) -> np.ndarray:

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes
-from longarm_comp.core.vibration.ring import SMALL_M, straight
+from longarm_comp.core.vibration.ring import straight
 from longarm_comp.core.vibration.seen import corrected, waves
 from longarm_comp.core.vibration.shaper import shaper_of, way_modes
 from longarm_comp.math.shaper import Way
@@ -87,9 +88,9 @@ def after(true: TrueArm, way: Way, seconds: float) -> Ringing:
 
 
 def settle_s(ring: Ringing) -> float:
-    """Time until the true tip stays within `SMALL_M` of its rest."""
+    """Time until the true tip stays within `VISIBLE_M` of its rest."""
     later = np.arange(0.0, _LONGEST_S, _LOOK_S)
-    away = np.flatnonzero(np.linalg.norm(ring.left(later), axis=1) > SMALL_M)
+    away = np.flatnonzero(np.linalg.norm(ring.left(later), axis=1) > VISIBLE_M)
     return float(later[away[-1]]) if len(away) else 0.0
 
 

@@ -276,6 +276,19 @@ def test_random_ways_are_timed_within_limits() -> None:
         assert retimed(kept, limits) is kept
 
 
+def test_what_has_no_limit_slows_nothing() -> None:
+    rng = np.random.default_rng(3)
+    ways, slow = np.cumsum(0.05 * rng.normal(size=(30, 4)), axis=0), np.linspace(0.0, 5.0, 30)
+    path = CubicPath(slow, ways, monotone_slopes(slow, ways))
+    velocity = np.array([0.05, np.inf, np.inf, np.inf])
+    acceleration = np.array([np.inf, 0.5, np.inf, np.inf])
+    limits = MotionLimits(velocity, acceleration)
+    timed = retimed(path, limits)
+    assert limits.excess(path) > 1.5 and limits.excess(timed) <= 1.0 + 1e-5
+    wide = MotionLimits(np.minimum(velocity, 1e9), np.minimum(acceleration, 1e9))
+    np.testing.assert_allclose(timed.times, retimed(path, wide).times, rtol=1e-9)
+
+
 def test_without_toppra_only_a_path_that_is_too_fast_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -19,11 +19,11 @@ from rclpy.executors import SingleThreadedExecutor
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.compensation.compensate import Method, physics_of
 from longarm_comp.core.compensation.online import StaleContext
 from longarm_comp.core.compensation.path import (
     MAX_LONGER,
-    TURN_M,
     CompensatedPath,
     PathRefused,
     compensate_path,
@@ -59,7 +59,7 @@ PARAMS = (
         1e6,
     ),
     Param("max_correction_m", 0.05, "largest correction of a way-point", 1e-6, 1.0),
-    Param("turn_m", TURN_M, "largest error of the tip where a joint with play turns", 0.0, 0.1),
+    Param("turn_m", VISIBLE_M, "largest error of the tip where a joint with play turns", 0.0, 0.1),
     Param("max_longer", MAX_LONGER, "share of time that play may add to a path; 0: none", 0.0, 9.0),
     Param("order_max_age_s", 2.0, "goals older than this are refused", 0.01, 60.0),
     Param("planned_period_s", 0.1, "time between two joint states for the planner", 0.01, 60.0),

@@ -122,11 +122,8 @@ def _possible(arm: Arm, context: Context) -> dict[Key, Effect | Bias]:
     for kind in searched():
         for term in (t for group in kind.candidates(arm) for t in group):
             names = [p.name for p in term.parameters(arm)]
-            if not names or term.key in made:
-                continue
-            if not _told(term, context):
-                continue
-            made[term.key] = dataclasses.replace(term, **dict.fromkeys(names, 0.0))
+            if names and term.key not in made and _told(term, context):
+                made[term.key] = dataclasses.replace(term, **dict.fromkeys(names, 0.0))
     return made
 
 

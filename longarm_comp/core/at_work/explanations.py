@@ -21,9 +21,9 @@ from longarm_comp.core.identify.posterior.found import CREDIBLE
 
 MOST = 4
 """Explanations that are carried along: each costs as much time as the first."""
-KEPT = 0.99
-"""Probability that these must have among all, so that the others may be forgotten: as
-sure as that a sighting is right (`learner.DOUBT`)."""
+DOUBT = 0.01
+"""Probability that a sighting is wrong: of another point, or of an arm that still moves.  With as
+much, explanations may be forgotten."""
 _FEWEST, _LATEST = 2, 15
 """Sightings of a change after which posteriors part: at least, as one alone may be wrong, and
 whatever is left out, as its jump is then known four times better than by one."""
@@ -56,7 +56,7 @@ class Branch:
         order = np.argsort(-chance)[:MOST]
         sure = some > CREDIBLE and known.unexplained < NEGLIGIBLE + 0.5 * some
         count = known.count[int(known.probability[:, order[0]].argmax())] if sure else 0
-        few = sure and chance[order].sum() >= KEPT * some and count >= _FEWEST
+        few = sure and chance[order].sum() >= (1.0 - DOUBT) * some and count >= _FEWEST
         if not (few or count >= _LATEST):
             yield self
             return
@@ -110,10 +110,6 @@ class Explanations:
     def expected(self) -> np.ndarray:
         """(q,) mean over all explanations."""
         return np.sum([b.weight * b.known.expected for b in self.branches], axis=0)
-
-    def predicted(self, row: Row) -> np.ndarray:
-        """(3,) m, how far a sighting is from what is expected."""
-        return row.value - row.columns @ self.expected
 
     def covariance(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions (p,) of what is not known exactly, and its covariance (p, p)."""

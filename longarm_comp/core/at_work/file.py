@@ -48,7 +48,12 @@ def save(path: str | Path, learner: Learner, given: str) -> None:
         sightings=learner.sightings,
         doubtful=learner.doubtful,
         served=store(learner.model),
-        versions=tuple(_stored(version) for version in learner.versions),
+        versions=tuple(
+            _StoredVersion(
+                at_s=None if v.named is None else v.at_s, model=store(v.model), named=v.named
+            )
+            for v in learner.versions
+        ),
     )
     write_text(path, stored.model_dump_json(by_alias=True, indent=1))
 
@@ -78,8 +83,3 @@ def load(path: str | Path, model: Model, given: str, step_m: float = STEP_M) -> 
         restore(stored.served, arm, where), None, versions, stored.frozen, step_m,
         stored.sightings, stored.doubtful,
     )  # fmt: skip
-
-
-def _stored(version: Version) -> _StoredVersion:
-    at_s = None if version.named is None else version.at_s
-    return _StoredVersion(at_s=at_s, model=store(version.model), named=version.named)

@@ -17,7 +17,7 @@ import numpy as np
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.explanations import Branch, Explanations
+from longarm_comp.core.at_work.explanations import DOUBT, Branch, Explanations
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.errors import InputError
@@ -94,8 +94,6 @@ def _pool(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return lower + (upper - lower) * q, np.where(side < 0.5, -1.0, 1.0)
 
 
-DOUBT = 0.01
-"""Probability that a sighting is wrong: of another point, or of an arm that still moves."""
 STEP_M = 2e-3
 """Largest step of the tip by one sighting's learning, m: a wrong one moves no command by
 more."""
@@ -332,6 +330,6 @@ def _judged(
 
 def _doubtful(known: Explanations, row: Row) -> float:
     """Log likelihood of a sighting of anything around, with its prior odds."""
-    off = known.predicted(row)
+    off = row.value - row.columns @ known.expected
     square = float(off @ off) / row.reach**2
     return math.log(DOUBT) - 0.5 * square - 1.5 * math.log(2.0 * math.pi * row.reach**2)

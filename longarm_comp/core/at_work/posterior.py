@@ -136,10 +136,6 @@ class RecursivePosterior:
         """Probability that something changed that no known effect explains."""
         return float(np.exp(self.hypotheses.unnamed - self.total).sum())
 
-    @cached_property
-    def _likely(self) -> list[tuple[int, int]]:
-        return [(int(t), int(c)) for t, c in np.argwhere(self.probability > NEGLIGIBLE)]
-
     def _moved(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions of a change, its mean jump (k,), and how all numbers follow it, (q, k)."""
         places = self.space.places[c]
@@ -155,7 +151,7 @@ class RecursivePosterior:
     def expected(self) -> np.ndarray:
         """(q,) mean over all hypotheses."""
         made = self.mean.copy()
-        for t, c in self._likely:
+        for t, c in np.argwhere(self.probability > NEGLIGIBLE):
             _, jump, follows = self._moved(t, c)
             made += self.probability[t, c] * (follows @ jump)
         return made

@@ -19,7 +19,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
-from longarm_comp.core.compensation.expected import UNKNOWN, ExpectedMiss, expected_miss
+from longarm_comp.core.compensation.expected import ExpectedMiss, expected_miss
 from longarm_comp.core.compensation.realisable import Lattice, Realisable, Search, choose
 from longarm_comp.core.compensation.result import (
     NO_PREDICTOR,
@@ -189,8 +189,7 @@ class _Target:
         found = self._search(self.target, self.options.starts)
         self.ideal = self.q = found.q
         if not found.ok:
-            here = self.target if self.target.ndim == 1 else self.target[:3, 3]
-            why = other_unit(here, *reach(self.model))
+            why = other_unit(ik.position_of(self.target), *reach(self.model))
             return self._ended(Status.UNREACHABLE, why or missed("target", found))
         if not self.method.learned:
             return self._ended(Status.SUCCESS)
@@ -230,28 +229,29 @@ class _Target:
         )  # fmt: skip
 
     def _ended(self, status: Status, reason: str = "") -> Compensation:
-        alone, miss, chosen = status.physics_only, UNKNOWN, None
-        applied = np.zeros(3) if alone else self.error
+        alone, chosen = status.physics_only, None
         command = self.q if status is Status.SUCCESS else self.ideal
         lattice = lattice_of(self.whole, self.options.realisable)
         if status.success and lattice and not self.options.single_pass:
             chosen = self._chosen(lattice, command, status)
             command = chosen.joints
-            applied = np.zeros(3) if alone else self.error
             reason = "; ".join(filter(None, (reason, chosen.note)))
+        applied = np.zeros(3) if alone else self.error
+        pseudo = shifted(self.target, applied)
         if status.success:
             sigma = self.sigma if self.method.learned and not alone else None
-            at = self.target if self.target.ndim == 1 else self.target[:3, 3]
+            place = ik.position_of(pseudo)
             miss, inside, doubts = judged(
-                self.whole, self.method, command, self.context, at - applied, sigma, self.doubtful
+                self.whole, self.method, command, self.context, place, sigma, self.doubtful
             )
             if status is Status.OUT_OF_DOMAIN and inside:
                 status = Status.SUCCESS
             reason = "; ".join(filter(None, (reason, *doubts)))
+        else:
+            miss = ExpectedMiss(np.zeros(3), np.full((3, 3), np.nan))
         return Compensation(
-            self.target, self.ideal, applied, miss.sigma, self.inside,
-            shifted(self.target, applied), command, self.passes, status, reason, chosen,
-            miss.expected_m, miss.p90_m,
+            self.target, self.ideal, applied, miss.sigma, self.inside, pseudo, command,
+            self.passes, status, reason, chosen, miss.expected_m, miss.p90_m,
         )  # fmt: skip
 
     def _chosen(self, lattice: Lattice, joints: np.ndarray, status: Status) -> Realisable:

@@ -22,8 +22,7 @@ _SHIFT = 1.0
 """Shift along an axis that is looked for, standard deviations."""
 _GROWTH = 1.6
 """Growth of the standard deviation that is looked for."""
-_AXES = ("x", "y", "z")
-_TESTS = 2 * len(_AXES) + 1
+_TESTS = ("+x", "-x", "+y", "-y", "+z", "-z", "growth")
 
 
 @dataclass(frozen=True)
@@ -46,17 +45,17 @@ class Monitor:
 
     Attributes:
         run_length: least mean number of samples between two false alarms.
-        sums: (7,) cumulative sums: +x, -x, +y, -y, +z, -z, growth.
+        sums: (7,) cumulative sums, of the tests in their order.
         onset: (7,) sample at which each sum last left zero.
         total: (7, 3) sum of residuals (m) and `squares`: (7,) of ``|z|^2`` since then.
     """
 
     run_length: float = 1e4
     samples: int = 0
-    sums: np.ndarray = field(default_factory=lambda: np.zeros(_TESTS))
-    onset: np.ndarray = field(default_factory=lambda: np.zeros(_TESTS, int))
-    total: np.ndarray = field(default_factory=lambda: np.zeros((_TESTS, 3)))
-    squares: np.ndarray = field(default_factory=lambda: np.zeros(_TESTS))
+    sums: np.ndarray = field(default_factory=lambda: np.zeros(len(_TESTS)))
+    onset: np.ndarray = field(default_factory=lambda: np.zeros(len(_TESTS), int))
+    total: np.ndarray = field(default_factory=lambda: np.zeros((len(_TESTS), 3)))
+    squares: np.ndarray = field(default_factory=lambda: np.zeros(len(_TESTS)))
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.run_length) and self.run_length > 1):
@@ -65,7 +64,7 @@ class Monitor:
     @property
     def threshold(self) -> float:
         """Threshold of every cumulative sum."""
-        return math.log(_TESTS * self.run_length)
+        return math.log(len(_TESTS) * self.run_length)
 
     def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:
         """Take one independent sample into account: (3,) m, measured - predicted, and the sigma
@@ -97,10 +96,10 @@ class Monitor:
             return Verdict(False, "", self.samples, evidence)
         count = self.samples - int(self.onset[k])
         since = f"over the last {count} poses"
-        if k == _TESTS - 1:
+        if _TESTS[k] == "growth":
             grown = math.sqrt(self.squares[k] / (3 * count))
             finding = f"errors are {grown:.1f} times what the model promised {since}"
         else:
             shift = 1e3 * self.total[k, k // 2] / count
-            finding = f"the tip is off by {shift:+.2f} mm in {_AXES[k // 2]} {since}"
+            finding = f"the tip is off by {shift:+.2f} mm in {_TESTS[k][1]} {since}"
         return Verdict(True, finding, self.samples, evidence)

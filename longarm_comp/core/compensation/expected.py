@@ -67,9 +67,6 @@ def _diagonal(of: np.ndarray) -> np.ndarray:
     return np.asarray(of[..., None] * np.eye(3))
 
 
-UNKNOWN = ExpectedMiss(np.zeros(3), np.full((3, 3), np.nan))
-
-
 def expected_miss(
     model: Model,
     q: np.ndarray,
@@ -90,7 +87,7 @@ def expected_miss(
     if learned is not None and model.uncertainty is None:
         return ExpectedMiss(mean, _diagonal(learned**2))
     if known is None:
-        return ExpectedMiss(mean, np.broadcast_to(UNKNOWN.covariance, (*mean.shape, 3)))
+        return ExpectedMiss(mean, np.full((*mean.shape, 3), np.nan))
     carried = _carried(known, model, at).reshape(*mean.shape, 3)
     if learned is None:
         return ExpectedMiss(mean, carried + known.structure)

@@ -15,6 +15,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.compensation.compensate import judged, physics_of
 from longarm_comp.core.compensation.planned_path import PlannedPath
 from longarm_comp.core.compensation.result import (
@@ -94,7 +95,7 @@ class CompensatedPath:
             targets: (k, 3) or (k, 4, 4) of the plan.
         """
         pseudo, command = shifted(targets, self.error), self.timed.joints
-        place = pseudo if pseudo.ndim == 2 else pseudo[:, :3, 3]
+        place = ik.position_of(pseudo)
         learned = np.isfinite(self.sigma).all(axis=1)
         made: dict[int, Compensation] = {}
         for with_it in (True, False):
@@ -113,8 +114,6 @@ class CompensatedPath:
         return [made[k] for k in range(len(targets))]
 
 
-TURN_M = 1e-4
-"""The tip may leave a path by so much where a joint turns: what a camera sees of one picture."""
 MAX_LONGER = 1.0
 """A path may take so much longer, as a share.  In two halves, with the jerk of one way, it takes
 4^(1/3) = 1.6 times as long, and its play at the start and in the middle a fifth each."""
@@ -131,7 +130,7 @@ def compensate_path(
     seed: np.ndarray | None = None,
     limits: MotionLimits | None = None,
     max_correction_m: float = np.inf,
-    turn_m: float = TURN_M,
+    turn_m: float = VISIBLE_M,
     max_longer: float = MAX_LONGER,
     position_only: bool = False,
     options: CompensationOptions | None = None,
@@ -256,8 +255,7 @@ class _Way:
 
     def _corrections(self, joints: np.ndarray) -> np.ndarray:
         """(k,) m: how far the declared arm's tip is moved; refused where that is too far."""
-        targets, first = self.plan.targets, int(self.begun)
-        wanted = targets if targets.ndim == 2 else targets[:, :3, 3]
+        wanted, first = ik.position_of(self.plan.targets), int(self.begun)
         rigid = Model(self.model.arm, elements_per_beam=1)
         moved = np.linalg.norm(rigid.tip(joints) - wanted, axis=1)
         row = first + int(np.argmax(moved[first:])) if first < len(moved) else 0
@@ -347,8 +345,7 @@ class _Way:
     def _refuse(self, row: int, found: ik.Solution) -> None:
         """If it did not reach its way-point."""
         if not found.ok:
-            target = self.plan.targets[row]
-            here = target if target.ndim == 1 else target[:3, 3]
+            here = ik.position_of(self.plan.targets[row])
             why = other_unit(here, *reach(self.physics)) or missed("target", found)
             raise PathRefused(Status.UNREACHABLE, row, why)
 

@@ -26,17 +26,15 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik.lattice import nearest
+from longarm_comp.core.ik.lattice import EDGE, nearest
 from longarm_comp.core.ik.newton import rotation_error
-from longarm_comp.core.ik.solver import axes_of
+from longarm_comp.core.ik.solver import axes_of, position_of
 
 Predict = Callable[[np.ndarray], np.ndarray]
 """The tip at joints (M, n): positions (M, 3) in m or poses (M, 4, 4)."""
 
 _DIFFERENCE = 1e-4
 """Half the difference (rad, m) from which the tip's derivative is taken."""
-_EDGE = 1e-9
-"""Share of a step, or rad or m, by which rounding may put a joint beyond a limit."""
 KNOWN_TO = 0.15
 """Share of a step to which a lattice's offset must be known (standard deviation)."""
 
@@ -157,8 +155,8 @@ def choose(
     held = np.isin(np.arange(arm.n), locked)
     # Lowest and highest k inside the limits; of a continuous joint, of no use
     step = np.where(lattice.step > 0, lattice.step, 1.0)
-    low = np.ceil((arm.lower - lattice.offset) / step - _EDGE)
-    high = np.floor((arm.upper - lattice.offset) / step + _EDGE)
+    low = np.ceil((arm.lower - lattice.offset) / step - EDGE)
+    high = np.floor((arm.upper - lattice.offset) / step + EDGE)
     declared = (lattice.step > 0) & ~held
     stepped = declared & lattice.known & (low <= high)
     slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
@@ -267,8 +265,7 @@ class _Problem:
     def errors(self, q: np.ndarray) -> np.ndarray:
         """Tip less target at joints (M, n): m, and rad times a length, (M, m)."""
         tip = self.predict(q)
-        position = self.target if self.target.ndim == 1 else self.target[:3, 3]
-        made = (tip if tip.ndim == 2 else tip[:, :3, 3]) - position
+        made = position_of(tip) - position_of(self.target)
         if self.target.ndim == 1:
             return np.asarray(made)
         axes = axes_of(self.target[None]).repeat(len(q), axis=0)

@@ -13,7 +13,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.realisable import Lattice, Realisable
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik.solver import MAX_STARTS, Solution
+from longarm_comp.core.ik.solver import MAX_STARTS, Solution, position_of
 
 
 class Method(Enum):
@@ -187,7 +187,7 @@ class Compensation:
     @property
     def position(self) -> np.ndarray:
         """(3,) m, of the target."""
-        return self.target if self.target.ndim == 1 else self.target[:3, 3]
+        return position_of(self.target)
 
 
 NO_PREDICTOR = "no predictor: compensated with physics only"
@@ -225,8 +225,5 @@ def missed(what: str, found: Solution) -> str:
 def shifted(targets: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Pseudo-targets: positions (..., 3) or poses (..., 4, 4) less an error (..., 3)."""
     pseudo = targets.copy()
-    if pseudo.shape[-2:] == (4, 4):
-        pseudo[..., :3, 3] -= error
-    else:
-        pseudo -= error
+    position_of(pseudo)[...] -= error
     return pseudo

@@ -114,7 +114,6 @@ def _found(path: CubicPath, limits: MotionLimits) -> CubicPath:
         ) from None
     top = np.append(limits.velocity, 1.0)
     most = np.append(limits.acceleration, np.inf)
-    top, most = (np.where(np.isfinite(each), each, _HUGE) for each in (top, most))
     kept = [
         constraint.JointVelocityConstraint(np.stack([-top, top], 1)),
         constraint.JointAccelerationConstraint(
@@ -134,10 +133,6 @@ def _found(path: CubicPath, limits: MotionLimits) -> CubicPath:
     slower = CubicPath(passed[at], path.joints, path.velocities * paces[at][:, None], stretch)
     over = max(1.0, limits.excess(slower))  # between way-points it is cubic in time again
     return CubicPath(slower.times * over, path.joints, slower.velocities / over, stretch * over)
-
-
-_HUGE = 1e9
-"""Stands for no limit: rad/s, m/s and their rates."""
 
 
 def _with_clock(path: CubicPath) -> Any:

@@ -22,7 +22,6 @@ from longarm_comp.core.model.model import Model
 _FEW = 6  # number of targets up to which floats are faster than arrays
 _CHUNK = 4096  # targets at a time: a compromise between calls and cache
 NOTHING = Context.empty().layout
-_THIN = 0.7  # share of active targets below which they go on without the finished ones
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,15 @@ def run(
             compiled = engine is Engine.COMPILED or (
                 engine is Engine.AUTO and _worth_compiling(model, context.layout, ids.size)
             )
-            given = _given(p, ids, start)
+            given = {  # by name: (K, k), or one row for all
+                "target": p.targets[ids],
+                "lower": p.lower[ids],
+                "upper": p.upper[ids],
+                "q": start,
+                "live": np.ones((ids.size, 1)),
+                "tol": np.array([p.tol]),
+                "permitted": np.array([p.max_iterations]),
+            }
             found, left, used = (_compiled if compiled else _own)(model, here, p, given, ids.size)
             report[ids, 2] += used
             report[ids, 3] += 1
@@ -128,19 +135,6 @@ _Given = dict[str, np.ndarray]
 _Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints (K, n), residuals (K, 2), iterations
 
 
-def _given(p: Problem, ids: np.ndarray, start: np.ndarray) -> _Given:
-    """Inputs of a search by name: (K, k), or one row for all."""
-    return {
-        "target": p.targets[ids],
-        "lower": p.lower[ids],
-        "upper": p.upper[ids],
-        "q": start,
-        "live": np.ones((ids.size, 1)),
-        "tol": np.array([p.tol]),
-        "permitted": np.array([p.max_iterations]),
-    }
-
-
 class _Search:
     """Searches by the model's own code; numbers of the state are floats of one, or (K,) arrays."""
 
@@ -159,7 +153,7 @@ class _Search:
     def _repeat(self, step: newton.Repeat) -> None:
         """Run until a number of the state is 0 everywhere."""
         while (todo := np.asarray(self.state[step.row][0], dtype=bool)).any():
-            if todo.mean() < _THIN:
+            if not todo.all():  # the others go on without the finished ones
                 self._repeat_some(step, todo)
                 return
             self.run(step.body)

@@ -8,10 +8,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.ik.engines import Engine, filled_blocks, is_compiled, rows_of
 from longarm_comp.core.ik.kernel import Kernel
-from longarm_comp.core.ik.newton import LEVELS, evaluation
 from longarm_comp.core.model.model import Model, unstack
-
-_BLOCKS = 16  # blocks at a time, which fit in the cache
 
 
 def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
@@ -56,9 +53,5 @@ def _evaluated(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np
     """(M, k) rows of the state of that name after an evaluation at joints and contexts."""
     c = kernel.layout.pack(context, len(q))
     blocks = filled_blocks(kernel, {"trial": q, "c": c}, len(q))
-    programs = evaluation(LEVELS[-1], kernel.passes, anew=True)
-    calls = [kernel.code.function(f"many_{program}") for program in programs]
-    for at in range(0, len(blocks), _BLOCKS):
-        for call in calls:
-            call(blocks[at:].ctypes.data, min(_BLOCKS, len(blocks) - at))
+    kernel.code.function("many_evaluate")(blocks.ctypes.data, len(blocks))
     return rows_of(blocks, kernel, name, len(q))

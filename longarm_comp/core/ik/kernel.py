@@ -176,7 +176,8 @@ class Kernel:
     def code(self) -> Any:
         """The programs as machine code (see `machine_code`), and flows of them.
 
-        `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and a matrix.
+        `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and a matrix;
+        `evaluate` is the model itself at the trial joints.
         """
         from longarm_comp.core.ik.codegen import llvm as emit_llvm
         from longarm_comp.core.ik.codegen import machine_code
@@ -184,7 +185,8 @@ class Kernel:
         width = machine_code.lanes()
         made = works(self._model, lambda s: self.layout.unpack(s["c"]), self.row)
         programs = {name: _traced(work, self.place) for name, work in made.items()}
-        flows: dict[str, newton.Flow] = {}
+        evaluate = newton.evaluation(newton.LEVELS[-1], self.passes, True)
+        flows: dict[str, newton.Flow] = {"evaluate": evaluate}
         for m in (3, 6):
             search = newton.flow(self.passes, m)
             flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-_SLACK = 1e-9  # of a step
+EDGE = 1e-9
+"""Share of a step by which rounding may put a point beyond the box."""
 
 
 class _Points(NamedTuple):
@@ -74,8 +75,8 @@ class _Tree:
 
     def _visit(self, level: int, total: float, expected: np.ndarray) -> None:
         """Try the integers at a level, from the centre outwards, then the levels below."""
-        reach2 = _SLACK + (1.0 + _SLACK) * (self.radius2 - total) * self.spread2[:, level]
-        gap = np.maximum(np.maximum(self.low - expected, expected - self.high), 0.0)
+        reach2 = (self.radius2 - total) * self.spread2[:, level]
+        gap = np.maximum(np.maximum(self.low - expected, expected - self.high) - EDGE, 0.0)
         if (gap * gap > reach2).any():
             return
         row, n = self.R[level], self.n

@@ -109,8 +109,9 @@ Outcome = dict[str, _Scalars]
 
 UNKNOWN = 1e300  # energy (m^2) before the first evaluation
 _FLOOR = 1e-13  # least damping, in (m per joint range)^2: a third of a micrometre
-ROTATION_TOLERANCE = 1e-6
-"""rad: a micrometre at 1 m, as `REACHED` of the position."""
+REACHED = 1e-6
+"""Tolerance of success, m and rad, and of what counts as a rotation. On the boundary of the
+reachable space, the last digits of a target decide whether any joints meet it more closely."""
 
 
 class Level(NamedTuple):
@@ -169,7 +170,7 @@ def accept(s: State, m: int) -> Outcome:
     fault: Any = where(size < UNKNOWN, 0.0, 1.0)
     if m == 6:
         bottom = absolute(T[12]) + absolute(T[13]) + absolute(T[14]) + absolute(T[15] - 1.0)
-        whole = (skewness(axes) < ROTATION_TOLERANCE**2) * (bottom <= 0.0)
+        whole = (skewness(axes) < REACHED**2) * (bottom <= 0.0)
         fault = fault + where(whole, 0.0, 2.0)
     q = [
         minimum(maximum(v, low), high)

@@ -20,7 +20,7 @@ from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.engines import Engine, Problem, restart_points, run, warm_up
 from longarm_comp.core.ik.kernel import characteristic_length
-from longarm_comp.core.ik.newton import ROTATION_TOLERANCE, skewness
+from longarm_comp.core.ik.newton import REACHED, skewness
 from longarm_comp.core.ik.single import solve_compiled
 from longarm_comp.core.model.model import Model
 
@@ -28,9 +28,6 @@ __all__ = ["Engine", "Reason", "Solution", "Solutions", "solve", "solve_many", "
 
 TOLERANCE = 1e-9
 """Tolerance of the search, m and rad."""
-REACHED = 1e-6
-"""Tolerance of success, m and rad. On the boundary of the reachable space, the last digits of a
-target decide whether any joints meet it more closely."""
 _MAX_ITERATIONS = 60
 MAX_STARTS = 16
 
@@ -190,7 +187,7 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
         T = np.where(finite[:, None, None], targets, 0.0)
         columns = axes_of(T).T  # of one target as floats, which are quicker than arrays of one
         skew = skewness(columns[:, 0].tolist() if len(T) == 1 else columns)
-        turned &= skew < ROTATION_TOLERANCE**2
+        turned &= skew < REACHED**2
         turned &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1)
     if finite.all() and turned.all():
         return [""] * len(targets)
@@ -198,6 +195,11 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
         ("" if t else "its orientation is no rotation") if f else "it holds a number not finite"
         for f, t in zip(finite, turned, strict=True)
     ]
+
+
+def position_of(targets: np.ndarray) -> np.ndarray:
+    """Positions (..., 3) of targets (..., 3) or (..., 4, 4), as a view."""
+    return targets[..., :3, 3] if targets.shape[-2:] == (4, 4) else targets
 
 
 def axes_of(T: np.ndarray) -> np.ndarray:

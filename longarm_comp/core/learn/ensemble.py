@@ -16,6 +16,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from longarm_comp.core.learn.network import (
 )
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
+from longarm_comp.core.model.uncertainty import LEVEL
 
 Array = NDArray[np.float64]
 
@@ -168,7 +170,6 @@ _UNLIKELY = 30.0
 _FOLDS = 4
 """Parts of the rows that are left out in turn, to see whether a network helps at all."""
 _FEWEST_ROWS = 20
-_Z90 = 1.6449
 
 
 def train(
@@ -246,10 +247,7 @@ def train(
         noise=np.full(3, scale * float(np.median([each.sigma for each in fits]))),
         widen=np.ones(3),
         variance_limit=np.inf,
-        provenance=Provenance(
-            origin.arm_hash, origin.session_hash, origin.joint_names,
-            {**origin.settings, **settings},
-        ),
+        provenance=replace(origin, settings={**origin.settings, **settings}),
     )  # fmt: skip
     left, folds = y.copy(), _folds(q, np.random.default_rng([seed, _FOLDS]))
     without = [(fits[0].shape.hidden, 0, ~out) for out in folds]
@@ -330,9 +328,10 @@ def _calibrated(draft: Predictor, y: Array, left: Array, x: Array, probe: Array)
     """With what rows left out of the training say: gain, conformal factors; the variance limit."""
     _, epistemic = draft._mean_and_variance(x)
     score = np.abs(left) / np.sqrt(epistemic + draft.noise**2)
-    level = min(1.0, np.ceil(0.9 * (len(score) + 1)) / len(score))
-    widen = np.quantile(score, level, axis=0) / _Z90
-    alone = np.quantile(np.abs(y), level, axis=0) / _Z90
+    level = min(1.0, np.ceil(LEVEL * (len(score) + 1)) / len(score))
+    normal = NormalDist().inv_cdf(0.5 * (1.0 + LEVEL))  # of either sign
+    widen = np.quantile(score, level, axis=0) / normal
+    alone = np.quantile(np.abs(y), level, axis=0) / normal
     _, variance = draft._mean_and_variance(probe)
     limit = 4.0 * float(np.quantile(variance.max(axis=1), 0.99))
     gain = LearnedGain.of(y, left)

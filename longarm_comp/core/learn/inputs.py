@@ -69,11 +69,11 @@ def raw_names(joints: int, context: tuple[str, ...]) -> list[str]:
 def _raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
     """(N, columns) raw inputs in SI units; NaN where the context is not known."""
     n, joints = q.shape
-    raw = np.full((n, joints + sum(_width(name, joints) for name in used)), np.nan)
+    raw = np.full((n, len(raw_names(joints, used))), np.nan)
     raw[:, :joints] = q
     at = joints
     for name in used:
-        columns = raw[:, at : at + _width(name, joints)]
+        columns = raw[:, at : at + (1 + joints if name in PER_JOINT else 1)]
         at += columns.shape[1]
         if not context.has(name):
             continue
@@ -97,10 +97,6 @@ def _spread(values: tuple[object, ...], columns: Array) -> None:
         some = count > 0
         columns[some, 0] = np.nansum(each[some], axis=1) / count[some]
     each -= columns[:, :1]
-
-
-def _width(name: str, joints: int) -> int:
-    return joints + 1 if name in PER_JOINT else 1
 
 
 def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:

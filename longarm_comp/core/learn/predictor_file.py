@@ -25,6 +25,10 @@ _LARGEST = 1e6
 """Inputs, weights and lengths (m) are far below it: no arm is a thousand kilometres long."""
 
 
+_ARRAYS = ("lower", "upper", "weights", "posterior", "offset", "noise", "widen", "alone")
+"""Of a predictor, under their own names."""
+
+
 class _Header(Declared):
     """What a file says in JSON beside its arrays."""
 
@@ -60,15 +64,8 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         kept=encoding.kept.astype(np.int64),
         mean=encoding.mean,
         input_scale=encoding.scale,
-        lower=predictor.lower,
-        upper=predictor.upper,
-        weights=predictor.weights,
-        posterior=predictor.posterior,
-        offset=predictor.offset,
-        noise=predictor.noise,
-        widen=predictor.widen,
-        alone=predictor.alone,
         gain=np.array(dataclasses.astuple(predictor.gain)),
+        **{name: getattr(predictor, name) for name in _ARRAYS},
     )
     with atomic_path(path) as partial:
         partial.write_bytes(buffer.getvalue())
@@ -114,19 +111,17 @@ def load(
     names = header.joint_names
     if joint_names is not None and names != tuple(joint_names):
         raise InputError(path, "joint_names", names, f"{tuple(joint_names)} (the arm in use)")
+    arrays["posterior"] = arrays["posterior"].astype(np.float32)
     return Predictor(
         encoding=Encoding(
             header.joints, header.context, kept, arrays["mean"], arrays["input_scale"]
         ),
         hidden=header.hidden,
-        posterior=arrays["posterior"].astype(np.float32),
         scale=header.scale,
         variance_limit=header.variance_limit,
         gain=LearnedGain(*arrays["gain"].tolist()),
         provenance=Provenance(header.arm_hash, header.session_hash, names, header.settings),
-        **{
-            n: arrays[n] for n in ("lower", "upper", "weights", "offset", "noise", "widen", "alone")
-        },
+        **{name: arrays[name] for name in _ARRAYS},
     )
 
 

@@ -38,7 +38,6 @@ from longarm_comp.core.errors import InputError
 Array = NDArray[np.float64]
 Fitness = Callable[[Array], NDArray[np.floating]]
 
-_TINY = 1e-50
 _PD, _SD, _ST = 0.2, 0.1, 0.8  # those of the reference code
 
 
@@ -88,7 +87,8 @@ class Rules:
         k = rng.uniform(-1.0, 1.0, (len(position), 1))
         towards = flock.best + beta * np.abs(position - flock.best)
         gap = (fitness - flock.worst_fitness)[:, None]
-        away = position + np.where(gap < 0, k * np.abs(position - flock.worst) / (gap - _TINY), 0.0)
+        step = k * np.abs(position - flock.worst)
+        away = position + np.divide(step, gap, out=np.zeros_like(step), where=gap < 0)
         moved: Array = np.where((fitness > flock.best_fitness)[:, None], towards, away)
         return moved
 

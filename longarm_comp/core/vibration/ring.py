@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import Modes, modes
@@ -16,8 +17,6 @@ from longarm_comp.math.shaper import Way
 
 USUAL_DAMPING = 0.01
 """Of an arm that declares none, for the shares of a shaper: 0.05 more leave 6 % of a ring."""
-SMALL_M = 1e-4
-"""A ring below it is over: what a good camera sees of one picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +37,7 @@ class _Ring:
         left = np.abs(self.amplitude) * np.exp(self.rate.real * time_s)
         return float(left @ np.linalg.norm(self.tip, axis=1))
 
-    def settle_s(self, limit_m: float = SMALL_M) -> float:
+    def settle_s(self, limit_m: float = VISIBLE_M) -> float:
         """Time until it stays below a size, s."""
         if self.size_m() <= limit_m:
             return 0.0
@@ -189,7 +188,7 @@ class MoveRing:
         told = "" if self.declared else " assumed"
         swing = f"{1e3 * self.size_m:.2g} mm at most, {self.hz:.2g} Hz"
         return (
-            f"the tip swings by {swing}; within {1e3 * SMALL_M:g} mm after {self.settle_s:.1f} s "
+            f"the tip swings by {swing}; within {1e3 * VISIBLE_M:g} mm after {self.settle_s:.1f} s "
             f"(damping {self.damping:g}{told})"
         )
 

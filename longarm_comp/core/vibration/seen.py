@@ -15,11 +15,10 @@ from scipy.stats import f as f_distribution
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.vibration.modes import Modes
+from longarm_comp.core.vibration.ring import USUAL_DAMPING
 
 LEAST = 12
 """Sightings that say anything of a wave."""
-_FIRST = 0.01
-"""Damping that the search begins with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +65,8 @@ def waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:
     left = _left(np.array(found), t, seen)
     for _ in range(2):
         tried = 2.0 * np.pi * np.arange(slowest, fastest, 0.1 * slowest)
-        sizes = [float((_left(np.array([*found, w, _FIRST]), t, seen) ** 2).sum()) for w in tried]
-        begin = np.array([*found, tried[int(np.argmin(sizes))], _FIRST])
+        begins = [np.array([*found, omega, USUAL_DAMPING]) for omega in tried]
+        begin = min(begins, key=lambda p: float((_left(p, t, seen) ** 2).sum()))
         bounds = (np.tile([0.0, 1e-5], len(begin) // 2), np.tile([np.inf, 0.5], len(begin) // 2))
         fit = least_squares(
             lambda p: _left(p, t, seen).ravel(), begin, bounds=bounds, x_scale=begin
@@ -141,7 +140,7 @@ def corrected(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
     """
     if not seen or not len(modes.omega) or not len(at_ring.omega):
         return modes
-    steep = [_steep(wave.size) for wave in seen]
+    steep = _steepness(np.array([wave.size for wave in seen]))
     model = _steepness(at_ring.tip)
     slow = at_ring.omega < 2.0 * at_ring.omega[0]
     factors = []
@@ -152,9 +151,6 @@ def corrected(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
     return replace(modes, omega=modes.omega * np.array(factors)[nearest_wave])
 
 
-def _steep(move: np.ndarray) -> float:
-    return float(abs(move[2]) / np.linalg.norm(move))
-
-
 def _steepness(moves: np.ndarray) -> np.ndarray:
-    return np.array([_steep(move) for move in moves])
+    """(k,) share of moves (k, 3) that goes up or down."""
+    return np.asarray(np.abs(moves[:, 2]) / np.linalg.norm(moves, axis=1))

@@ -69,16 +69,13 @@ def shaper_of(along: Sequence[Modes], way: Way, seconds: float, damping: float) 
         sizes = np.linalg.norm(along[-1].tip[: left.shape[1]], axis=1)[:, None]
         left = (chances * sizes * left).reshape(-1, len(begin))
         rows = np.concatenate([left.real, left.imag])
-        heavy = _SUM_ONE * np.abs(rows).max()  # the last row: the shares add up to 1
-        weights, _ = nnls(np.vstack([rows, np.full(len(begin), heavy)]),
-                          np.append(np.zeros(len(rows)), heavy))  # fmt: skip
+        # The last row: the shares add up to 1.  Its weight changes their sum, not their ratios.
+        like = np.abs(rows).max()
+        weights, _ = nnls(np.vstack([rows, np.full(len(begin), like)]),
+                          np.append(np.zeros(len(rows)), like))  # fmt: skip
         parts = replace(parts, weights=weights / weights.sum())
     used = parts.weights > 0.0
     return Shaper(parts.weights[used], parts.begins[used], parts.ends[used])
-
-
-_SUM_ONE = 1e3
-"""Weight of the condition that shares add up to 1, in the largest ring of one part."""
 
 
 def shaping(model: Model, names: list[str], where: str) -> Callable[[Way, float], Shaper | None]:
