@@ -47,6 +47,9 @@ RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFOR
 DEFAULT: QoSProfile = QoSPresetProfiles.DEFAULT.value
 _SENSOR: QoSProfile = QoSPresetProfiles.SENSOR_DATA.value
 """ROS's own. Best effort also receives from best-effort publishers."""
+_STATES = QoSProfile(depth=10, reliability=BEST_EFFORT)
+_TIPS = QoSProfile(depth=20)
+"""What comes many times a second, while a node may be busy for one."""
 _PATIENT = QoSProfile(depth=200)
 """Requests and orders that can wait on either side. ROS's default loses those of a burst."""
 _EACH_TARGET = QoSProfile(depth=2000)
@@ -135,7 +138,7 @@ JOINT_TRAJECTORY = Topic("joint_trajectory", JointTrajectory, _PATIENT)
 # full record of one target, also of a refused one
 COMPENSATION = Topic("compensation", Compensation, _EACH_TARGET)
 # joints as the servos report them, rad and m
-JOINT_STATES = Topic("joint_states", JointState, _SENSOR)
+JOINT_STATES = Topic("joint_states", JointState, _STATES)
 # the joints as a planner for the declared arm should see them
 PLANNED_JOINTS = Topic("planned_joint_states", JointState, DEFAULT)
 # what happens to every trajectory, from the driver
@@ -143,11 +146,11 @@ MOTION = Topic("motion", Motion, _EACH_TARGET)
 # id of a trajectory that must not move the arm any more
 WITHDRAWN = Topic("withdrawn", String, DEFAULT)
 DRIVER_STATE = Topic("servo_driver/state", DriverState, _LATCHED)
-PREDICTED_ERROR = Topic("predicted_error", Vector3Stamped, DEFAULT)
+PREDICTED_ERROR = Topic("predicted_error", Vector3Stamped, _TIPS)
 # tip as the cameras see it, base frame; position NaN: marker lost
-TIP_MEASURED = Topic("tip_measured", PoseWithCovarianceStamped, DEFAULT)
+TIP_MEASURED = Topic("tip_measured", PoseWithCovarianceStamped, _TIPS)
 # tip computed from the joints' readings, with its covariance, base frame
-TIP_BY_READINGS = Topic("tip_by_readings", PoseWithCovarianceStamped, DEFAULT)
+TIP_BY_READINGS = Topic("tip_by_readings", PoseWithCovarianceStamped, _TIPS)
 LEFT_IMAGE = Topic("left/image_raw", Image, _SENSOR)
 RIGHT_IMAGE = Topic("right/image_raw", Image, _SENSOR)
 LEFT_COMPRESSED = Topic("left/image_raw/compressed", CompressedImage, _SENSOR)

@@ -109,7 +109,7 @@ def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
         where=found.frame,
         reading=f"{found.formula}. {found.reading[:1].upper()}{found.reading[1:]}.",
         tip=_tip(found.tip_mm.rms, found.tip_mm.max),
-        sure=_word(found.log_evidence)
+        sure=_word(found.probability)
         + ("; the place is open" if others else _with_doubts(found.doubts)),
         because=said,
         doubts=tuple(found.doubts),

@@ -190,7 +190,7 @@ class ReportDiscovered(_Record):
     component: str
     set: list[str]
     names: dict[str, float] = Field(default={})
-    probability: float | None = Field(default=None, ge=0, le=1)
+    probability: float = Field(ge=0, le=1)
     formula: str
     terms: list[DiscoveredTerm]
     ci95: list[Interval]

@@ -23,6 +23,7 @@ from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
 Array = NDArray[np.float64]
 Weights = NDArray[Any]  # float32 in the sparrow's fitness, float64 elsewhere
 
+_GRAM_ROWS = 4096  # rows of B held at once
 SPARROW_BOUND = 1.0  # weights of standardised inputs and outputs
 
 
@@ -91,19 +92,29 @@ def normal_equations(
 ) -> tuple[Array, Array, Array]:
     """Gauss-Newton matrix ``J'UJ`` (D, D), ``J'U r`` (D,) and residual ``r = y - f`` (N, k)."""
     v, w, b = shape.split(weights)
-    p, h = shape.inputs + 1, shape.hidden
-    z = np.tanh(x1 @ v)
-    slope = 1.0 - z * z
-    residual = y - (z @ w + b)
-    basis = np.empty((len(x1), p * h + h + 1))
-    np.multiply(x1[:, :, None], slope[:, None, :], out=basis[:, : p * h].reshape(len(x1), p, h))
-    basis[:, p * h : -1] = z
-    basis[:, -1] = 1.0
-    basis *= np.sqrt(row_weights)[:, None]
-    weighted = residual * row_weights[:, None]
-    gradient = [x1.T @ ((weighted @ w.T) * slope), z.T @ weighted, weighted.sum(axis=0)]
-    flat = np.concatenate([part.ravel() for part in gradient])
-    return _expand(shape, w, basis.T @ basis), flat, residual
+    p, h, k = shape.inputs + 1, shape.hidden, shape.outputs
+    columns = p * h + h + 1
+    gram = np.zeros((columns, columns))
+    grad_v, grad_w, grad_b = np.zeros((p, h)), np.zeros((h, k)), np.zeros(k)
+    residual = np.empty_like(y)
+    for start in range(0, len(x1), _GRAM_ROWS):
+        rows = slice(start, start + _GRAM_ROWS)
+        xs = x1[rows]
+        z = np.tanh(xs @ v)
+        slope = 1.0 - z * z
+        residual[rows] = y[rows] - (z @ w + b)
+        basis = np.empty((len(xs), columns))
+        np.multiply(xs[:, :, None], slope[:, None, :], out=basis[:, : p * h].reshape(len(xs), p, h))
+        basis[:, p * h : -1] = z
+        basis[:, -1] = 1.0
+        weighted = residual[rows] * row_weights[rows, None]
+        basis *= np.sqrt(row_weights[rows])[:, None]
+        gram += basis.T @ basis
+        grad_v += xs.T @ ((weighted @ w.T) * slope)
+        grad_w += z.T @ weighted
+        grad_b += weighted.sum(axis=0)
+    gradient = np.concatenate((grad_v.ravel(), grad_w.ravel(), grad_b))
+    return _expand(shape, w, gram), gradient, residual
 
 
 def _expand(shape: NetworkShape, w: Array, gram: Array) -> Array:
@@ -141,7 +152,6 @@ def squared_error(
     hidden = np.empty((block * h, n), dtype=np.float32)
     output = np.empty((block, k, n), dtype=np.float32)
 
-    @np.errstate(over="ignore")  # exp 2a = inf is s = 0, as it should be
     def fitness(population: Weights) -> NDArray[np.float32]:
         v, w, b = shape.split(np.asarray(population, dtype=np.float32))
         vt = v.transpose(0, 2, 1).reshape(-1, shape.inputs + 1)
@@ -163,7 +173,11 @@ def squared_error(
         error /= n * k
         return error
 
-    return fitness
+    def guarded(population: Weights) -> NDArray[np.float32]:
+        with np.errstate(over="ignore"):  # exp 2a = inf is s = 0, as it should be
+            return fitness(population)
+
+    return guarded
 
 
 def xavier_start(shape: NetworkShape, rng: np.random.Generator) -> Array:

@@ -112,7 +112,7 @@ class FoundEffect:
 
     @property
     def fitted_rivals(self) -> list[Rival]:
-        """Rivals whose worth only a fit in its place tells: all that a measurement distinguishes."""
+        """Rivals whose worth a fit in its place tells: all that measurements distinguish."""
         return [r for r in self.rivals if r.name == r.judged != self.name]
 
     def against(self, worth: Mapping[str, float]) -> tuple[FoundEffect, bool]:
