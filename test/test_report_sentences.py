@@ -151,6 +151,7 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
         doubts=["q2 was measured at few positions; between them it is a guess"],
         action="Look there for what it behaves like.",
         log_evidence=40.0,
+        probability=0.97,
         tip_mm=record.TipShift(rms=1.25, max=3.75),
         held_out_rms_mm=(1.39, 0.11),
         compensated=True,
@@ -166,7 +167,7 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
     (card,) = made
     assert card.title == "Cause without a name, joint 5" and card.action == cause.action
     assert card.tip == "1.25 mm at the tip, up to 3.75 mm"
-    assert card.sure == "certain; the place is open" and "joint 6, force y" in card.because
+    assert card.sure == "likely; the place is open" and "joint 6, force y" in card.because
     assert "few positions" in open_questions(found, Detail())[0][1][0]
     assert card.doubts == tuple(cause.doubts)
     assert card.improves == "1.39 → 0.11 mm" and "compensates it" in card.software
