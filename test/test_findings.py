@@ -95,7 +95,7 @@ def judged(worth: float) -> tuple[FoundEffect, bool]:
         Rival(WAVE, 30.0, 0.2, "discovered"),
     )
     part = FoundEffect((JointGain(5, gain=0.01),), 0.9, 40.0, 0.4, rivals)
-    assert [r.name for r in part.fitted_rivals] == ["gear_eccentricity"]
+    assert [r.name for r in part.fitted_rivals] == ["gear_eccentricity", "discovered"]
     return part.against({"gear_eccentricity": worth})
 
 

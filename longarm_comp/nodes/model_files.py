@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.commanded import NEVER_TOLD, without_never_told
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import NEVER_TOLD, Model
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.nodes.health import OK, WARN, Report
 
@@ -53,7 +52,7 @@ class ModelFiles:
             return True, "the arm as declared: no model.yaml is configured"
         try:
             model = load_model(self._path, self.arm)
-            kept = without_never_told(model)
+            kept = model.without_never_told()
             self._left_out = sorted({e.name for e in model.effects if e not in kept.effects})
             model = self._of_commands(kept)
             self.loaded = self.given = _LoadedModel(model, file_hash(self._path))

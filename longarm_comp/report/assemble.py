@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.calibration.calibrate import Errors
-from longarm_comp.core.data.commanded import commandable, not_commanded
+from longarm_comp.core.data.commanded import not_commanded
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnosis import WITH_EFFECTS, WITH_FUNCTIONS, Diagnosis
@@ -178,7 +178,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
         "runner_up": None
         if runner is None
         else {"effect": runner.candidate.name, "log_bayes_factor": runner.log_bayes_factor},
-        "compensated": all(commandable(t) for t in found.terms) and not left_out,
+        "compensated": all(t.commandable for t in found.terms) and not left_out,
         "tip_mm": {"median": float(np.median(tip_mm)), "max": float(tip_mm.max())},
         "seen_mm": _pair_mm(real.seen),
         "commanded_mm": _pair_mm(real.commanded),

@@ -17,10 +17,11 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.rest import Sighting, nowhere, settled, stood
-from longarm_comp.core.data.session import INCLINATION, Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer, SessionRow, between

@@ -15,10 +15,11 @@ import numpy as np
 import yaml
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.arm.measuring import KnownDistance, Touches, known_distances
 from longarm_comp.core.data.kinds import KINDS, Kind
-from longarm_comp.core.data.session import INCLINATION, Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.yaml_file import parse_declared, range_of, read_yaml

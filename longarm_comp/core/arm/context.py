@@ -10,6 +10,7 @@ an effect stays a pure function of a posture.
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,6 +22,15 @@ from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.errors import InputError
 
 _KIND = "kind"
+
+INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
+"""Names of the columns of an inclinometer; NaN where it gave no reading."""
+_TOLD = ("t_s", "temperature_c", "payload_kg")
+
+
+def is_told(name: str) -> bool:
+    """Whether a command is told a circumstance, by a topic or by its target."""
+    return name in _TOLD or INCLINATION.match(name) is not None
 
 
 LEGS = 7

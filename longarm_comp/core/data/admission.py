@@ -15,10 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.data.belonging import MOST_STRAYS, believe, mistakes
 from longarm_comp.core.data.registration import median_distance, median_spread
-from longarm_comp.core.data.session import INCLINATION, Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import check_touches
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model

@@ -11,15 +11,12 @@ import dataclasses
 
 import numpy as np
 
-from longarm_comp.core.arm.context import PER_JOINT
 from longarm_comp.core.data.measurement import errors
-from longarm_comp.core.data.session import INCLINATION, Session
-from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.model.model import NEVER_TOLD, Model
 
-_TOLD = ("t_s", "temperature_c", "payload_kg")
-"""Circumstances that a command is told, besides inclinations: by topics, or by its target."""
-MEASURING_SIDE, NEVER_TOLD = "(measuring side)", "(a circumstance that no command knows)"
+MEASURING_SIDE = "(measuring side)"
 
 
 def commanded_errors(model: Model, session: Session) -> np.ndarray:
@@ -34,25 +31,9 @@ def as_commanded(model: Model) -> Model:
     """
     return dataclasses.replace(
         model,
-        effects=tuple(e for e in model.effects if commandable(e)),
+        effects=tuple(e for e in model.effects if e.commandable),
         biases=tuple(b for b in model.biases if b.geometry),
     )
-
-
-def without_never_told(model: Model) -> Model:
-    """The model without effects of circumstances that no command is told."""
-    return model.with_terms([t for t in model.terms if isinstance(t, Bias) or commandable(t)])
-
-
-def commandable(term: Effect | Bias) -> bool:
-    """Whether a command can compensate it: on the arm's side, by what a command is told."""
-    known = (name in PER_JOINT or is_told(name) for name in term.inputs)
-    return isinstance(term, Effect) and all(known)
-
-
-def is_told(name: str) -> bool:
-    """Whether a command is told a circumstance."""
-    return name in _TOLD or INCLINATION.match(name) is not None
 
 
 def own_way(session: Session) -> Session:
@@ -67,7 +48,7 @@ def not_commanded(model: Model, session: Session) -> list[str]:
     said = [
         f"{term.name} {MEASURING_SIDE if isinstance(term, Bias) else NEVER_TOLD}"
         for term in model.terms
-        if not term.geometry and not commandable(term)
+        if not term.geometry and not term.commandable
     ]
     reads = [e for e in model.effects if "legs" in e.inputs]
     if reads and session.legs[session.told != 0, 1:].any():

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,15 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
+from longarm_comp.core.arm.context import INCLINATION, LEGS, PER_JOINT, Context
 from longarm_comp.core.arm.history import SAME_POSE, History, recorded, sides_told
 from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, check_shape
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
-
-INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
-"""Names of the columns of an inclinometer; NaN where it gave no reading."""
 
 _Rows = np.ndarray | Sequence[int] | slice
 

@@ -22,7 +22,7 @@ from typing_extensions import Self
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import PER_JOINT, Context
+from longarm_comp.core.arm.context import PER_JOINT, Context, is_told
 from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.posture import Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
@@ -331,6 +331,11 @@ class Effect(_Term, ABC):
         return None
 
     @property
+    def commandable(self) -> bool:
+        """Whether a command can compensate it: by what a command is told."""
+        return all(name in PER_JOINT or is_told(name) for name in self.inputs)
+
+    @property
     def changes_loads(self) -> bool:
         """Whether the effect acts through the loads on other effects instead of by a twist."""
         kind = type(self)
@@ -348,6 +353,7 @@ class Bias(_Term, ABC):
     """
 
     whole: ClassVar[str] = "measuring side"
+    commandable: ClassVar[bool] = False
     sees: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
     instruments: ClassVar[Mapping[Instrument, str]] = {}
 

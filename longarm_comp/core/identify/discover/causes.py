@@ -9,7 +9,6 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.data.commanded import commandable
 from longarm_comp.core.effects import discovered_words as words
 from longarm_comp.core.effects.discovered_words import Found
 from longarm_comp.core.effects.quantities import JointPosition, OfPosture
@@ -103,7 +102,7 @@ def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
         found.log_bayes_factor,
         found.there,
         (float(np.sqrt((size**2).mean())), float(size.max())),
-        all(map(commandable, terms)),
+        all(t.commandable for t in terms),
     )
 
 

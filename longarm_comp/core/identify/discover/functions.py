@@ -185,12 +185,10 @@ class Functions:
         self._group(FunctionFamily.SMOOTH, *made, decay=[1.0 / n for n in range(1, top + 1)])
 
     def _each_joint(self) -> None:
-        """One function for every joint: of its own, or of none, times what all joints share."""
+        """One function for every joint: of its own, times what all joints share."""
         held = self.inputs.by_name
         joints = range(self.inputs.joints)
         for shared in (held[name] for name in self.inputs.shared):
-            alone = self.number(_linear(shared))
-            self.each_joint.append(tuple((j, alone) for j in joints))
             for word in OWN:
                 of = [(j, held[f"{word}{j + 1}"]) for j in joints if f"{word}{j + 1}" in held]
                 made = [(j, self.number(_linear(own), _linear(shared))) for j, own in of]

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import is_told
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.data.commanded import is_told
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.quantities import (
     JointPosition,

@@ -193,6 +193,11 @@ class _Search:
         every = self._offered(fitted, found, others=False)
         return max((bank.pruned, bank.tolerance) for bank in every)
 
+    def _whole(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> float:
+        """The same of all of the explanation: columns tell little of the arm without a large effect
+        in it."""
+        return max(bank.standing for bank in self._offered(fitted, found, others=False))
+
     def _compared(
         self, state: ExplainedSession
     ) -> tuple[ExplainedSession, tuple[FoundEffect, ...], bool]:
@@ -212,7 +217,7 @@ class _Search:
         if len(sure) < len(found) and (fewer := self._taken(state, sure)) is not None:
             return fewer, (*doubtful, *(f for f in found if f.there < CREDIBLE)), True
         state = replace(state, found=sure)
-        here = self._standing(state.fit, sure)[0]
+        here = self._whole(state.fit, sure)
         for k, mine in enumerate(sure):
             worth = {
                 rival.name: self._instead(state, k, rival.candidate) - here
@@ -237,7 +242,7 @@ class _Search:
         try:
             model = _with(self.base, state.fit.model, terms)
             begun = self._begun(model, state.fit, near=state.fit)
-            return self._standing(begun, found)[0]
+            return self._whole(begun, found)
         except JobError:
             return -math.inf
 
