@@ -22,6 +22,12 @@ from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.shapes import Function, Legendre, Linear, Square, Switch
+from longarm_comp.core.effects.slow_changes import (
+    BaseSettling,
+    Creep,
+    ThermalGrowth,
+    ThermalSoftening,
+)
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.discover.causes import Cause, causes, doubts, proposed
 from longarm_comp.core.identify.discover.functions import Functions, switch
@@ -183,6 +189,20 @@ def test_what_follows_the_warmth_is_no_drift() -> None:
     warmth = rows.columns["temperature_c"] - SMALL.reference_temperature_c
     rows = dataclasses.replace(rows, xyz=rows.xyz + np.outer(warmth, [9e-5, -6e-5, 1.8e-4]))
     assert one(explained(SMALL, rows, (CameraDrift,))).inputs == ("warmth",)
+
+
+@pytest.mark.long
+def test_the_square_of_the_warmth_is_no_list_of_thermal_names() -> None:
+    """The base moves with it. Softening, creep and sinking together imitate that as well."""
+    rows = measured(DEMO, (), ROWS, 3)
+    warm = np.random.default_rng(0).uniform(12.0, 28.0, len(rows))
+    columns = {**rows.columns, "temperature_c": warm}
+    moved = np.outer((warm - 20.0) ** 2, [2e-5, 0.0, 3e-5])
+    rows = dataclasses.replace(rows, xyz=rows.xyz + moved, columns=columns)
+    kinds = (ThermalGrowth, ThermalSoftening, Creep, BaseSettling, CameraDrift)
+    found = explained(DEMO, rows, kinds).found
+    assert any(f.unnamed for f in found)
+    assert {f.name for f in found if not f.unnamed} <= {"thermal_growth"}
 
 
 @pytest.mark.long
