@@ -93,7 +93,7 @@ def _refresh(device: Device) -> None:
     device.put(_At.TORQUE, 1, int(motor.torque_on))
     ticks = motor.reading
     if device.get(_At.MAX_ANGLE, 2):
-        ticks %= int(FeetechWire.ticks_per_turn)  # in ordinary mode the encoder knows one turn only
+        ticks %= motor.spec.ticks_per_turn  # in ordinary mode the encoder knows one turn only
     device.put(_At.POSITION, 2, _sign_magnitude(ticks, 15))
     device.put(_At.SPEED, 2, _sign_magnitude(round(motor.velocity), 15))
     device.put(_At.LOAD, 2, _sign_magnitude(round(motor.effort * motor.spec.load_units), 10))

@@ -1,12 +1,16 @@
-"""The mechanics of one emulated bus servo: speed limit, lag, dead band, droop, protection."""
+"""The mechanics of one emulated bus servo: speed limit, lag, dead band, droop, heat, protection."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-_AMBIENT_C = 25.0
-"""Of the case, until it is heated from outside: before its own effort can, it lets go."""
+_FRICTION = 0.2  # share of full effort to turn freely at full speed
+_AMBIENT_C, _HEATING_C, _HEAT_TIME_S = (
+    25.0,
+    60.0,
+    120.0,
+)  # at rest; rise at full effort, and its time
 SHUTDOWN_C = 70.0
 """The servo alarms and lets go above this: the default of Feetech servos."""
 _OVERLOAD = 0.8  # share of full effort, the default of Feetech servos
@@ -16,6 +20,7 @@ _OVERLOAD = 0.8  # share of full effort, the default of Feetech servos
 class MotorSpec:
     """Constants of one servo; lengths of travel in encoder ticks."""
 
+    ticks_per_turn: int = 4096
     max_speed_ticks_s: float = 3000.0  # no-load speed (STS3215 at 7.4 V: about 3,000)
     lag_s: float = 0.03  # time constant of the position loop near the goal
     dead_band_ticks: float = 0.0
@@ -140,13 +145,16 @@ class Motor:
         return balanced(load - held, -1.0), balanced(load + held, 1.0)
 
     def _drive(self, dt_s: float) -> None:
-        """Effort and the servo's own protection."""
+        """Effort, temperature and the servo's own protection."""
         spec = self.spec
-        own = spec.hold_share * self.approach
+        own = _FRICTION * self.velocity / spec.max_speed_ticks_s
+        own += spec.hold_share * self.approach
         if self.blocked:
             own = (self.goal - self.position) / spec.stiff_ticks
         wanted = own - self.external_load
         self.effort = max(-1.0, min(1.0, wanted)) if self.torque_on else 0.0
+        warm = _AMBIENT_C + _HEATING_C * self.effort**2
+        self.temperature_c = warm + (self.temperature_c - warm) * math.exp(-dt_s / _HEAT_TIME_S)
         overloaded = abs(self.effort) >= _OVERLOAD
         self._overloaded_s = self._overloaded_s + dt_s if overloaded else 0.0
         if self._overloaded_s > spec.overload_s:
