@@ -14,12 +14,10 @@ from longarm_comp.devices.servo_joint import JointConfig
 
 _PERIOD_S = 0.02
 """Between two readings."""
-_STILL_TICKS = 8
-"""How much readings of a held pose may differ: a hand trembles."""
-_NEAR_TICKS = 6
-"""A move is over where the servo rests so near its goal."""
-_SETTLED_S = 0.3
-"""For so long must a servo or a held pose rest."""
+_LOOKS, _STILL_TICKS = 15, 8
+"""Readings of a held pose, and how much they may differ: a hand trembles."""
+_NEAR_TICKS, _SETTLED_S = 6, 0.3
+"""A move is over where the servo rests so near its goal for so long."""
 
 
 def shown(joint: JointConfig, value: float) -> str:
@@ -72,7 +70,7 @@ class ServoSetup:
     def rest(self) -> dict[str, float]:
         """Ticks of every joint's servo in a pose that is held still."""
         looks = []
-        for _ in range(round(_SETTLED_S / _PERIOD_S)):
+        for _ in range(_LOOKS):
             looks.append(self._bus.read(self._ids))
             time.sleep(_PERIOD_S)
         at = {}

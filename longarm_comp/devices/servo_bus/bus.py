@@ -75,12 +75,7 @@ class SerialServoBus:
             ServoRejected: a servo refused the read.
         """
         answers = self.ask(ids, self._dialect.state)
-        self._refuse(answers.replies)
-        alarms = self._alarms(answers.replies)
-        states = {
-            i: self._dialect.state_of(answers.replies[i].data, flags, self._models[i])
-            for i, flags in alarms.items()
-        }
+        states = self._states(answers.replies)
         if len(states) < len(set(ids)):
             raise _incomplete(answers, states)
         return states
@@ -204,6 +199,15 @@ class SerialServoBus:
             code = self._dialect.refusal(reply.error)
             if code:
                 raise ServoRejected("the servo refused the instruction", id=servo_id, code=code)
+
+    def _states(self, replies: Mapping[int, Reply]) -> dict[int, ServoState]:
+        self._refuse(replies)
+        alarms = self._alarms(replies)
+        return {
+            i: self._dialect.state_of(reply.data, alarms[i], self._models[i])
+            for i, reply in replies.items()
+            if i in alarms
+        }
 
     def _alarms(self, replies: Mapping[int, Reply]) -> dict[int, ServoAlarm]:
         """Alarms by id. If the status byte only flags that there is one, the register is read."""

@@ -16,9 +16,6 @@ from typing import ClassVar
 
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
-BROADCAST = 0xFE
-_SYNC_READ, _SYNC_WRITE = 0x82, 0x83
-
 
 @dataclass(frozen=True, slots=True)
 class Reply:
@@ -126,24 +123,3 @@ class Dialect(ABC):
     @abstractmethod
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
         """``ServoState`` from the contents of ``state``."""
-
-
-class RegisterDialect(Dialect):
-    """A protocol with the instructions of Dynamixel, which Feetech has taken over."""
-
-    word: ClassVar[int]  # bytes of an address, and of a length
-
-    @abstractmethod
-    def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:
-        """The frame of an instruction."""
-
-    def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
-        return self._to_all(_SYNC_READ, block, bytes(ids))
-
-    def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
-        data = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
-        return self._to_all(_SYNC_WRITE, block, data)
-
-    def _to_all(self, instruction: int, block: Block, data: bytes) -> bytes:
-        where = b"".join(n.to_bytes(self.word, "little") for n in (block.address, block.length))
-        return self.encode(BROADCAST, instruction, where + data)

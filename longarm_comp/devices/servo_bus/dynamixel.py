@@ -6,13 +6,16 @@ complement, low byte first; CRC-16 with polynomial 0x8005, initial value 0, not 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, RegisterDialect, Reply
+from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
+_HEADER = b"\xff\xff\xfd\x00"
 _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
-_STATUS = 0x55
+_BROADCAST = 0xFE
+_SYNC_READ, _SYNC_WRITE, _STATUS = 0x82, 0x83, 0x55
 _LONGEST = 1024  # bytes that a frame may say it has: a larger number is damage
 _ALERT = 0x80
 _VELOCITY_TICKS_S = 0.229 / 60.0 * 4096
@@ -37,7 +40,7 @@ def _crc_table() -> tuple[int, ...]:
 _CRC_TABLE = _crc_table()
 
 
-class DynamixelX(RegisterDialect):
+class DynamixelX(Dialect):
     """X series (XL330, XL430, XM430, XM540) with their common control table."""
 
     name = "dynamixel"
@@ -48,9 +51,8 @@ class DynamixelX(RegisterDialect):
         _x("xm430-w350", 1020, 1193.0, 0.13 / 3.21),  # present current, 2.69 mA a unit
         _x("xm540-w270", 1120, 2047.0),
     )
-    header = b"\xff\xff\xfd\x00"
+    header = _HEADER
     overhead = 11
-    word = 2
     alarm_bits: ClassVar = {
         0: ServoAlarm.VOLTAGE,
         2: ServoAlarm.OVERHEAT,
@@ -70,12 +72,19 @@ class DynamixelX(RegisterDialect):
 
     def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:
         body = (bytes((instruction,)) + params).replace(_PLAIN, _STUFFED)
-        frame = self.header + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
+        frame = _HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
         return frame + _crc(frame).to_bytes(2, "little")
+
+    def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
+        return self.encode(_BROADCAST, _SYNC_READ, _range(block) + bytes(ids))
+
+    def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
+        params = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
+        return self.encode(_BROADCAST, _SYNC_WRITE, _range(block) + params)
 
     def frame_length(self, start: bytearray) -> int:
         servo_id, length, kind = start[4], start[5] | start[6] << 8, start[7]
-        known = kind == _STATUS and servo_id < BROADCAST and 4 <= length <= _LONGEST
+        known = kind == _STATUS and servo_id < _BROADCAST and 4 <= length <= _LONGEST
         return length + 7 if known else 0
 
     def reply(self, frame: bytes) -> Reply:
@@ -114,6 +123,10 @@ def _crc(frame: bytes) -> int:
     for byte in frame:
         crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
     return crc
+
+
+def _range(block: Block) -> bytes:
+    return block.address.to_bytes(2, "little") + block.length.to_bytes(2, "little")
 
 
 def _value(data: bytes) -> int:

@@ -6,11 +6,15 @@ are sign and magnitude, low byte first.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, RegisterDialect, Reply
+from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
+_HEADER = b"\xff\xff"
+_BROADCAST = 0xFE
+_SYNC_READ, _SYNC_WRITE = 0x82, 0x83
 _LONGEST = 250  # bytes that a frame may say it has: a larger number is damage
 
 
@@ -18,14 +22,13 @@ def _sts(name: str, number: int, friction: float | None = None) -> ServoModel:
     return ServoModel(name, "feetech", number, 4096, (0, 4095), (-30719, 30719), 1000.0, friction)
 
 
-class FeetechSts(RegisterDialect):
+class FeetechSts(Dialect):
     """STS3215 and its family."""
 
     name = "feetech"
     models = (_sts("sts3215", 777, 0.18 / 2.7), _sts("sts3250", 2825))
-    header = b"\xff\xff"
+    header = _HEADER
     overhead = 6
-    word = 1
     alarm_bits: ClassVar = {
         0: ServoAlarm.VOLTAGE,
         1: ServoAlarm.SENSOR,
@@ -45,11 +48,20 @@ class FeetechSts(RegisterDialect):
 
     def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:
         body = bytes((servo_id, len(params) + 2, instruction)) + params
-        return self.header + body + bytes((_checksum(body),))
+        return _HEADER + body + bytes((_checksum(body),))
+
+    def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
+        return self.encode(
+            _BROADCAST, _SYNC_READ, bytes((block.address, block.length)) + bytes(ids)
+        )
+
+    def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
+        params = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
+        return self.encode(_BROADCAST, _SYNC_WRITE, bytes((block.address, block.length)) + params)
 
     def frame_length(self, start: bytearray) -> int:
         servo_id, length = start[2], start[3]
-        return length + 4 if servo_id < BROADCAST and 2 <= length <= _LONGEST else 0
+        return length + 4 if servo_id < _BROADCAST and 2 <= length <= _LONGEST else 0
 
     def reply(self, frame: bytes) -> Reply:
         return Reply(frame[2], frame[4], frame[5:-1], _checksum(frame[2:-1]) == frame[-1])

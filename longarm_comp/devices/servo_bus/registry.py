@@ -7,8 +7,6 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
 
-from serial.tools import list_ports
-
 from longarm_comp.core.entry_points import protocols_of_other_packages
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
@@ -55,20 +53,15 @@ def open_bus(
         InputError: unknown protocol, or a servo model with another protocol.
         BusUnplugged: the port cannot be opened.
     """
-    dialect = _dialect(protocol)
+    if protocol not in protocols():
+        raise InputError("servo bus", "protocol", protocol, ", ".join(protocols()))
     for servo_id, model in servos.items():
         if model.protocol != protocol:
             raise InputError(
                 "servo bus", f"servo {servo_id}", model.name, f"a model that speaks {protocol}"
             )
     line = SerialPort(port, baudrate, reply_timeout_s)
-    return SerialServoBus(line, dialect, servos, retries)
-
-
-def _dialect(protocol: str) -> Dialect:
-    if protocol not in protocols():
-        raise InputError("servo bus", "protocol", protocol, ", ".join(protocols()))
-    return protocols()[protocol]()
+    return SerialServoBus(line, protocols()[protocol](), servos, retries)
 
 
 _ALL_IDS = range(253)
@@ -124,27 +117,30 @@ def scan_line(
     Raises:
         BusUnplugged: the port cannot be opened, or does not have the rate.
     """
+    if protocol is not None and protocol not in protocols():
+        raise InputError("servo bus", "protocol", protocol, ", ".join(protocols()))
     asked = list(ids)
     tries = [
-        (dialect, rate)
-        for dialect in map(_dialect, [protocol] if protocol else protocols())
-        for rate in ([baudrate] if baudrate else dialect.baudrates)
+        (name, rate)
+        for name in ([protocol] if protocol else protocols())
+        for rate in ([baudrate] if baudrate else protocols()[name].baudrates)
     ]
-    for k, (dialect, rate) in enumerate(tries):
+    for k, (name, rate) in enumerate(tries):
         with closing(SerialPort(port, rate, reply_timeout_s)) as line:
             servos = []
             for n, servo_id in enumerate(asked):
-                text = f"{dialect.name}, {rate} bit/s, id {servo_id}"
-                tell(text, (k + n / len(asked)) / len(tries))
-                servo = look(line, dialect, servo_id)
+                tell(f"{name}, {rate} bit/s, id {servo_id}", (k + n / len(asked)) / len(tries))
+                servo = look(line, protocols()[name](), servo_id)
                 servos += [servo] if servo else []
         if servos:
-            return Scan(port, dialect.name, rate, tuple(servos))
+            return Scan(port, name, rate, tuple(servos))
     return None
 
 
 def usable_ports() -> list[tuple[str, str]]:
     """Serial ports of this machine that may lead to a bus: device and description."""
+    from serial.tools import list_ports
+
     found = sorted(list_ports.comports(), key=lambda port: port.device)
     return [(p.device, p.description or "") for p in found if p.vid is not None]
 
@@ -186,7 +182,7 @@ def renumber(found: Scan, servo_id: int) -> int:
     ids = [servo.servo_id for servo in found.servos]
     if len(ids) != 1 or found.clashes:
         raise JobError("connect one servo alone, or several get the same id", ids=ids)
-    dialect, old = _dialect(found.protocol), ids[0]
+    dialect, old = protocols()[found.protocol](), ids[0]
     if dialect.identity is None:
         raise JobError(f"ids of {found.protocol} are set with its maker's tool")
     with closing(SerialPort(found.port, found.baudrate, reply_timeout_s=0.05)) as line:

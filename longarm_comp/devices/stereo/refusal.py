@@ -39,6 +39,7 @@ class StereoRefusal(JobError):  # noqa: N818 - a refusal is an answer, not a fau
 
     reason: RefusalReason
 
-    def __init__(self, reason: RefusalReason, **facts: object) -> None:
+    def __init__(self, reason: RefusalReason | str, **facts: object) -> None:
+        reason = RefusalReason(reason)
         super().__init__(reason.value, **facts)
         self.reason = reason
