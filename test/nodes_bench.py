@@ -19,6 +19,7 @@ import rclpy
 from conftest import claimed_domain
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -78,7 +79,9 @@ class Bench:
         """Messages of a topic of the table, as they come."""
         got: list[Any] = []
         name = f"/{namespace}/{topic.name}" if namespace else topic.name
-        self.node.create_subscription(topic.type, name, got.append, topic.offered)
+        kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+        qos = QoSProfile(depth=topic.depth, durability=kept)
+        self.node.create_subscription(topic.type, name, got.append, qos)
         return got
 
     def spin(self, until: Callable[[], Any], within: float = PATIENCE_S) -> Any:

@@ -160,7 +160,7 @@ def test_a_worker_that_is_quick_is_asked_again(stage: Bench) -> None:
     assert len(rehearsed) == 2
 
 
-def test_a_silent_predictor_is_probed_by_targets_after_every_timeout(
+def test_a_silent_predictor_is_probed_by_targets_and_ever_less_often(
     arm: Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now, sent = [0.0], []
@@ -173,14 +173,11 @@ def test_a_silent_predictor_is_probed_by_targets_after_every_timeout(
         with pytest.raises(NoAnswer, match="does not answer" if tick else "did not answer"):
             client.ask(arm.mid, Context.empty())
     gaps = [b - a for a, b in pairwise(sent[1:])]
-    assert len(gaps) > 10 and gaps == pytest.approx([0.55] * len(gaps), abs=0.11)
-    asked_for = []
-    caller.answer = lambda number, within_s: (
-        asked_for.append(number)
-        or PredictError.Response(sigma=1.0, success=True, beside_deflection=True)
+    assert gaps == pytest.approx([0.6, 1.1, 2.1, 4.1], abs=0.11)
+    caller.answer = lambda number, within_s: PredictError.Response(
+        sigma=1.0, success=True, beside_deflection=True
     )
     client.probe()
-    assert asked_for == [2]  # the first probe: an answer to it or to any later one counts
     assert client.answers
     asked = len(sent)
     client.ask(arm.mid, Context.empty())  # the very next target

@@ -89,7 +89,7 @@ def test_readings_that_waited_to_be_heard_are_passed_over(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Nobody listens while a calibration is computed; what was queued then is of the last pose."""
-    monkeypatch.setattr("longarm_comp.jobs.touch.READINGS", JOINT_STATES.qos.depth // 2)
+    monkeypatch.setattr("longarm_comp.jobs.touch.READINGS", JOINT_STATES.depth // 2)
     queued: list[object] = []
     full = threading.Event()
     with quick_arm(ARM, lambda q: False) as arm, ArmClient(ARM, "", None, "touch") as client:
@@ -99,7 +99,7 @@ def test_readings_that_waited_to_be_heard_are_passed_over(
         def counted(message: object) -> None:
             publish(message)
             queued.append(message)
-            if len(queued) > 2 * JOINT_STATES.qos.depth:
+            if len(queued) > 2 * JOINT_STATES.depth:
                 full.set()
 
         monkeypatch.setattr(arm._joints, "publish", counted)

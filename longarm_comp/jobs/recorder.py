@@ -9,7 +9,7 @@ from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
@@ -67,9 +67,8 @@ class Recorder:
         kind = f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
         if "header" in message.get_fields_and_field_types():
             self._stamped.add(name)
-        latched = topic.qos.durability is DurabilityPolicy.TRANSIENT_LOCAL
-        self._bag.offers[name] = offered(topic.qos.depth, latched=latched)
-        qos = QoSProfile(depth=2000, reliability=topic.qos.reliability)
+        self._bag.offers[name] = offered(topic.depth, latched=topic.latched)
+        qos = QoSProfile(depth=2000, reliability=topic.listens)
         self._node.create_subscription(
             topic.type, topic.name, lambda raw: self.put(name, kind, bytes(raw)), qos, raw=True
         )

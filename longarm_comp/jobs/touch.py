@@ -125,7 +125,7 @@ def resting(client: ArmClient) -> np.ndarray:
     # Share of a joint's range within which it is at rest: a hand is less still than a servo
     room = 2e-3 * (client.arm.upper - client.arm.lower)
     held: list[np.ndarray] = []
-    last, waiting = client.joints, JOINT_STATES.qos.depth
+    last, waiting = client.joints, JOINT_STATES.depth
 
     def still() -> bool:
         nonlocal last, waiting

@@ -23,14 +23,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
-from longarm_comp.nodes.messages import (
-    driver_words,
-    efforts_of,
-    joints_of,
-    path_of,
-    tilt_of,
-    way_of,
-)
+from longarm_comp.nodes.messages import driver_words, efforts_of, joints_of, path_of, tilt_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode
 from longarm_comp.nodes.orders import untimely
@@ -162,6 +155,10 @@ class ArmState:
         old = f"the last joint_states is {age_s:.1f} s old"
         return self._trust.doubt or (old if age_s > self._max_age_s else "")
 
+    def untimely(self, stamp: int, max_age_s: float) -> str:
+        """Why a message of that stamp (ns) is too old, or of the future; empty if it is not."""
+        return untimely(self.node.get_clock(), stamp, max_age_s)
+
     def _on_joints(self, message: JointState) -> None:
         try:
             q = joints_of(message, self.arm, "joint_states")
@@ -169,7 +166,7 @@ class ArmState:
             self.node.tally.count("bad joint_states", str(error))
             return
         stamp, now = stamp_ns(message.header.stamp), time.monotonic()
-        if why := untimely(self.node.get_clock(), stamp, self._max_age_s):
+        if stamp and (why := self.untimely(stamp, self._max_age_s)):
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
             self._joints, self.effort = (q, now), efforts_of(message, self.arm)
@@ -259,8 +256,10 @@ class DriverLink:
         self.told(message)
 
     def _accepted(self, message: Motion) -> None:
+        names = list(message.start.name)
         try:
-            start, path = way_of(message, self._arm)
+            start = joints_of(message.start, self._arm, "start of motion")
+            path = path_of(JointTrajectory(joint_names=names, points=message.points), self._arm)
         except InputError as error:
             self._refused("bad motion", str(error))
             self.lose()

@@ -26,11 +26,7 @@ import yaml
 
 from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES
 from longarm_comp.arm_folder.make import parameter_files
-from longarm_comp.arm_folder.parameter_file import (
-    own_parameters,
-    read_parameters,
-    ros_parameters,
-)
+from longarm_comp.arm_folder.parameter_file import ros_parameters
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import write_text
@@ -45,6 +41,7 @@ _GENTLE_S, _FIRM_S = 6.0, 2.0
 
 @dataclass
 class _Process:
+    command: Sequence[str]
     process: subprocess.Popen[bytes]
     started: float
     deaths: int = 0
@@ -55,14 +52,14 @@ class Supervisor:
     """Processes by name. Use as a context manager."""
 
     commands: Mapping[str, Sequence[str]]  # program and arguments of each
-    respawn: bool = True  # restart a process that ends, except after bad input
+    respawn: bool = True  # restart a process that ends, except after exit code 2 (bad input)
     say: Callable[[str], None] = lambda text: None  # called with a message on every start and end
     _children: dict[str, _Process] = field(default_factory=dict)
 
     def __enter__(self) -> Supervisor:
         try:
             for name, command in self.commands.items():
-                self._children[name] = _Process(_start(command), time.monotonic())
+                self._children[name] = _Process(command, _start(command), time.monotonic())
                 self.say(f"{name} started, pid {self._children[name].process.pid}")
         except BaseException:
             self.stop()
@@ -84,14 +81,14 @@ class Supervisor:
             code = child.process.poll()
             if code is None:
                 continue
-            if code == InputError.exit_code or not self.respawn:
+            # 2: bad input
+            if code == 2 or not self.respawn:
                 raise JobError(f"{name} ended", exit_code=code)
             if time.monotonic() - child.started < 1.0:
                 continue
             child.deaths += 1
-            child.process, child.started = _start(self.commands[name]), time.monotonic()
-            how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-            self.say(f"{name} ended ({how}), started again, pid {child.process.pid}")
+            child.process, child.started = _start(child.command), time.monotonic()
+            self.say(f"{name} ended ({_how(code)}), started again, pid {child.process.pid}")
 
     def run(self, stop: threading.Event) -> None:
         """Restart processes until the event is set. Raises as `look`."""
@@ -122,6 +119,10 @@ def _send(processes: Sequence[subprocess.Popen[bytes]], number: int) -> None:
     for process in processes:
         if process.poll() is None:
             process.send_signal(number)
+
+
+def _how(code: int) -> str:
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
 REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
@@ -201,7 +202,7 @@ class BringUp:
         file, arm = self.file("servo_driver"), Arm.load(self.arm)
         if self.sim:
             read_arm(file)  # what cannot be emulated is said here, not by five processes
-        joints = list(ros_parameters(read_yaml(file), file).get("joints", {}))
+        joints = list(_ros_parameters(file).get("joints", {}))
         if sorted(joints) == sorted(arm.joint_names):
             return self
         if not self.sim or file != folder("config") / file.name:
@@ -222,23 +223,24 @@ class BringUp:
         arm = {"arm": str(self.arm.absolute())}
         servos = str(self.file("servo_driver").absolute())
         said = self.set.get("servo_driver", {}).get("trim")
-        trim = read_parameters(self.file("servo_driver")).get("trim", False)
+        trim = _ros_parameters(self.file("servo_driver")).get("trim", False)
         port = bus if self.sim else self.port
-        model, effects = _path("model", self.model), _path("effects", *self.effects)
         per_node: dict[str, dict[str, Any]] = {
             "kinematics": arm
-            | model
-            | effects
             | {"servos": servos}
+            | _path("model", self.model)
+            | _path("effects", *self.effects)
             | ({"trimmed": True} if (trim if said is None else said) else {})
             | ({"shaped": True} if self.shaping else {}),
-            "error_predictor": arm | model | _path("predictor", self.predictor),
+            "error_predictor": arm
+            | _path("model", self.model)
+            | _path("predictor", self.predictor),
             "servo_driver": arm
-            | ({"shaping": True} | model if self.shaping else {})
+            | ({"shaping": True} | _path("model", self.model) if self.shaping else {})
             | ({"bus.port": port} if port else {})
             | (_PATIENT if self.sim else {}),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
-            PATHS: arm | model | effects,
+            PATHS: arm | _path("model", self.model) | _path("effects", *self.effects),
             "simulated_arm": arm | {"servos": servos, "port": bus},
         }
         values = per_node[node]
@@ -255,18 +257,25 @@ class BringUp:
         """
         if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
-        given = read_parameters(self.file(node))
-        value = own_parameters(node) | given
+        given = _ros_parameters(self.file(node))
         if node == "kinematics":
-            return {"joints_max_rate": self.speed * float(value["joints_max_rate"])}
-        if node == "simulated_arm":
-            speed, lag_s = float(value["speed_ticks_s"]), float(value["lag_s"])
-            return {"speed_ticks_s": self.speed * speed, "lag_s": lag_s / self.speed}
-        longest, cycle = float(value["follower.max_step_s"]), 1.0 / value["rate_hz"]
-        scaled = [name for name in given if name.endswith(".max_velocity")]
+            return {"joints_max_rate": self.speed * float(given.get("joints_max_rate", 5.0))}
+        if node == "servo_driver":
+            follower = given.get("follower", {})
+            behind = float(follower.get("lost_error_ticks", 400.0))
+            longest = float(follower.get("max_step_s", 0.1))
+            cycle = 1.0 / given.get("rate_hz", 50.0)
+            return {
+                "follower.lost_error_ticks": self.speed * behind,
+                "follower.max_step_s": min(longest, max(longest / self.speed, 2 * cycle)),
+            } | {
+                f"joints.{name}.max_velocity": self.speed * float(joint["max_velocity"])
+                for name, joint in given.get("joints", {}).items()
+            }
         return {
-            name: self.speed * float(value[name]) for name in ("follower.lost_error_ticks", *scaled)
-        } | {"follower.max_step_s": min(longest, max(longest / self.speed, 2 * cycle))}
+            "speed_ticks_s": self.speed * float(given.get("speed_ticks_s", 3000.0)),
+            "lag_s": float(given.get("lag_s", 0.03)) / self.speed,
+        }
 
     def files(self, node: str, bus: str, scratch: Path) -> list[Path]:
         """Parameter files of a node: its own, then one of what overrides it.
@@ -300,6 +309,10 @@ def _path(name: str, *paths: Path | None) -> dict[str, Any]:
     """A parameter that holds paths; absent where there are none."""
     given = [str(path.absolute()) for path in paths if path is not None]
     return {name: os.pathsep.join(given)} if given else {}
+
+
+def _ros_parameters(path: Path) -> dict[str, Any]:
+    return ros_parameters(read_yaml(path), path)
 
 
 @contextmanager

@@ -87,7 +87,7 @@ class Compensator:
         try:
             return self._compensate(name, request)
         except Refusal as refusal:
-            return self.refused(name, request, refusal.status, str(refusal))
+            return self.refused(name, request, refusal.status, refusal.reason)
         except StaleContext as error:
             return self.refused(name, request, Status.STALE_CONTEXT, str(error))
         except InputError as error:

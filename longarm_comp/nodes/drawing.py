@@ -17,6 +17,7 @@ from longarm_comp.core.model.link_frames import BASE_LINK, Placed, exaggerated, 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
+from longarm_comp.nodes.interfaces import MARKERS
 from longarm_comp.nodes.messages import Answer, sighting_of
 from longarm_comp.nodes.params import Param
 from longarm_comp.urdf_export import export_urdf
@@ -64,7 +65,7 @@ Colour = tuple[float, float, float, float]
 DECLARED: Colour = (0.6, 0.6, 0.6, 0.5)
 HANGING: Colour = (0.1, 0.4, 0.9, 1.0)
 TARGET: Colour = (0.1, 0.7, 0.2, 1.0)
-PSEUDO: Colour = (0.9, 0.7, 0.1, 1.0)
+_PSEUDO: Colour = (0.9, 0.7, 0.1, 1.0)
 TIP: Colour = (0.9, 0.1, 0.1, 1.0)
 
 
@@ -73,7 +74,7 @@ class Markers:
 
     def __init__(self, state: ArmState) -> None:
         self._state, self._node = state, state.node
-        self._publisher = graph.MARKERS.publisher(self._node)
+        self._publisher = MARKERS.publisher(self._node)
         self._node.every("markers.period_s", self._draw)
         self._target: np.ndarray | None = None
         self._pseudo: np.ndarray | None = None
@@ -81,9 +82,8 @@ class Markers:
 
     def on_answer(self, answer: Answer) -> None:
         if answer.outcome is not None and answer.status.success:
-            pseudo = answer.outcome.pseudo_target
-            self._target = answer.outcome.position
-            self._pseudo = pseudo if pseudo.ndim == 1 else pseudo[:3, 3]
+            self._target = _position(answer.outcome.target)
+            self._pseudo = _position(answer.outcome.pseudo_target)
 
     def on_tip(self, message: PoseWithCovarianceStamped) -> None:
         tip, _ = sighting_of(message)
@@ -104,7 +104,7 @@ class Markers:
             self._marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),
         ]
         drawn[1].text = f"{sag:g}"  # so that whoever reads it can undo the exaggeration
-        spots = (("target", TARGET, self._target), ("pseudo_target", PSEUDO, self._pseudo),
+        spots = (("target", TARGET, self._target), ("pseudo_target", _PSEUDO, self._pseudo),
                  ("tip_measured", TIP, self._tip))  # fmt: skip
         for number, (name, colour, at) in enumerate(spots, 2):
             place = [] if at is None else [at]
@@ -131,3 +131,7 @@ class Markers:
         if not marker.points:
             marker.action = Marker.DELETE
         return marker
+
+
+def _position(target: np.ndarray) -> np.ndarray:
+    return target if target.ndim == 1 else target[:3, 3]

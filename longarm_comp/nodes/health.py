@@ -14,6 +14,7 @@ from rclpy.node import Node
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import steady_timer
+from longarm_comp.nodes.interfaces import DIAGNOSTICS
 from longarm_comp.nodes.params import Param
 
 _ALONE = 3
@@ -116,7 +117,7 @@ class Health:
     def __init__(self, node: Node, period_s: float) -> None:
         self._node = node
         self.parts: dict[str, Callable[[], Report]] = {"process": self._process}
-        self._publisher = graph.DIAGNOSTICS.publisher(node)
+        self._publisher = DIAGNOSTICS.publisher(node)
         self._timer = steady_timer(node, period_s, self.publish)
         self.faults = 0
         self.last_fault = ""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import array
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from longarm_comp.devices.camera_info import CameraInfo as Calibration
@@ -23,6 +24,21 @@ Grey = NDArray[np.uint8]
 Samples = NDArray[np.uint8] | NDArray[np.uint16]
 
 
+@dataclass(frozen=True)
+class _PixelFormat:
+    """How an image's bytes are pixels.
+
+    Attributes:
+        samples: numbers per pixel.
+        convert: of the numbers (H, W, samples), 8-bit, the pixels (H, W) grey or (H, W, 3) BGR.
+        wide: the numbers have 16 bits.
+    """
+
+    samples: int
+    convert: Callable[[Grey], Grey]
+    wide: bool = False
+
+
 def _sample(k: int) -> Callable[[Grey], Grey]:
     return lambda numbers: numbers[:, :, k]
 
@@ -31,23 +47,28 @@ def _converted(code: int) -> Callable[[Grey], Grey]:
     return lambda numbers: np.asarray(cv2.cvtColor(numbers, code), dtype=np.uint8)
 
 
-ENCODINGS: dict[str, tuple[int, Callable[[Grey], Grey]]] = {
-    **dict.fromkeys(("mono8", "8UC1", "mono16", "16UC1"), (1, _sample(0))),
-    **dict.fromkeys(("bgr8", "8UC3"), (3, lambda numbers: numbers)),
-    "rgb8": (3, _converted(cv2.COLOR_RGB2BGR)),
-    **dict.fromkeys(("bgra8", "8UC4"), (4, _converted(cv2.COLOR_BGRA2BGR))),
-    "rgba8": (4, _converted(cv2.COLOR_RGBA2BGR)),
-    **dict.fromkeys(("yuv422", "uyvy"), (2, _sample(1))),
-    **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, _sample(0))),
+_BAYER = {
+    "rggb": _converted(cv2.COLOR_BayerRGGB2GRAY),
+    "bggr": _converted(cv2.COLOR_BayerBGGR2GRAY),
+    "gbrg": _converted(cv2.COLOR_BayerGBRG2GRAY),
+    "grbg": _converted(cv2.COLOR_BayerGRBG2GRAY),
+}
+
+# Names of sensor_msgs/image_encodings.hpp. Of YUV the brightness Y is every second byte.
+ENCODINGS: dict[str, _PixelFormat] = {
+    **dict.fromkeys(("mono8", "8UC1"), _PixelFormat(1, _sample(0))),
+    **dict.fromkeys(("mono16", "16UC1"), _PixelFormat(1, _sample(0), wide=True)),
+    **dict.fromkeys(("bgr8", "8UC3"), _PixelFormat(3, lambda numbers: numbers)),
+    "rgb8": _PixelFormat(3, _converted(cv2.COLOR_RGB2BGR)),
+    **dict.fromkeys(("bgra8", "8UC4"), _PixelFormat(4, _converted(cv2.COLOR_BGRA2BGR))),
+    "rgba8": _PixelFormat(4, _converted(cv2.COLOR_RGBA2BGR)),
+    **dict.fromkeys(("yuv422", "uyvy"), _PixelFormat(2, _sample(1))),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), _PixelFormat(2, _sample(0))),
+    **{f"bayer_{order}8": _PixelFormat(1, convert) for order, convert in _BAYER.items()},
     **{
-        f"bayer_{order}{bits}": (1, _converted(getattr(cv2, f"COLOR_Bayer{order.upper()}2GRAY")))
-        for order in ("rggb", "bggr", "gbrg", "grbg")
-        for bits in (8, 16)
+        f"bayer_{order}16": _PixelFormat(1, convert, wide=True) for order, convert in _BAYER.items()
     },
 }
-"""By the names of sensor_msgs/image_encodings.hpp: how many numbers a pixel has, and what makes of
-numbers (H, W, so many), 8-bit, pixels (H, W) grey or (H, W, 3) BGR. The numbers have 16 bits where
-the name says so. Of YUV the brightness Y is every second byte."""
 
 
 def pixels_of(message: Image) -> Grey:
@@ -60,15 +81,14 @@ def pixels_of(message: Image) -> Grey:
     if encoding is None:
         allowed = " ".join(ENCODINGS)
         raise StereoRefusal(RefusalReason.BAD_IMAGE, encoding=message.encoding, allowed=allowed)
-    (samples, convert), wide = encoding, "16" in message.encoding
-    width = message.width * samples * (2 if wide else 1)
+    width = message.width * encoding.samples * (2 if encoding.wide else 1)
     if len(message.data) != message.height * message.step or message.step < width or not width:
         size = f"{message.width}x{message.height}, step {message.step}, {len(message.data)} bytes"
         raise StereoRefusal(RefusalReason.BAD_IMAGE, size=size)
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)[:, :width]
-    if wide:
+    if encoding.wide:
         rows = _narrow(np.ascontiguousarray(rows).view(">u2" if message.is_bigendian else "<u2"))
-    return convert(rows.reshape(message.height, message.width, samples))
+    return encoding.convert(rows.reshape(message.height, message.width, encoding.samples))
 
 
 def decoded(message: CompressedImage) -> Grey:
@@ -89,8 +109,7 @@ def decoded(message: CompressedImage) -> Grey:
     source, _, packed = message.format.partition(";")
     if "bgr8" in packed or not source.startswith("bayer_"):
         return grey
-    _, convert = ENCODINGS.get(source.strip(), (1, lambda grey: grey))
-    return convert(grey)
+    return ENCODINGS[source.strip()].convert(grey) if source.strip() in ENCODINGS else grey
 
 
 def _narrow(numbers: Samples) -> Grey:
@@ -135,19 +154,21 @@ class ImageInlet:
 
     Args:
         reliable: whether nothing may be lost, where the publishers offer that.
-
-    Attributes:
-        watch: counts images that the middleware has lost or that a full queue has dropped.
     """
 
     def __init__(
         self, node: Node, topic: Topic, take: Callable[[Any], None], *, reliable: bool
     ) -> None:
         self._node, self._topic, self._take = node, topic, take
-        self._reliable, self.watch = reliable, SequenceWatch()
+        self._reliable, self._watch = reliable, SequenceWatch()
         self._subscription: Any = None
         self._how: ReliabilityPolicy | None = None
         self.adapt()
+
+    @property
+    def lost(self) -> int:
+        """Images that the middleware has lost or that a full queue has dropped."""
+        return self._watch.lost
 
     @property
     def reliability(self) -> str:
@@ -164,9 +185,8 @@ class ImageInlet:
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
         self._how = wanted
-        qos = QoSProfile(depth=self._topic.qos.depth, reliability=wanted)
-        self._subscription = self._topic.subscription(self._node, self._hear, qos=qos)
+        self._subscription = self._topic.subscription(self._node, self._hear, listens=wanted)
 
     def _hear(self, message: Any, info: Any) -> None:
-        self.watch.taken([info["publication_sequence_number"] or 0], full=True)
+        self._watch.taken([info["publication_sequence_number"] or 0], full=True)
         self._take(message)

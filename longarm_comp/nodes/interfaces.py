@@ -17,7 +17,7 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSPresetProfiles, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, JointState, Temperature
 from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool, Trigger
@@ -37,63 +37,64 @@ try:
 except ImportError:
     TFMessage = None
 
+RELIABLE = ReliabilityPolicy.RELIABLE
+BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
+
 _UNHEARD_PUBLISHER = PublisherEventCallbacks(use_default_callbacks=False)
 _UNHEARD_SUBSCRIPTION = SubscriptionEventCallbacks(use_default_callbacks=False)
 """rclpy's default events log an incompatible QoS, which the other side logs too.  The executor
 checks two of them per topic before every callback, which costs more than the rest of its work."""
 
-RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
-
-DEFAULT: QoSProfile = QoSPresetProfiles.DEFAULT.value
-_SENSOR: QoSProfile = QoSPresetProfiles.SENSOR_DATA.value
-"""ROS's own. Best effort also receives from best-effort publishers."""
-_STATES = QoSProfile(depth=10, reliability=BEST_EFFORT)
-_TIPS = QoSProfile(depth=20)
-"""What comes many times a second, while a node may be busy for one."""
 _PATIENT = QoSProfile(depth=200)
-"""Requests and orders that can wait on either side. ROS's default loses those of a burst."""
-_EACH_TARGET = QoSProfile(depth=2000)
-"""What is told of every target, so that nothing of a long burst is lost."""
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Whoever subscribes later receives the last message too."""
-_TF = QoSProfile(depth=100)
-_TF_STATIC = QoSProfile(depth=_TF.depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""As tf2_ros listens."""
+"""Requests that can wait on either side. ROS's default of 10 loses requests of a burst."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Topic:
     """One topic.
 
     Attributes:
         name: relative to the namespace of the arm.
-        qos: of subscriptions.
+        depth: messages kept on either side.
+        listens: reliability of subscriptions. Best effort also receives from best-effort sensors.
+            Publishers are always reliable, which is compatible with both.
+        latched: who subscribes later receives the last message too.
     """
 
     name: str
     type: type
-    qos: QoSProfile
-
-    @property
-    def offered(self) -> QoSProfile:
-        """QoS of publishers: always reliable, which is compatible with every subscription."""
-        return QoSProfile(depth=self.qos.depth, durability=self.qos.durability)
+    depth: int
+    listens: ReliabilityPolicy
+    latched: bool = False
 
     def publisher(self, node: Node) -> Any:
-        return node.create_publisher(
-            self.type, self.name, self.offered, event_callbacks=_UNHEARD_PUBLISHER
-        )
+        qos = QoSProfile(depth=self.depth, durability=self._durability)
+        return node.create_publisher(self.type, self.name, qos, event_callbacks=_UNHEARD_PUBLISHER)
+
+    @property
+    def _durability(self) -> DurabilityPolicy:
+        return DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE
 
     def subscription(
-        self, node: Node, callback: Callable[..., None], group: CallbackGroup | None = None,
-        qos: QoSProfile | None = None, *, raw: bool = False,
-    ) -> Any:  # fmt: skip
+        self,
+        node: Node,
+        callback: Callable[..., None],
+        group: CallbackGroup | None = None,
+        listens: ReliabilityPolicy | None = None,
+        depth: int | None = None,
+        *,
+        raw: bool = False,
+    ) -> Any:
         """Create a subscription on a node.
 
-        ``qos`` replaces the topic's own; ``raw``: messages come as bytes.
+        ``listens`` and ``depth`` replace the topic's own; ``raw``: messages come as bytes.
         """
+        qos = QoSProfile(
+            depth=depth or self.depth, reliability=listens or self.listens,
+            durability=self._durability,
+        )  # fmt: skip
         return node.create_subscription(
-            self.type, self.name, callback, qos or self.qos,
+            self.type, self.name, callback, qos,
             callback_group=group, event_callbacks=_UNHEARD_SUBSCRIPTION, raw=raw,
         )  # fmt: skip
 
@@ -132,50 +133,50 @@ class Service:
 
 
 # pose that the tip shall reach, base frame; the latest wins
-TARGET_POSE = Topic("target_pose", PoseStamped, _EACH_TARGET)
+TARGET_POSE = Topic("target_pose", PoseStamped, 2000, RELIABLE)
 # compensated joints, rad and m
-JOINT_TRAJECTORY = Topic("joint_trajectory", JointTrajectory, _PATIENT)
+JOINT_TRAJECTORY = Topic("joint_trajectory", JointTrajectory, 200, RELIABLE)
 # full record of one target, also of a refused one
-COMPENSATION = Topic("compensation", Compensation, _EACH_TARGET)
+COMPENSATION = Topic("compensation", Compensation, 2000, RELIABLE)
 # joints as the servos report them, rad and m
-JOINT_STATES = Topic("joint_states", JointState, _STATES)
+JOINT_STATES = Topic("joint_states", JointState, 10, BEST_EFFORT)
 # the joints as a planner for the declared arm should see them
-PLANNED_JOINTS = Topic("planned_joint_states", JointState, DEFAULT)
+PLANNED_JOINTS = Topic("planned_joint_states", JointState, 10, RELIABLE)
 # what happens to every trajectory, from the driver
-MOTION = Topic("motion", Motion, _EACH_TARGET)
+MOTION = Topic("motion", Motion, 2000, RELIABLE)
 # id of a trajectory that must not move the arm any more
-WITHDRAWN = Topic("withdrawn", String, DEFAULT)
-DRIVER_STATE = Topic("servo_driver/state", DriverState, _LATCHED)
-PREDICTED_ERROR = Topic("predicted_error", Vector3Stamped, _TIPS)
+WITHDRAWN = Topic("withdrawn", String, 10, RELIABLE)
+DRIVER_STATE = Topic("servo_driver/state", DriverState, 1, RELIABLE, latched=True)
+PREDICTED_ERROR = Topic("predicted_error", Vector3Stamped, 20, RELIABLE)
 # tip as the cameras see it, base frame; position NaN: marker lost
-TIP_MEASURED = Topic("tip_measured", PoseWithCovarianceStamped, _TIPS)
+TIP_MEASURED = Topic("tip_measured", PoseWithCovarianceStamped, 20, RELIABLE)
 # tip computed from the joints' readings, with its covariance, base frame
-TIP_BY_READINGS = Topic("tip_by_readings", PoseWithCovarianceStamped, _TIPS)
-LEFT_IMAGE = Topic("left/image_raw", Image, _SENSOR)
-RIGHT_IMAGE = Topic("right/image_raw", Image, _SENSOR)
-LEFT_COMPRESSED = Topic("left/image_raw/compressed", CompressedImage, _SENSOR)
-RIGHT_COMPRESSED = Topic("right/image_raw/compressed", CompressedImage, _SENSOR)
-LEFT_INFO = Topic("left/camera_info", CameraInfo, _SENSOR)
-RIGHT_INFO = Topic("right/camera_info", CameraInfo, _SENSOR)
-TEMPERATURE = Topic("temperature", Temperature, _SENSOR)  # of the arm, degrees Celsius
-PAYLOAD = Topic("payload", Float64, _SENSOR)  # mass carried at the tool, kg
+TIP_BY_READINGS = Topic("tip_by_readings", PoseWithCovarianceStamped, 20, RELIABLE)
+LEFT_IMAGE = Topic("left/image_raw", Image, 5, BEST_EFFORT)
+RIGHT_IMAGE = Topic("right/image_raw", Image, 5, BEST_EFFORT)
+LEFT_COMPRESSED = Topic("left/image_raw/compressed", CompressedImage, 5, BEST_EFFORT)
+RIGHT_COMPRESSED = Topic("right/image_raw/compressed", CompressedImage, 5, BEST_EFFORT)
+LEFT_INFO = Topic("left/camera_info", CameraInfo, 5, BEST_EFFORT)
+RIGHT_INFO = Topic("right/camera_info", CameraInfo, 5, BEST_EFFORT)
+TEMPERATURE = Topic("temperature", Temperature, 5, BEST_EFFORT)  # of the arm, degrees Celsius
+PAYLOAD = Topic("payload", Float64, 5, BEST_EFFORT)  # mass carried at the tool, kg
 # name of the socket that the ball sits in, or blank
-CONTACT = Topic("contact", String, DEFAULT)
+CONTACT = Topic("contact", String, 5, RELIABLE)
 # tilt of a frame; frame_id is the row's number, 0 the base
-INCLINATION = Topic("inclination", Imu, _SENSOR)
+INCLINATION = Topic("inclination", Imu, 5, BEST_EFFORT)
 # load on a wrist sensor, N; frame_id: the row's number
-WRENCH = Topic("wrench", WrenchStamped, _SENSOR)
+WRENCH = Topic("wrench", WrenchStamped, 5, BEST_EFFORT)
 # for RViz: arm as declared and as it hangs, target, tip
-MARKERS = Topic("markers", MarkerArray, DEFAULT)
-ROBOT_DESCRIPTION = Topic("robot_description", String, _LATCHED)
-TF = Topic("/tf", TFMessage, _TF)  # links, declared, expected and measured tip
-TF_STATIC = Topic("/tf_static", TFMessage, _TF_STATIC)  # cameras, foot of the arm
+MARKERS = Topic("markers", MarkerArray, 5, RELIABLE)
+ROBOT_DESCRIPTION = Topic("robot_description", String, 1, RELIABLE, latched=True)
+TF = Topic("/tf", TFMessage, 100, RELIABLE)  # links, declared, expected and measured tip
+TF_STATIC = Topic("/tf_static", TFMessage, 100, RELIABLE, latched=True)  # cameras, foot of the arm
 """Where tf2_msgs is installed (`HAS_TF`). Both are shared by all arms."""
 
 HAS_TF = TFMessage is not None
 
-COLLECT_PROGRESS = Topic("collect/progress", DiagnosticStatus, _LATCHED)
-DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, QoSProfile(depth=50))
+COLLECT_PROGRESS = Topic("collect/progress", DiagnosticStatus, 1, RELIABLE, latched=True)
+DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, 50, RELIABLE)
 
 COMPENSATE = Service("compensate", Compensate)  # joints for one target, executed or not
 PREDICT_ERROR = Service("predict_error", PredictError)  # learned error at given joints

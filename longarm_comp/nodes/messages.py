@@ -30,6 +30,7 @@ from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.devices import joint_path as devices
 from longarm_comp.devices.servo_arm import ServoReading
+from longarm_comp.devices.servo_follower import Accepted
 from longarm_interfaces.msg import Compensation, DriverState, Motion
 from longarm_interfaces.srv import Compensate
 
@@ -40,6 +41,7 @@ class Refusal(LongarmError):  # noqa: N818
     def __init__(self, status: Status, reason: str) -> None:
         super().__init__(reason)
         self.status = status
+        self.reason = reason
 
 
 def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
@@ -51,7 +53,8 @@ def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
     p, o = message.pose.position, message.pose.orientation
     xyz = np.array([p.x, p.y, p.z])
     if not np.isfinite(xyz).all():
-        raise Refusal(Status.BAD_TARGET, f"position {xyz.tolist()} is not finite")
+        text = f"position {xyz.tolist()} is not finite"
+        raise Refusal(Status.BAD_TARGET, text)
     if position_only:
         return xyz
     turn = np.array([o.x, o.y, o.z, o.w])
@@ -133,13 +136,6 @@ def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
         raise InputError(where, "points", 0, "at least one")
     rows = [JointState(name=names, position=point.positions) for point in message.points]
     return np.array([joints_of(row, arm, where) for row in rows])
-
-
-def way_of(message: Motion, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-    """Start (n,) and way-points (k, n) of a trajectory that the driver accepted."""
-    start = joints_of(message.start, arm, "start of motion")
-    way = JointTrajectory(joint_names=message.start.name, points=message.points)
-    return start, path_of(way, arm)
 
 
 def duration(value_s: float) -> Duration:
@@ -260,9 +256,12 @@ def compensation_message(
     sides = {float(side) for side in context.approach}
     published = Compensation(
         header=Header(stamp=answer.target.header.stamp, frame_id=base_frame),
+        id=answer.name,
         accepted=accepted,
         target=answer.target,
         position_only=answer.position_only,
+        status=int(answer.status),
+        message=answer.message,
         method=answer.method,
         temperature_c=float(context.column("temperature_c", math.nan)),
         payload_kg=float(context.payload_kg(arm.payload.mass_kg if arm.payload else 0.0)),
@@ -280,12 +279,14 @@ def compensation_message(
 
 
 def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Response:
-    response, arrival = Compensate.Response(success=answer.status.success), answer.arrival
+    response = Compensate.Response(
+        success=answer.status.success, status=int(answer.status), message=answer.message,
+        id=answer.name,
+    )  # fmt: skip
     _fill(response, answer, arm, base_frame)
-    if answer.status.success and arrival is not None:
-        stamp = answer.target.header.stamp
-        response.command = joints_message(arm, arrival.outcome.command, stamp)
-        response.approach = [int(side) for side in arrival.move.side]
+    if answer.status.success and answer.arrival is not None and answer.outcome is not None:
+        response.command = joints_message(arm, answer.outcome.command, answer.target.header.stamp)
+        response.approach = [int(side) for side in answer.arrival.move.side]
     return response
 
 
@@ -293,15 +294,14 @@ def _fill(
     message: Compensation | Compensate.Response, answer: Answer, arm: Arm, base_frame: str
 ) -> None:
     """Set the fields that both messages share. An unknown number is NaN."""
-    message.id, message.status, message.message = answer.name, int(answer.status), answer.message
-    arrival = answer.arrival
-    if arrival is None:
-        message.sigma = math.nan
+    message.sigma = math.nan
+    outcome = answer.outcome
+    if outcome is None:
         message.predicted_error = vector_message([math.nan] * 3)
         return
-    stamp, outcome = answer.target.header.stamp, arrival.outcome
-    if arrival.move.run_up is not None:
-        message.run_up = joints_message(arm, arrival.move.run_up, stamp)
+    stamp = answer.target.header.stamp
+    if answer.arrival is not None and answer.arrival.move.run_up is not None:
+        message.run_up = joints_message(arm, answer.arrival.move.run_up, stamp)
     message.ideal = joints_message(arm, outcome.ideal, stamp)
     message.predicted_error = vector_message(outcome.predicted_error)
     message.pseudo_target = PoseStamped(
@@ -338,4 +338,31 @@ def readings_message(readings: Mapping[str, ServoReading], stamp: Time) -> Joint
     if all(map(math.isnan, message.effort)):
         message.effort = []  # of no joint is it known
     message.header.stamp = stamp
+    return message
+
+
+def motion_message(
+    name: str,
+    event: int,
+    why: str,
+    joints: JointState,
+    taken: Accepted | None,
+    names: Sequence[str],
+) -> Motion:
+    """What became of the trajectory of that id, and where the joints are.
+
+    Args:
+        name: id. event: as `Motion` lists them. why: in words.
+        joints: read-back with the time of the event.
+        taken: start and way-points, where it was accepted now.
+        names: of the joints.
+    """
+    message = Motion(id=name, event=event, message=why, joints=joints)
+    message.header.stamp = joints.header.stamp
+    if taken is not None:
+        message.start = JointState(name=list(names), position=taken.start.tolist())
+        message.points = [
+            JointTrajectoryPoint(positions=row, time_from_start=duration(at))
+            for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
+        ]
     return message

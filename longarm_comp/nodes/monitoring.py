@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
@@ -24,7 +25,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.health import OK, WARN, Report
-from longarm_comp.nodes.messages import seconds, sighting_of, tip_message, way_of
+from longarm_comp.nodes.messages import joints_of, path_of, seconds, sighting_of, tip_message
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_interfaces.msg import Motion
@@ -281,13 +282,15 @@ class RingTeller:
             self._state.worker.submit(partial(self._compute, self._due))
 
     def _compute(self, move: Any) -> None:
-        state = self._state
+        state, arm = self._state, self._state.arm
         context = state.known()
         if move is not self._due or context is None:
             return
         self._due = None
         try:
-            start, points = way_of(move, state.arm)
+            start = joints_of(move.start, arm, "start of motion")
+            way = JointTrajectory(joint_names=move.start.name, points=move.points)
+            points = path_of(way, arm)
         except InputError:
             return  # the link to the driver has said so
         times = np.array([seconds(point.time_from_start) for point in move.points])

@@ -59,9 +59,9 @@ class Stamps:
 
 
 def untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
-    """Why a message of that stamp (ns) is too old, or of the future; empty if not or unstamped."""
+    """Why a message of that stamp (ns) is too old, or of the future; empty if it is not."""
     age = 1e-9 * (clock.now().nanoseconds - stamp)
-    if not stamp or abs(age) <= max_age_s:
+    if abs(age) <= max_age_s:
         return ""
     return f"is {age:.1f} s old" if age > 0 else f"lies {-age:.1f} s in the future"
 
@@ -100,7 +100,7 @@ class Freshness:
     def too_old(self, stamp: Time) -> str:
         """Why an order is too old to be carried out, in words; empty if it is not."""
         ns = stamp_ns(stamp)
-        why = untimely(self._clock, ns, self.max_age_s)
+        why = untimely(self._clock, ns, self.max_age_s) if ns else ""
         if not why and (not ns or self._clock.ros_time_is_active) and self.away_s > self.max_age_s:
             why = f"may be {self.away_s:.1f} s old, because this node was away for so long"
         return f"the order {why}, allowed {self.max_age_s:g} s" if why else ""
@@ -142,7 +142,7 @@ class Intake:
         self._withdrawn: deque[str] = deque(maxlen=100)
         graph.WITHDRAWN.subscription(node, self._on_withdrawn)
         # Trajectories that may wait: a later one replaces those before it anyway
-        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, qos=graph.DEFAULT)
+        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, depth=10)
 
     def too_old(self, message: JointTrajectory) -> str:
         """Why a trajectory is too old to move the arm; empty if it is not. A stop never is."""

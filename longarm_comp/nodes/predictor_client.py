@@ -21,13 +21,16 @@ class NoAnswer(JobError):  # noqa: N818
     """No predictor answered in time, or it has no file loaded."""
 
 
+_PROBE_S = 0.5, 4.0
+"""First and longest patience with a probe, s: it doubles, as a busy machine answers late."""
+
+
 class PredictorClient:
     """Calls `predict_error` in the thread of the caller.
 
     A predictor *answers* once it has answered a question, until a question is not answered in
-    time or it leaves the graph. While it does not, `probe` asks for it in the background, again
-    after every timeout, so that the very next target after its return is compensated with it. An
-    answer to any probe counts, as a busy machine answers late.
+    time or it leaves the graph. While it does not, `probe` asks for it in the background, so that
+    the very next target after its return is compensated with it.
 
     Args:
         caller: of `predict_error`.
@@ -41,8 +44,8 @@ class PredictorClient:
     def __init__(self, caller: ServiceCaller, arm: Arm, timeout_s: float) -> None:
         self._caller, self._arm, self._timeout_s = caller, arm, timeout_s
         self._silent = False  # a question was not answered in time
-        self._probe: int | None = None  # the first one that is not answered
-        self._probed_s = 0.0
+        self._probe: int | None = None
+        self._probed_s, self._patience_s = 0.0, _PROBE_S[0]
         self.answers = False
         self.file_hash = ""
 
@@ -100,11 +103,12 @@ class PredictorClient:
         if not self._look() or self.answers:
             return
         now = time.monotonic()
-        if self._probe is None or now - self._probed_s > self._timeout_s:
+        if self._probe is None or now - self._probed_s > self._patience_s:
+            if self._probe is not None:
+                self._patience_s = min(2.0 * self._patience_s, _PROBE_S[1])
             self._probed_s = now
             anywhere = PredictError.Request(joints=joints_message(self._arm, self._arm.mid))
-            sent = self._caller.send(anywhere)
-            self._probe = sent if self._probe is None else self._probe
+            self._probe = self._caller.send(anywhere)
 
     def _look(self) -> bool:
         """Whether a predictor is on the graph, after a look for the answer to a probe."""
@@ -116,4 +120,5 @@ class PredictorClient:
         return True
 
     def _note(self, *, answers: bool, silent: bool) -> None:
-        self.answers, self._silent, self._probe = answers, silent, None
+        self.answers, self._silent = answers, silent
+        self._probe, self._patience_s = None, _PROBE_S[0]

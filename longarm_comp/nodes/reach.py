@@ -66,7 +66,7 @@ class ReachServer:
             while self._turns[0] is not turn:
                 if goal.is_cancel_requested:
                     goal.canceled()
-                    return _result(message="cancelled before it began")
+                    return Reach.Result(message="cancelled before it began", **_unseen())
                 self._feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
             if fresh:  # waiting for its turn, of which the client is told, makes it no older
@@ -78,15 +78,19 @@ class ReachServer:
     async def _reach(self, goal: Any, request: Request) -> Reach.Result:
         if self._no_driver:
             goal.abort()
-            return _result(status=Compensate.Response.NO_DRIVER, message=self._no_driver)
+            status = Compensate.Response.NO_DRIVER
+            return Reach.Result(status=status, message=self._no_driver, **_unseen())
         before, self._told = self._monitor.sighted, {}
         asked = self._targets.execute(request)
         if asked is None:
             goal.abort()
-            status = Compensate.Response.NOT_READY
-            return _result(status=status, message="too many targets wait")
+            return Reach.Result(
+                status=Compensate.Response.NOT_READY, message="too many targets wait", **_unseen()
+            )
         answer: Answer = await asked
-        result = _result(status=int(answer.status), message=answer.message, id=answer.name)
+        result = Reach.Result(
+            status=int(answer.status), message=answer.message, id=answer.name, **_unseen()
+        )
         if not answer.status.success or answer.outcome is None:
             goal.abort()
             return result
@@ -157,8 +161,7 @@ class ReachServer:
         goal.publish_feedback(message)
 
 
-def _result(**fields: Any) -> Reach.Result:
-    """A result without a sighting."""
-    result = Reach.Result(miss=vector_message([math.nan] * 3), **fields)
-    result.tip.x = result.tip.y = result.tip.z = math.nan
-    return result
+def _unseen() -> dict[str, Any]:
+    tip = Reach.Result().tip
+    tip.x = tip.y = tip.z = math.nan
+    return {"tip": tip, "miss": vector_message([math.nan] * 3)}

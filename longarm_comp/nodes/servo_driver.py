@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
@@ -38,7 +38,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders
 from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
-from longarm_comp.nodes.messages import duration, readings_message, trajectory_of
+from longarm_comp.nodes.messages import motion_message, readings_message, trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.orders import FollowServer, Intake
@@ -252,8 +252,10 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def take(self, message: JointTrajectory, name: str) -> None:
         """Check and follow a trajectory; what becomes of it is told by its id ``name``."""
-        why = self._intake.too_old(message) if self._active else "the driver is not active"
-        if why:
+        if not self._active:
+            self.refuse(name, "the driver is not active")
+            return
+        if why := self._intake.too_old(message):
             self.refuse(name, why)
             return
         if not self._machine.follower.fresh(time.monotonic()):  # just begun, or a reply was lost
@@ -275,15 +277,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell(Motion.REFUSED, name, why)
 
     def _tell(self, event: int, name: str, why: str = "", taken: Accepted | None = None) -> None:
-        """Say what became of the trajectory of that id; ``taken`` where it was accepted now."""
-        message = Motion(id=name, event=event, message=why, joints=self._joints())
-        message.header.stamp = message.joints.header.stamp
-        if taken is not None:
-            message.start = JointState(name=self.names, position=taken.start.tolist())
-            message.points = [
-                JointTrajectoryPoint(positions=row, time_from_start=duration(at))
-                for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
-            ]
+        message = motion_message(name, event, why, self._joints(), taken, self.names)
         self._motions.publish(message)
         if self._follow is not None:
             self._follow.told(event, name, why)

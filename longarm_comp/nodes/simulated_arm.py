@@ -17,7 +17,6 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64, String
 
-from longarm_comp.arm_folder.camera_files import SIDES
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
@@ -73,6 +72,7 @@ PARAMS = (
 
 _FELT_S = 0.1
 """Between two looks for contact of the ball, s."""
+_SIDES = ("left", "right")
 
 
 def sizes(text: str) -> dict[str, float]:
@@ -179,7 +179,7 @@ class _SimulatedArm(ArmNode):
         self._plant.emulator.faults.silent = {ids[name] for name in _named("unplugged", text, ids)}
 
     def _cover(self, text: str) -> None:
-        self._covered = _named("covered", text, SIDES)
+        self._covered = _named("covered", text, _SIDES)
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
@@ -208,11 +208,11 @@ class _SimulatedArm(ArmNode):
         truth.point.x, truth.point.y, truth.point.z = self._plant.tip_pose(t_s)[:3, 3].tolist()
         self._truth.publish(truth)
         infos = self._plant.config.cameras.camera_infos()
-        frames = [f"{prefix}{side}_optical" for side in SIDES]
+        frames = f"{prefix}left_optical", f"{prefix}right_optical"
         for k, frame in enumerate(frames):
             self._infos[k].publish(info_message(infos[k], ns, frame))
         for k, image in enumerate(images):
-            seen = image * (SIDES[k] not in self._covered)
+            seen = image * (_SIDES[k] not in self._covered)
             self._images[k].publish(image_message(seen, ns, frames[k]))
         self._frames += 1
 

@@ -31,7 +31,7 @@ from longarm_comp.nodes.clock import stamp_ns, stamp_of, steady_timer
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Report
 from longarm_comp.nodes.images import ImageInlet, decoded, pixels_of, same_camera
-from longarm_comp.nodes.messages import quaternion_message, tip_message
+from longarm_comp.nodes.messages import pose_message, tip_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
 
@@ -75,6 +75,10 @@ PARAMS = (
 )
 
 
+def _file(folder: str, side: Side) -> Calibration:
+    return read_camera(Path(folder) / f"{side.name.lower()}.yaml")
+
+
 class _StereoBridge(ArmNode):
     """Measures pairs on a worker thread. A pair that arrives during a measurement is dropped."""
 
@@ -98,10 +102,7 @@ class _StereoBridge(ArmNode):
         )
         self._pairer: StereoPairer[Any] = StereoPairer(round(p["slop_ms"] * 1e6), p["queue"])
         self._infos: dict[Side, CameraInfo] = {}
-        self._files = {
-            side: read_camera(Path(p["cameras"]) / f"{side.name.lower()}.yaml")
-            for side in (Side if p["cameras"] else ())
-        }
+        self._files = {s: _file(p["cameras"], s) for s in Side} if p["cameras"] else {}
         self._eye: StereoEye | None = None
         self._sightings = 0
         self._last = "no pair of images yet"
@@ -114,18 +115,19 @@ class _StereoBridge(ArmNode):
         self._worker = self.worker(2)
         self._worker.start()
         self._tips = graph.TIP_MEASURED.publisher(self)
+        left, right = Side.LEFT, Side.RIGHT
         topics, self._pixels = _TRANSPORTS[p["image_transport"]]
         self._inlets = {
             side: ImageInlet(
                 self, topic, partial(self._on_image, side), reliable=p["reliable_images"]
             )
-            for side, topic in zip(Side, topics, strict=True)
+            for side, topic in zip((left, right), topics, strict=True)
         }
         for inlet in self._inlets.values():
             # Pause between two looks at who publishes images
             steady_timer(self, 0.5, inlet.adapt)
-        graph.LEFT_INFO.subscription(self, partial(self._on_info, Side.LEFT))
-        graph.RIGHT_INFO.subscription(self, partial(self._on_info, Side.RIGHT))
+        graph.LEFT_INFO.subscription(self, lambda m: self._on_info(left, m))
+        graph.RIGHT_INFO.subscription(self, lambda m: self._on_info(right, m))
         self.health.parts["stereo"] = self._report
 
     def _on_info(self, side: Side, message: CameraInfo) -> None:
@@ -145,7 +147,7 @@ class _StereoBridge(ArmNode):
             self._refuse(error, None)
 
     def _calibrate(self, cameras: Mapping[Side, Calibration]) -> None:
-        """Measure with this calibration from now on, and say where the cameras are.
+        """Measure with this calibration from now on.
 
         Raises:
             StereoRefusal, InputError: the calibration cannot be used.
@@ -154,10 +156,14 @@ class _StereoBridge(ArmNode):
             cameras[Side.LEFT], cameras[Side.RIGHT], rectified=self._rectified
         )
         self._eye = StereoEye(rig, self._target, self._hand_eye, self._tip_in_marker, self._limits)
+        self._tell_cameras(self._eye.cameras)
+
+    def _tell_cameras(self, poses: tuple[np.ndarray, np.ndarray]) -> None:
+        """Say where the cameras are, by the names that they give their frames."""
         told = {side: info.header.frame_id for side, info in self._infos.items()}
         names = [told.get(s) or f"{self._prefix}{s.name.lower()}_optical" for s in Side]
-        placed = zip(names, self._eye.cameras, strict=True)
-        self._frames.tell_static([Placed.at(self._base_frame, *camera) for camera in placed])
+        frames = [Placed.at(self._base_frame, *camera) for camera in zip(names, poses, strict=True)]
+        self._frames.tell_static(frames)
 
     def _on_image(self, side: Side, message: Any) -> None:
         for pair in self._pairer.add(side, stamp_ns(message.header.stamp), message):
@@ -180,9 +186,9 @@ class _StereoBridge(ArmNode):
         message = tip_message(
             seen.point, seen.pose_covariance, stamp_of(seen.stamp_ns), self._base_frame
         )
-        turn = quaternion.from_rotation(seen.pose[:3, :3])
-        message.pose.pose.orientation = quaternion_message(turn)
+        message.pose.pose.orientation = pose_message(seen.pose).orientation
         self._tips.publish(message)
+        turn = quaternion.from_rotation(seen.pose[:3, :3])
         tip = Placed(self._base_frame, f"{self._prefix}tip_measured", seen.point, turn)
         self._frames.tell([tip], message.header.stamp)
 
@@ -212,7 +218,7 @@ class _StereoBridge(ArmNode):
             "pairs": self._pairer.pairs,
             **dict(sorted(self.tally.counts.items())),
             **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
-            **{f"lost on the way: {s.name.lower()}": i.watch.lost for s, i in self._inlets.items()},
+            **{f"lost on the way: {s.name.lower()}": i.lost for s, i in self._inlets.items()},
             "calibration": self._calibration(),
             **{f"images {s.name.lower()}": i.reliability for s, i in self._inlets.items()},
         }

@@ -111,11 +111,14 @@ class _TrajectoryCompensator(ArmNode):
         return MotionLimits(*found)
 
     async def _serve(self, goal: Any) -> Any:
+        result = graph.FOLLOW.type.Result
         asked = goal.request.trajectory
         strange = set(asked.joint_names) - set(self._arm.joint_names)
-        why = self._not_now(asked)
-        if strange:
-            why = f"joints {sorted(strange)}; allowed: {', '.join(self._arm.joint_names)}"
+        why = (
+            self._not_now(asked)
+            if not strange
+            else f"joints {sorted(strange)}; allowed: " + (", ".join(self._arm.joint_names))
+        )
         made: CompensatedPath | None = None
         if not why:
             future = self._worker.ask(partial(self._compensated, goal.request))
@@ -123,22 +126,17 @@ class _TrajectoryCompensator(ArmNode):
         why = why or self._fresh.too_old(asked.header.stamp)
         if goal.is_cancel_requested:
             goal.canceled()
-            return graph.FOLLOW.type.Result(error_string="cancelled before anything was sent")
+            return result(error_string="cancelled before anything was sent")
         if why or made is None:
-            return self._refused(goal, why, strange=bool(strange))
+            self.tally.count("refused", why)
+            goal.abort()
+            code = result.INVALID_JOINTS if strange else result.INVALID_GOAL
+            return result(error_code=code, error_string=why)
         self._following += 1
         try:
             return await self._forward(goal, made)
         finally:
             self._following -= 1
-
-    def _refused(self, goal: Any, why: str, *, strange: bool = False) -> Any:
-        """Abort a goal that is not followed; ``strange``: because of its joints."""
-        self.tally.count("refused", why)
-        goal.abort()
-        result = graph.FOLLOW.type.Result
-        code = result.INVALID_JOINTS if strange else result.INVALID_GOAL
-        return result(error_code=code, error_string=why)
 
     def _not_now(self, asked: JointTrajectory) -> str:
         """Why nothing can be followed now; empty if it can."""
@@ -165,7 +163,12 @@ class _TrajectoryCompensator(ArmNode):
             out, lambda said: goal.publish_feedback(said.feedback)
         )
         if not sent.accepted:
-            return self._refused(goal, f"{self._controller} does not accept the goal")
+            goal.abort()
+            why = f"{self._controller} does not accept the goal"
+            self.tally.count("refused", why)
+            return graph.FOLLOW.type.Result(
+                error_code=graph.FOLLOW.type.Result.INVALID_GOAL, error_string=why
+            )
         if not self._driver.acknowledged:
             self._driver.went(made.timed.joints[1:], start)
         ended, asked = sent.get_result_async(), False

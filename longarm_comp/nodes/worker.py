@@ -287,16 +287,13 @@ class ServiceCaller:
             return int(handle.send_request(request))
 
     def answer(self, number: int, within_s: float) -> Any:
-        """The response to a request or to a later one, or None after ``within_s``.
-
-        Earlier responses are dropped.
-        """
+        """The response to a request, or None after ``within_s``. Earlier responses are dropped."""
         handle = self._client.handle
         end = time.monotonic() + within_s
         while True:
             with handle:
                 header, response = handle.take_response(self._client.srv_type.Response)
-                if header is not None and header.request_id.sequence_number >= number:
+                if header is not None and header.request_id.sequence_number == number:
                     return response
                 left = end - time.monotonic()
                 if header is None and left <= 0.0:

@@ -61,15 +61,13 @@ class Listener:
             name: np.array([[p.x, p.y, p.z] for p in marker.points]).reshape(-1, 3)
             for name, marker in lines.items()
         }
-        if not {"declared", "hanging"} <= points.keys():
-            return
-        declared, drawn = points["declared"], points["hanging"]
-        factor = _number(lines["hanging"].text)
+        declared, drawn = points.get("declared", _NONE), points.get("hanging", _NONE)
+        factor = _number(lines["hanging"].text) if "hanging" in lines else math.nan
         if declared.shape != drawn.shape or not len(drawn) or not factor > 0.0:
             return
         hanging = exaggerated(drawn, declared, 1.0 / factor)
         target, pseudo = (
-            points[name][0] if len(points.get(name, ())) else None
+            points[name][0] if len(points.get(name, _NONE)) else None
             for name in ("target", "pseudo_target")
         )
         self._heard(picture=Picture(declared, hanging, target, pseudo, time.monotonic()))
@@ -110,6 +108,7 @@ class Listener:
 
 _TOLD = {RING_SAID: "After the last move", LEARNED_SAID: "At work"}
 """Parts whose message the page repeats, and how it begins there."""
+_NONE = np.empty((0, 3))
 
 
 def _number(text: str) -> float:

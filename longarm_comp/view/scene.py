@@ -8,14 +8,12 @@ import numpy as np
 import viser
 
 from longarm_comp.core.model.link_frames import exaggerated
-from longarm_comp.nodes.drawing import DECLARED, HANGING, PSEUDO, TARGET, TIP
 from longarm_comp.view.words import PageState, Picture
 
-GREY, BLUE, GREEN, YELLOW, RED = np.uint8(
-    np.round(255.0 * np.array([DECLARED, HANGING, TARGET, PSEUDO, TIP])[:, :3])
+GREY, PALE = (150, 150, 150), (205, 205, 205)
+BLUE, GREEN, RED, ORANGE, YELLOW = (
+    *((30, 100, 220), (20, 150, 60), (200, 30, 40), (225, 120, 0), (210, 170, 0)),
 )
-"""The colours of `markers`."""
-PALE, ORANGE = (205, 205, 205), (225, 120, 0)
 _FAR = np.array([0.2, -0.9, 0.3])
 """Where the camera stands at the start, seen from the middle of the arm."""
 
@@ -95,9 +93,7 @@ class Scene:
             away = self._away * max(1.0, 1.0 / client.camera.aspect)
             client.camera.position, client.camera.look_at = self._middle + away, self._middle
 
-    def _line(
-        self, name: str, points: np.ndarray, colour: np.ndarray | tuple[int, int, int]
-    ) -> None:
+    def _line(self, name: str, points: np.ndarray, colour: tuple[int, int, int]) -> None:
         handle = self._handles[name]
         handle.points = np.stack([points[:-1], points[1:]], axis=1)
         handle.colors = np.array(colour, np.uint8)

@@ -56,7 +56,7 @@ class PlainPage:
     def __init__(self, buttons: Sequence[Button], press: Callable[[Button], None]) -> None:
         self.lines: Sequence[str] = ()
         self._press = press
-        key = _drawn()
+        key = secrets.token_urlsafe(24)
         self._buttons = {f"{PATH}/{key}/{k}": button for k, button in enumerate(buttons)}
 
     def answer(self, path: str) -> str | None:
