@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import NEVER_TOLD
+from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.model import NEVER_TOLD, Model
+from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.nodes.health import OK, WARN, Report
 
@@ -52,7 +54,9 @@ class ModelFiles:
             return True, "the arm as declared: no model.yaml is configured"
         try:
             model = load_model(self._path, self.arm)
-            kept = model.without_never_told()
+            kept = model.with_terms(
+                [t for t in model.terms if isinstance(t, Bias) or t.commandable]
+            )
             self._left_out = sorted({e.name for e in model.effects if e not in kept.effects})
             model = self._of_commands(kept)
             self.loaded = self.given = _LoadedModel(model, file_hash(self._path))

@@ -26,6 +26,7 @@ _KIND = "kind"
 INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
 """Names of the columns of an inclinometer; NaN where it gave no reading."""
 _TOLD = ("t_s", "temperature_c", "payload_kg")
+NEVER_TOLD = "(a circumstance that no command knows)"
 
 
 def is_told(name: str) -> bool:

@@ -11,10 +11,11 @@ import dataclasses
 
 import numpy as np
 
+from longarm_comp.core.arm.context import NEVER_TOLD
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
-from longarm_comp.core.model.model import NEVER_TOLD, Model
+from longarm_comp.core.model.model import Model
 
 MEASURING_SIDE = "(measuring side)"
 

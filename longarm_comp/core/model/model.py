@@ -66,9 +66,6 @@ class Slot:
         return term.with_values({name: up}), term.with_values({name: down})
 
 
-NEVER_TOLD = "(a circumstance that no command knows)"
-
-
 @dataclass(frozen=True)
 class Model:
     """An arm with its effects and the biases of what measures it.
@@ -176,10 +173,6 @@ class Model:
     def plus(self, *terms: Effect | Bias) -> Model:
         """A copy with further terms."""
         return self.with_terms([*self.terms, *terms])
-
-    def without_never_told(self) -> Model:
-        """Without the effects of circumstances that no command is told."""
-        return self.with_terms([*(e for e in self.effects if e.commandable), *self.biases])
 
     def told_by(self, context: Context) -> Model:
         """Without the effects that read a quantity which the context lacks; itself with all."""
