@@ -13,7 +13,7 @@ from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.data.commanded import as_commanded
-from longarm_comp.core.effects.camera_errors import CameraScale
+from longarm_comp.core.effects.camera_errors import CameraDrift, CameraScale
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.link_deflection import LinkDeflection
@@ -41,6 +41,7 @@ def test_a_model_without_what_nobody_told_is_itself_where_all_is_told(
 ) -> None:
     sways, still = models
     assert sways.told_by(Context.empty()).effects == still.effects
+    assert not still.plus(CameraDrift(x=1e-6)).told_by(Context.empty()).biases  # it needs the time
     assert sways.told_by(TOLD) is sways
     with pytest.raises(la.InputError, match="pump_bar"):
         sways.tip(sways.arm.mid)

@@ -175,10 +175,9 @@ class Model:
         return self.with_terms([*self.terms, *terms])
 
     def told_by(self, context: Context) -> Model:
-        """Without the effects that read a quantity which the context lacks; itself with all."""
-        if any(effect.missing(context) for effect in self.effects):
-            return self.with_terms([t for t in self.terms if not t.missing(context)])
-        return self
+        """Without the terms that read a quantity which the context lacks; itself with all."""
+        kept = [term for term in self.terms if not term.missing(context)]
+        return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
     # ------------------------------------------------------------------ predict
 

@@ -194,8 +194,10 @@ class _Search:
         return max((bank.pruned, bank.tolerance) for bank in every)
 
     def _whole(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> float:
-        """The same of all of the explanation: columns tell little of the arm without a large effect
-        in it."""
+        """Log evidence of all effects of an explanation that is fitted.
+
+        None is pruned: the columns say little of the arm without an effect that is large in it.
+        """
         return max(bank.standing for bank in self._offered(fitted, found, others=False))
 
     def _compared(
