@@ -17,6 +17,7 @@ from longarm_comp.core.effects.camera_errors import CameraDrift, CameraScale
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.model.link_frames import outline, reach
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
@@ -43,6 +44,8 @@ def test_a_model_without_what_nobody_told_is_itself_where_all_is_told(
     assert sways.told_by(Context.empty()).effects == still.effects
     assert not still.plus(CameraDrift(x=1e-6)).told_by(Context.empty()).biases  # it needs the time
     assert sways.told_by(TOLD) is sways
+    loose = still.plus(Backlash(joint=1, width=1e-3))
+    assert loose.told_by(Context.empty()) is loose  # an unknown side is in the middle of the play
     with pytest.raises(la.InputError, match="pump_bar"):
         sways.tip(sways.arm.mid)
 
