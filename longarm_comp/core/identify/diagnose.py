@@ -33,7 +33,7 @@ from longarm_comp.core.identify.posterior.explain import ExplainedSession, expla
 from longarm_comp.core.identify.posterior.offers import tolerances
 from longarm_comp.core.identify.practical import expected_commanded, least
 from longarm_comp.core.identify.proof import prove
-from longarm_comp.core.identify.structure import examine, with_unseen
+from longarm_comp.core.identify.structure import examine, with_left_out, with_unseen
 from longarm_comp.core.identify.wind_up import as_fitted, run_up, taken, with_run_ups
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -146,7 +146,7 @@ def diagnose(
         expected=expected,
         written=written,
         intervals=ends,
-        structure=with_unseen(structure, found.fit, held_out),
+        structure=with_unseen(with_left_out(structure, found.fit), found.fit, held_out),
         models=models,
         proof=prove(models, None if network is None else (final.model, network), held_out),
         network=network,

@@ -3,7 +3,8 @@
 It knows no physics: whatever moves the tip, or a joint, as some function of a joint, of a pair
 of joints, of the approach, temperature, time or payload shows here, whether the
 library has a name for it or not.  Besides: do poses that no fit has seen err by more than the
-noise?  That is said, and used for nothing.
+noise, or do the rows that the fit left out share a displacement?  That is said, and used for
+nothing.
 """
 
 from __future__ import annotations
@@ -308,6 +309,40 @@ def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure
         inputs=("held-out poses",),
         size_m=excess,
         sign="shows in the held-out poses",
+    )
+
+
+def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
+    """The structure, also where only the rows show it that the fit left out.
+
+    Gross errors have no direction in common: Hotelling's T-squared test of their mean, with the
+    noise as the least that they scatter.
+
+    Args:
+        structure: as it shows in the fitted rows.
+        fit: final.
+    """
+    out = fit.weights == 0
+    held = np.isfinite(fit.sigma) & fit.session.measured[out].all(axis=0)
+    count, width = int(out.sum()), int(held.sum())
+    if structure.flag or not 0 < width < count:
+        return structure
+    left = fit.residual[out][:, held]
+    white = left / fit.sigma[held]
+    scatter = np.cov(white, rowvar=False).reshape(width, width) + np.eye(width)
+    squared = count * white.mean(0) @ np.linalg.solve(scatter, white.mean(0))
+    ratio = (count - width) / (width * (count - 1)) * squared
+    p = float(fdtrc(width, count - width, ratio))
+    size = float(np.linalg.norm(left.mean(0) * metres(fit.model, fit.session)[held]))
+    if p > SIGNIFICANT or size < smallest(fit):
+        return structure
+    return dataclasses.replace(
+        structure,
+        flag=True,
+        p_value=p,
+        inputs=("rows left out",),
+        size_m=size,
+        sign=f"is shared by the {count} rows that no fit explains",
     )
 
 

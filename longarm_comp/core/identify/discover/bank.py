@@ -36,10 +36,9 @@ from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.identify.discover.functions import FunctionFamily, FunctionGroup, Functions
 from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
 from longarm_comp.core.identify.posterior.offers import AMPLITUDES
+from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.model.model import slots_of
 
-RARE = 3.0
-"""Log odds against a quantity that a cause is not likely to depend on."""
 MOST_ROWS = 350
 """Rows of the first look: they tell a function apart; the best are weighed on all."""
 SHORTLIST = 60
@@ -239,7 +238,7 @@ class Bank:
     def _prior(self, group: FunctionGroup) -> float:
         """Log prior of a group of functions at one component; half is for components alone."""
         alike = 2.0 * self.functions.counts[group.family] * len(self.places)
-        return -math.log(len(FunctionFamily) * alike) - RARE * group.rare
+        return -math.log(len(FunctionFamily) * alike) - NONE * group.rare
 
 
 def _by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -311,10 +310,6 @@ def _top(table: np.ndarray) -> list[tuple[int, int]]:
     return [divmod(int(i), table.shape[1]) for i in np.sort(few) if np.isfinite(flat[i])]
 
 
-_STILL = 1e-12
-"""Motion (m, rad) by a unit below which a component does nothing there."""
-
-
 def banks(fit: ModelFit) -> tuple[Bank, ...]:
     """Candidates of the arm's side and, where positions are seen, of the camera's."""
     arm, rows = fit.model.arm, fit.session
@@ -364,7 +359,8 @@ def _units(fit: ModelFit, terms: list[Effect | Bias]) -> tuple[np.ndarray, np.nd
     """(N, d, K) motion by a unit of each term that moves anything, and which do, (K,)."""
     slots = slots_of(fit.model.arm, terms)
     columns = equations(fit.model, fit.session, fit.posture, slots).columns
-    moving = np.abs(columns).max(axis=(0, 1)) > _STILL
+    largest = np.abs(columns).max(axis=(0, 1))
+    moving = largest > np.finfo(float).eps * largest.max(initial=0.0)
     return columns[..., moving], moving
 
 

@@ -72,7 +72,8 @@ class FunctionGroup:
         family: kind.
         functions: numbers of the functions.
         decay: of their priors, against the first.
-        rare: number of quantities that a cause is not likely to depend on.
+        rare: number of quantities that a cause is not likely to depend on; each has the odds of
+            an effect that is not there (`NONE`).
     """
 
     family: FunctionFamily
