@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import compensate
+from longarm_comp.core.compensation.compensate import compensate_many
 from longarm_comp.core.compensation.realisable import Lattice, Predict, choose
 from longarm_comp.core.model.model import Model
 
@@ -25,19 +24,9 @@ def stacked(rows: Sequence[Any]) -> SimpleNamespace:
     return SimpleNamespace(**made, rows=list(rows))
 
 
-def compensate_many(
-    model: Model, predictor: Any, targets: np.ndarray, *, context: Context | None = None,
-    seed: Any = None, **options: Any,
-) -> SimpleNamespace:  # fmt: skip
-    """`compensate` for each of N targets; ``context`` and ``seed`` may be of each."""
-    given, starts = context or Context.empty(), None if seed is None else np.asarray(seed, float)
-    made = stacked([
-        compensate(
-            model, predictor, target, context=given.take(k),
-            seed=starts[k] if starts is not None and starts.ndim == 2 else starts, **options,
-        )
-        for k, target in enumerate(targets)
-    ])  # fmt: skip
+def compensated(model: Model, predictor: Any, targets: np.ndarray, **given: Any) -> SimpleNamespace:
+    """What `compensate_many` answers, as arrays."""
+    made = stacked(compensate_many(model, predictor, targets, **given))
     made.success = np.array([row.success for row in made.rows])
     return made
 

@@ -42,7 +42,7 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import ServoQuantisation
 from longarm_comp.workflows.train import training_rows
 from studies.extra import extra
-from studies.many import compensate_many
+from studies.many import compensated
 from studies.peers import train_gaussian_process
 from studies.random_arms import Mix, paper_mix, random_arm
 from studies.simulated import measure_session
@@ -290,7 +290,7 @@ class Bench:
             tuple(self.side for _ in range(arm.n)),
             {"temperature_c": self.temperature_c, "payload_kg": self.payload_kg},
         )
-        sent = compensate_many(
+        sent = compensated(
             model, predictor, self.poses, context=known, seed=self.seed_q,
             method=setting.method, position_only=not whole_poses,
             single_pass=setting.single_pass, realisable=setting.realisable,

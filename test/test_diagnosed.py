@@ -87,9 +87,7 @@ def test_rows_left_out_that_share_a_displacement_are_no_noise(shared: bool) -> N
     gross = 3e-3 * ways / np.linalg.norm(ways, axis=1, keepdims=True)
     xyz = rows.xyz.copy()
     xyz[7::12] += [1e-3, -2e-3, 2e-3] if shared else gross
-    found = diagnose(
-        ARM, dataclasses.replace(rows, xyz=xyz), test=session(n=40, seed=9), kinds=()
-    )
+    found = diagnose(ARM, dataclasses.replace(rows, xyz=xyz), test=session(n=40, seed=9), kinds=())
     assert found.verdict == ("unknown" if shared else "noise")
     assert ("shared by the 10 rows" in found.summary) is shared
     if shared:

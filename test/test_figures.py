@@ -49,6 +49,17 @@ def test_a_row_is_that_of_its_command_and_the_others_stay() -> None:
     assert [line.split(" | ")[1] for line in changed] == ["7", "8", "0.25"]
 
 
+@pytest.mark.parametrize("what", figures.SUMMARY)
+def test_a_row_is_one_that_its_command_prints(what: str) -> None:
+    """Its words stand in the study, or in the job, as they do here."""
+    command, figure = figures.SUMMARY[what]
+    words = figures.COMMANDS[command].split()
+    places = ROOT.glob("studies/**/*.py" if words[0] == "study" else "longarm_comp/jobs/*.py")
+    assert any(f'"{figure.value}' in place.read_text("utf-8") for place in places)
+    with pytest.raises(ValueError, match="no row"):
+        figure.of({figure.among: [{figure.name: "another"}]})
+
+
 def test_a_command_runs_once_on_one_state_of_the_code(tmp_path: Path) -> None:
     """The command appends to a file: how often it ran."""
     script = tmp_path / "longarm.py"

@@ -25,7 +25,7 @@ from longarm_comp.core.learn.predictor import Expansion, Nearby, Prediction
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.compensate import Commands
-from studies.many import compensate_many
+from studies.many import compensated
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +76,8 @@ def test_commands_stand_on_steps_and_the_tip_on_its_target(
     model: Model, joints: np.ndarray
 ) -> None:
     targets = model.tip(joints)
-    plain = compensate_many(model, None, targets, realisable=False, method=Method.DEFLECTION)
-    made = compensate_many(model, None, targets, method=Method.DEFLECTION)
+    plain = compensated(model, None, targets, realisable=False, method=Method.DEFLECTION)
+    made = compensated(model, None, targets, method=Method.DEFLECTION)
     assert made.success.all()
     assert off_steps(model, made.command) < 1e-6 < off_steps(model, plain.command)
     np.testing.assert_allclose(made.ideal, plain.ideal, rtol=0, atol=1e-12)

@@ -12,11 +12,14 @@ from small_arm import ARM, measured
 
 import longarm_comp as la
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.quaternion import from_rotation
 from longarm_comp.core.compensation.target_frame import placement
+from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.sessions.csv import write_csv
+from longarm_comp.sessions.targets import Targets
 
 AWAY = BasePose(x=2.0, y=-1.0, z=0.5, rx=0.1, ry=0.2, rz=1.1)
 NEAR = BasePose(x=0.004, rz=0.005)
@@ -39,6 +42,29 @@ def test_each_frame_brings_the_tip_where_it_says() -> None:
     pose = Model(ARM).pose(ARM.mid)
     (turned,) = la.compensate(model, pose, frame="base", seed=ARM.mid + 0.02)
     np.testing.assert_allclose(model.pose(turned.command)[:3, :3], turned.target[:3, :3], atol=1e-6)
+
+
+def test_targets_of_both_kinds_are_each_by_itself(rng: np.random.Generator) -> None:
+    """Positions and poses in turn, each with its own payload, and one of the arm's own frame."""
+    model = Model(ARM, (AWAY, JointCompliance(1, 2e-3)))
+    q = ARM.mid + 0.2 * (ARM.upper - ARM.mid) * rng.uniform(-1.0, 1.0, (8, ARM.n))
+    kg = np.linspace(0.0, 3.0, 8)
+    poses = model.pose(q, Context(columns={"payload_kg": kg}))
+    turns = np.array([from_rotation(pose[:3, :3]) for pose in poses])
+    turns[::2] = np.nan
+    frames = ("measured",) * 7 + ("base",)
+    given = Targets(
+        np.arange(8), poses[:, :3, 3], turns, np.zeros(8), {"payload_kg": kg}, frame=frames
+    )
+    many = la.compensate(model, given, seed=q)
+    np.testing.assert_allclose(many.command[1:-1:2], q[1:-1:2], atol=1e-7)
+    for k, each in enumerate(many):
+        target = poses[k] if k % 2 else poses[k, :3, 3]
+        context = Context(columns={"payload_kg": kg[k]})
+        one = la.compensate(model, target, frame=frames[k], context=context, seed=q[k])[0]
+        np.testing.assert_allclose(each.command, one.command, atol=1e-8)
+        assert (each.status, each.reason) == (one.status, one.reason)
+        assert each.expected_m == pytest.approx(one.expected_m, nan_ok=True)
 
 
 def test_where_it_matters_and_nobody_said_it_both_are_offered() -> None:

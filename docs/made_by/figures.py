@@ -15,7 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from longarm_comp.core.files import write_text
 
@@ -187,25 +187,32 @@ def placed(page: str, name: str, made: str) -> str:
     return page[: found.start()] + mark + "\n" + made + page[found.end() :]
 
 
-def first(name: str, key: str, value: str, among: str = "rows") -> Callable[[Any], float]:
-    """A figure of the row whose ``name`` is a value."""
+class Figure(NamedTuple):
+    """One figure of what a command prints: a key of the row whose ``name`` is a value."""
 
-    def figure(found: Any) -> float:
-        return float(next(row[key] for row in found[among] if row[name] == value))
+    name: str
+    key: str
+    value: str
+    among: str = "rows"
 
-    return figure
+    def of(self, found: Any) -> float:
+        """The figure. Raises ValueError where there is no such row."""
+        for row in found[self.among]:
+            if row[self.name] == self.value:
+                return float(row[self.key])
+        raise ValueError(f"no row whose {self.name} is {self.value!r}")
 
 
-SUMMARY: dict[str, tuple[str, Callable[[Any], float]]] = {
+SUMMARY: dict[str, tuple[str, Figure]] = {
     "**Demonstration**: true mean error over the ROS graph, uncompensated, mm": (
-        "demo", first("model", "true_mean_mm", "original")),
+        "demo", Figure("model", "true_mean_mm", "original")),
     "Demonstration, with the declared deflection, mm": (
-        "demo", first("model", "true_mean_mm", "declared")),
+        "demo", Figure("model", "true_mean_mm", "declared")),
     "Demonstration, with the effects that the diagnosis found, mm": (
-        "demo", first("model", "true_mean_mm", "effect found")),
+        "demo", Figure("model", "true_mean_mm", "effect found")),
     **{
         f"**{title}**, held-out mean error, {model.replace('_', ' ')} (published {known}), mm": (
-            "real", first("model", "mean_mm", model, robot))
+            "real", Figure("model", "mean_mm", model, robot))
         for title, robot, model, known in (
             ("DLR Justin", "dlr_justin", "rigid", 10.5),
             ("DLR Justin", "dlr_justin", "joint_compliance", 5.64),
@@ -215,17 +222,17 @@ SUMMARY: dict[str, tuple[str, Callable[[Any], float]]] = {
         )
     },
     "**Table I**, 4 simulated arms really commanded, mean abs. z: original (paper 17.7), mm": (
-        "table1", first("row", "mean_abs_z_mm", "original error")),
+        "table1", Figure("row", "mean_abs_z_mm", "Original error")),
     "Table I, calibrated + effects, 300 samples (the paper's best: 5.3, with 900), mm": (
-        "table1", first("row", "mean_abs_z_mm", "calibrated + effects, 300")),
+        "table1", Figure("row", "mean_abs_z_mm", "Calibrated + effects, 300")),
     "**A day of work**, wear, warmth and payloads, mean 3-D error: calibrated once, mm": (
-        "day", first("commanded", "mean_mm", "calibrated once")),
+        "day", Figure("commanded", "mean_mm", "calibrated once")),
     "A day of work, learning at work, mm": (
-        "day", first("commanded", "mean_mm", "learning at work")),
+        "day", Figure("commanded", "mean_mm", "learning at work")),
     "**Single hidden effects**: right name, or a set with it": (
-        "loop single", first("measure", "share", "right name, or a set with it", "summary")),
+        "loop single", Figure("measure", "share", "right name, or a set with it", "summary")),
     "Nothing hidden: an effect added": (
-        "loop none", first("measure", "share", "adds an effect", "summary")),
+        "loop none", Figure("measure", "share", "adds an effect", "summary")),
 }  # fmt: skip
 """Rows of `docs/figures.md`: the command that prints each, and which of its figures."""
 
@@ -237,7 +244,7 @@ def summed_up(page: str, results: dict[str, Any]) -> str:
         if row.search(page) is None:
             raise ValueError(f"docs/figures.md has no row {what!r}")
         if name in results:
-            page = row.sub(f"| {what} | {cell(figure(results[name]))} |", page)
+            page = row.sub(f"| {what} | {cell(figure.of(results[name]))} |", page)
     return page
 
 

@@ -16,10 +16,12 @@ from numpy.typing import ArrayLike
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.arrive import Arrival, compensate_move
+from longarm_comp.core.compensation.arrive import Arrival, compensate_apart, compensate_move
+from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Compensation, CompensationOptions, Method, Status
 from longarm_comp.core.compensation.target_frame import Placement, placement
+from longarm_comp.core.compensation.unknown import history_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
@@ -183,27 +185,48 @@ def compensate(
     if predictor is not None:
         check_predictor(predictor, model, "compensate")
     chosen = method_of(method, predictor)
-    goals, contexts, numbers = goals_of(model, targets, context)
+    goals, told, numbers = goals_of(model, targets, context)
+    contexts = told.each(len(goals))
     placements = placements_of(model, targets, goals, contexts, frame or "")
     starts = None if seed is None else np.asarray(seed, dtype=float)
     if starts is not None and starts.ndim == 2 and len(starts) != len(goals):
         allowed = f"one row or {len(goals)}"
         raise InputError("compensate", "seed", f"{len(starts)} rows", allowed)
     options = CompensationOptions(chosen, locked, run_up, realisable, **settling)
-    at, came = (None, History.unknown(model.arm.n)) if history is None else last(history, model)
-    arrivals = []
-    for k, (goal, placed) in enumerate(zip(goals, placements, strict=True)):
-        sides = _sides(contexts[k], model.arm.n)
+    seeds = np.broadcast_to(starts, (len(goals), model.arm.n)) if starts is not None else None
+    to = [placed.carried(goal) for placed, goal in zip(placements, goals, strict=True)]
+    unknown = History.unknown(model.arm.n)
+    arrivals: list[Arrival] = []
+    if history is None and not (
+        any(map(np.any, told.approach)) or history_joints(physics_of(model, chosen))
+    ):
+        kinds = np.array([goal.ndim for goal in goals])
+        made: dict[int, Arrival] = {}
+        for kind in np.unique(kinds):
+            ids = np.flatnonzero(kinds == kind)
+            apart = compensate_apart(
+                model,
+                predictor,
+                np.array([to[k] for k in ids]),
+                after(told.take(ids), unknown),
+                seed=None if seeds is None else seeds[ids],
+                position_only=position_only,
+                options=options,
+            )
+            made |= zip(ids.tolist(), apart, strict=True)
+        return Commands(numbers, tuple(made[k] for k in range(len(to))), placements)
+    at, came = (None, unknown) if history is None else last(history, model)
+    for k, target in enumerate(to):
         arrival = compensate_move(
             model,
             predictor,
-            placed.carried(goal),
+            target,
             start=at,
             history=came,
             context_after=partial(after, contexts[k]),
-            sides=sides,
-            seed=starts[k] if starts is not None and starts.ndim == 2 else starts,
-            position_only=position_only or goal.ndim == 1,
+            sides=_sides(contexts[k], model.arm.n),
+            seed=None if seeds is None else seeds[k],
+            position_only=position_only or target.ndim == 1,
             options=options,
         )
         arrivals.append(arrival)
@@ -279,17 +302,16 @@ def method_of(given: Method | str | None, predictor: Predictor | None) -> Method
 
 def goals_of(
     model: Model, targets: ArrayLike | Targets, context: Context | None
-) -> tuple[list[np.ndarray], list[Context], np.ndarray]:
-    """Positions (3,) or poses (4, 4), the circumstances of each, and their numbers."""
+) -> tuple[list[np.ndarray], Context, np.ndarray]:
+    """Positions (3,) or poses (4, 4), the circumstances of all, and their numbers."""
     if isinstance(targets, Targets):
         if context is not None:
             raise InputError("compensate", "context", "given", "None: the targets have their own")
-        all_contexts = targets.context(model.arm.n)
         goals = [
             xyz if np.isnan(turn[0]) else quaternion.pose(xyz, turn)
             for xyz, turn in zip(targets.xyz, targets.quaternion, strict=True)
         ]
-        return goals, all_contexts.each(len(targets)), targets.index
+        return goals, targets.context(model.arm.n), targets.index
     try:
         given = np.asarray(targets, dtype=float)
     except (TypeError, ValueError) as error:
@@ -298,8 +320,7 @@ def goals_of(
     if given.ndim not in (2, 3) or given.shape[1:] not in ((3,), (4, 4)) or not len(given):
         allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"
         raise InputError("compensate", "targets", f"shape {given.shape}", allowed)
-    all_contexts = context or Context.empty()
-    return list(given), all_contexts.each(len(given)), np.arange(len(given))
+    return list(given), context or Context.empty(), np.arange(len(given))
 
 
 def _line(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:

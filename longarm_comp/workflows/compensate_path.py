@@ -94,8 +94,8 @@ def compensate_path(
     if predictor is not None:
         check_predictor(predictor, model, "compensate")
     chosen = points.method_of(method, predictor)
-    goals, contexts, numbers = points.goals_of(model, path, context)
-    placements = points.placements_of(model, path, goals, contexts, frame or "")
+    goals, told, numbers = points.goals_of(model, path, context)
+    placements = points.placements_of(model, path, goals, told.each(len(goals)), frame or "")
     if len({goal.ndim for goal in goals}) > 1:
         raise InputError("path", "qx", "at some way-points", "at every way-point or at none")
     if times is None and isinstance(path, Targets):
@@ -106,7 +106,6 @@ def compensate_path(
                     _each(max_acceleration, n, "max_acceleration"))  # fmt: skip
     start, came = (None, History.unknown(n)) if history is None else points.last(history, model)
     first = start if seed is None else np.asarray(seed, float)
-    told = path.context(n) if isinstance(path, Targets) else context or Context.empty()
     found = solve_path(
         model, predictor,
         PlannedPath(carried, None if times is None else np.asarray(times, float)),

@@ -14,7 +14,12 @@ import numpy as np
 from longarm_comp.core.arm.context import Context, stacked
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import Move, plan_move, wanted_sides
-from longarm_comp.core.compensation.compensate import compensate, lattice_of, physics_of
+from longarm_comp.core.compensation.compensate import (
+    compensate,
+    compensate_many,
+    lattice_of,
+    physics_of,
+)
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import (
     Compensation,
@@ -114,6 +119,34 @@ def compensate_move(
         arrived = history.after(move.points, start)
         context = context_after(arrived)
     return Arrival(outcome, move, context, arrived)
+
+
+def compensate_apart(
+    model: Model,
+    predictor: ResidualPredictor | None,
+    targets: np.ndarray,
+    context: Context,
+    *,
+    seed: np.ndarray | None,
+    position_only: bool,
+    options: CompensationOptions,
+) -> list[Arrival]:
+    """N targets by themselves, of an arm on which no way to them matters, from wherever it stands.
+
+    Args:
+        targets: (N, 3) m or (N, 4, 4), base frame.
+        context: of all or of each; no joint's history is known.
+        seed: (n,) or (N, n) start of the search; default mid-range.
+    """
+    still, unknown = np.zeros(model.arm.n), History.unknown(model.arm.n)
+    found = compensate_many(
+        model, predictor, targets, context=context, seed=seed, position_only=position_only,
+        **vars(options),
+    )  # fmt: skip
+    return [
+        Arrival(outcome, Move(outcome.command, None, still, still > 0), at, unknown)
+        for outcome, at in zip(found, context.each(len(found)), strict=True)
+    ]
 
 
 def _chosen(

@@ -10,8 +10,7 @@ repeated until the expected error at the new joints is the one that was correcte
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,6 +79,23 @@ def compensate(
     model: Model,
     predictor: ResidualPredictor | None,
     target: np.ndarray | Frame,
+    **given: Any,
+) -> Compensation:
+    """Joints that bring the *real* tip to one target, (3,) m, (4, 4) or `Frame`, base frame.
+
+    As `compensate_many`; ``context_at`` may give the circumstances at joints (M, n), where the way
+    there depends on the joints: the choice among the steps judges each command in its own.
+    """
+    one = target.matrix() if isinstance(target, Frame) else np.asarray(target, dtype=float)
+    if one.shape not in ((3,), (4, 4)):
+        raise InputError("compensate", "target", f"shape {one.shape}", "shape (3,) or (4, 4)")
+    return compensate_many(model, predictor, one[None], **given)[0]
+
+
+def compensate_many(
+    model: Model,
+    predictor: ResidualPredictor | None,
+    targets: np.ndarray,
     *,
     context: Context | None = None,
     seed: np.ndarray | None = None,
@@ -87,17 +103,16 @@ def compensate(
     doubtful: np.ndarray | None = None,
     context_at: _ContextAt | None = None,
     **options: Any,
-) -> Compensation:
-    """Joints that bring the *real* tip to one target.
+) -> list[Compensation]:
+    """Joints that bring the *real* tip to each of N targets, each by itself.
 
     Args:
         predictor: the learned residual of the model that the method uses.
-        target: position (3,) in m, or pose (4, 4) or `Frame`, base frame.
-        context: circumstances in which the arm will stand.
-        seed: (n,) current joints; default mid-range.
+        targets: positions (N, 3) in m, or poses (N, 4, 4), base frame.
+        context: circumstances in which the arm will stand, of all or of each.
+        seed: (n,) or (N, n) current joints; default mid-range.
         doubtful: (n,) joints whose side of arrival the context tells, but not for certain.
-        context_at: circumstances at joints (M, n), where the way there depends on the joints; the
-            choice among the steps judges each command in its own. Default: ``context`` for all.
+        context_at: of one target only, see `compensate`. Default: ``context``.
         options: of `CompensationOptions`.
 
     Returns:
@@ -106,13 +121,10 @@ def compensate(
         good the command is.  Where the history of the joints is not known and the tip depends on
         it, `reason` says how much that is of it.
     """
-    given = target.matrix() if isinstance(target, Frame) else np.asarray(target, dtype=float)
-    if given.shape not in ((3,), (4, 4)):
-        raise InputError("compensate", "target", f"shape {given.shape}", "shape (3,) or (4, 4)")
-    return _Target(
-        model, predictor, given, (context or Context.empty()).take(0),
-        ik.checked_seed(model, seed, 1, "compensate")[0], position_only or given.ndim == 1,
-        doubtful, context_at, CompensationOptions(**options),
+    return _Targets(
+        model, predictor, targets, context or Context.empty(),
+        ik.checked_seed(model, seed, len(targets), "compensate"),
+        position_only or targets.ndim == 2, doubtful, context_at, CompensationOptions(**options),
     ).reach()  # fmt: skip
 
 
@@ -158,122 +170,159 @@ def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
 
 
 @dataclass
-class _Target:
-    """One target on its way: ideal joints, then passes of the pseudo-target."""
+class _Targets:
+    """N targets on their way: ideal joints, then passes of the pseudo-target."""
 
     whole: Model
     predictor: ResidualPredictor | None
     target: np.ndarray
     context: Context
-    seed: np.ndarray
+    q: np.ndarray
     position_only: bool
     doubtful: np.ndarray | None
     context_at: _ContextAt | None
     options: CompensationOptions
 
     def __post_init__(self) -> None:
-        self.method = self.options.method
-        self.model = physics_of(self.whole, self.method)
-        self.ideal = self.q = self.seed
-        self.error, self.sigma = np.zeros(3), np.full(3, np.nan)
-        self.inside, self.passes = False, 0
+        count, self.method = len(self.target), self.options.method
+        self.model, self.ideal = physics_of(self.whole, self.method), self.q.copy()
+        self.error, self.sigma = np.zeros((count, 3)), np.full((count, 3), np.nan)
+        self.inside, self.passes = np.zeros(count, bool), np.zeros(count, int)
+        self.status, self.reason = [Status.SUCCESS] * count, [""] * count
 
-    def reach(self) -> Compensation:
-        """Solve for the target, then correct for the expected error until it settles."""
-        fault = ik.target_faults(self.target[None], self.position_only, "compensate")[0]
-        if fault:
-            return self._ended(Status.BAD_TARGET, fault)
-        lacking = missing_column(self.model, self.context)
-        if lacking:
-            return self._ended(Status.STALE_CONTEXT, lacking)
-        found = self._search(self.target, self.options.starts)
-        self.ideal = self.q = found.q
-        if not found.ok:
-            why = other_unit(ik.position_of(self.target), *reach(self.model))
-            return self._ended(Status.UNREACHABLE, why or missed("target", found))
-        if not self.method.learned:
-            return self._ended(Status.SUCCESS)
-        if self.predictor is None:
-            return self._ended(Status.NO_PREDICTOR, NO_PREDICTOR)
-        return self._correct(self.predictor)
+    def reach(self) -> list[Compensation]:
+        """Solve for the targets, then correct for the expected error until it settles."""
+        ids = np.arange(len(self.target))
+        faults = ik.target_faults(self.target, self.position_only, "compensate")
+        ids = self._without(ids, Status.BAD_TARGET, {k: f for k, f in enumerate(faults) if f})
+        if lacking := missing_column(self.model, self.context):
+            ids = self._without(ids, Status.STALE_CONTEXT, dict.fromkeys(ids.tolist(), lacking))
+        failed = self._searched(ids, self.target, self.options.starts)
+        self.ideal[ids] = self.q[ids]
+        ids = self._without(ids, Status.UNREACHABLE, {
+            k: other_unit(ik.position_of(self.target[k]), *reach(self.model))
+            or missed("target", found)
+            for k, found in failed.items()
+        })  # fmt: skip
+        if self.method.learned and self.predictor is not None:
+            self._correct(self.predictor, ids)
+        elif self.method.learned:
+            self._without(ids, Status.NO_PREDICTOR, dict.fromkeys(ids.tolist(), NO_PREDICTOR))
+        return self._ended()
 
-    def _correct(self, predictor: ResidualPredictor) -> Compensation:
+    def _without(self, ids: np.ndarray, status: Status, why: Mapping[int, str]) -> np.ndarray:
+        """The targets that go on; some have ended, each for its reason."""
+        for k, reason in why.items():
+            self.status[k], self.reason[k] = status, reason
+        return ids[~np.isin(ids, list(why))] if why else ids
+
+    def _correct(self, predictor: ResidualPredictor, ids: np.ndarray) -> None:
         options = self.options
-        while True:
-            expected = predictor.predict(self.q[None], self.context)
-            before, self.error = self.error, np.asarray(expected.error[0], float)
-            self.sigma = np.asarray(expected.sigma[0], float)
-            size = math.sqrt(self.error @ self.error)
-            self.inside = bool(expected.in_domain[0]) and math.isfinite(size)
-            if not self.inside:
-                return self._ended(Status.OUT_OF_DOMAIN, outside(*expected.reason[:1]))
-            if size > options.max_correction_m:
-                return self._ended(Status.CORRECTION_TOO_LARGE, options.too_large(size))
-            if self.passes and math.dist(self.error, before) <= options.tol_m:
-                return self._ended(Status.SUCCESS)
-            if self.passes == options.max_passes:
-                return self._ended(Status.NOT_CONVERGED, options.unsettled)
-            self.passes += 1
+        while ids.size:
+            expected, before = predictor.predict(self.q[ids], self._at(ids)), self.error.copy()
+            self.error[ids], self.sigma[ids] = expected.error, expected.sigma
+            size, moved = (np.linalg.norm(e, axis=1) for e in (self.error, self.error - before))
+            self.inside[ids] = expected.in_domain & np.isfinite(size[ids])
+            said = expected.reason or [""] * len(ids)
+            ids = self._without(ids, Status.OUT_OF_DOMAIN, {
+                k: outside(reason)
+                for k, reason in zip(ids.tolist(), said, strict=True) if not self.inside[k]
+            })  # fmt: skip
+            large = ids[size[ids] > options.max_correction_m].tolist()
+            why = {k: options.too_large(size[k]) for k in large}
+            ids = self._without(ids, Status.CORRECTION_TOO_LARGE, why)
+            ids = ids[(self.passes[ids] == 0) | (moved[ids] > options.tol_m)]
+            late = ids[self.passes[ids] == options.max_passes].tolist()
+            ids = self._without(ids, Status.NOT_CONVERGED, dict.fromkeys(late, options.unsettled))
+            self.passes[ids] += 1
             # A pseudo-target lies next to its target: look near its joints only
-            found = self._search(shifted(self.target, self.error), min(self.options.starts, 3))
-            if not found.ok:
-                return self._ended(Status.UNREACHABLE, missed("pseudo-target", found))
-            self.q = found.q
+            pseudo = shifted(self.target, self.error)
+            failed = self._searched(ids, pseudo, min(options.starts, 3))
+            why = {k: missed("pseudo-target", found) for k, found in failed.items()}
+            ids = self._without(ids, Status.UNREACHABLE, why)
             if options.single_pass:
-                return self._ended(Status.SUCCESS)
+                return
 
-    def _search(self, to: np.ndarray, starts: int) -> ik.Solution:
-        return ik.solve(
-            self.model, to, seed=self.q, context=self.context, position_only=self.position_only,
-            locked=self.options.locked, max_starts=starts,
-        )  # fmt: skip
+    def _searched(self, ids: np.ndarray, to: np.ndarray, starts: int) -> dict[int, ik.Solution]:
+        """Take the joints that bring the tip to some of (N, ...) places; which fail, and how."""
+        given: dict[str, Any] = {
+            "position_only": self.position_only, "locked": self.options.locked,
+            "max_starts": starts,
+        }  # fmt: skip
+        if len(ids) == 1:  # quicker than many of one
+            k = int(ids[0])
+            one = ik.solve(self.model, to[k], seed=self.q[k], context=self._at(ids), **given)
+            self.q[k] = one.q
+            return {} if one.ok else {k: one}
+        if not ids.size:
+            return {}
+        found = ik.solve_many(self.model, to[ids], seed=self.q[ids], context=self._at(ids), **given)
+        self.q[ids] = found.q
+        return {int(ids[i]): found[i] for i in np.flatnonzero(~found.ok).tolist()}
 
-    def _ended(self, status: Status, reason: str = "") -> Compensation:
-        alone, chosen = status.physics_only, None
-        command = self.q if status is Status.SUCCESS else self.ideal
+    def _at(self, ids: Sequence[int] | np.ndarray) -> Context:
+        """The circumstances of some of the targets."""
+        return self.context.take(np.asarray(ids) if len(ids) > 1 else int(ids[0]))
+
+    def _ended(self) -> list[Compensation]:
+        ended = np.array(self.status)
+        alone, sent = (np.isin(ended, kinds) for kinds in (_ALONE, [Status.SUCCESS]))
+        applied = np.where(alone[:, None], 0.0, self.error)
+        command = np.where(sent[:, None], self.q, self.ideal)
         lattice = lattice_of(self.whole, self.options.realisable)
-        if status.success and lattice and not self.options.single_pass:
-            chosen = self._chosen(lattice, command, status)
-            command = chosen.joints
-            reason = "; ".join(filter(None, (reason, chosen.note)))
-        applied = np.zeros(3) if alone else self.error
+        chosen: dict[int, Realisable] = {}
+        if lattice and not self.options.single_pass:
+            for k in np.flatnonzero(sent | alone).tolist():
+                chosen[k] = self._chosen(lattice, command[k], k, learned=bool(sent[k]))
+                command[k] = chosen[k].joints
+                applied[k] = self.error[k] * sent[k]
+                self.reason[k] = "; ".join(filter(None, (self.reason[k], chosen[k].note)))
         pseudo = shifted(self.target, applied)
-        if status.success:
-            sigma = self.sigma if self.method.learned and not alone else None
-            place = ik.position_of(pseudo)
+        left, sizes = np.full(self.error.shape, np.nan), np.full((2, len(ended)), np.nan)
+        for these, learned in ((sent, self.method.learned), (alone, False)):
+            ids = np.flatnonzero(these)
+            if not ids.size:
+                continue
+            of = ids if len(ids) > 1 else ids[0]  # one is quicker than an array of one
             miss, inside, doubts = judged(
-                self.whole, self.method, command, self.context, place, sigma, self.doubtful
-            )
-            if status is Status.OUT_OF_DOMAIN and inside:
-                status = Status.SUCCESS
-            reason = "; ".join(filter(None, (reason, *doubts)))
-        else:
-            miss = ExpectedMiss(np.zeros(3), np.full((3, 3), np.nan))
-        return Compensation(
-            self.target, self.ideal, applied, miss.sigma, self.inside, pseudo, command,
-            self.passes, status, reason, chosen, miss.expected_m, miss.p90_m,
+                self.whole, self.method, command[of], self._at(ids),
+                ik.position_of(pseudo)[of], self.sigma[of] if learned else None, self.doubtful,
+            )  # fmt: skip
+            left[ids], sizes[:, ids] = miss.sigma, np.reshape(miss.sizes, (2, -1))
+            for k, known, doubt in zip(ids.tolist(), np.atleast_1d(inside), doubts, strict=True):
+                if known and self.status[k] is Status.OUT_OF_DOMAIN:
+                    self.status[k] = Status.SUCCESS
+                self.reason[k] = "; ".join(filter(None, (self.reason[k], doubt)))
+        columns = (
+            self.target, self.ideal, applied, left, self.inside.tolist(), pseudo, command,
+            self.passes.tolist(), self.status, self.reason, map(chosen.get, range(len(ended))),
+            *sizes.tolist(),
         )  # fmt: skip
+        return [Compensation(*each) for each in zip(*columns, strict=True)]
 
-    def _chosen(self, lattice: Lattice, joints: np.ndarray, status: Status) -> Realisable:
+    def _chosen(self, lattice: Lattice, joints: np.ndarray, k: int, *, learned: bool) -> Realisable:
         """Realisable joints in place of some; what is learned is looked up again where they are."""
-        learned = self.predictor if self.method.learned and not status.physics_only else None
-        context_at = self.context_at or (lambda _: self.context)
+        predictor = self.predictor if self.method.learned and learned else None
+        context_at = self.context_at or (lambda _: self._at([k]))
 
         def tip(q: np.ndarray) -> np.ndarray:
             poses = tip_poses(self.model, q, context_at(q))
-            if learned is not None:
-                poses[:, :3, 3] += learned.predict(q, self.context).error
+            if predictor is not None:
+                poses[:, :3, 3] += predictor.predict(q, self._at([k])).error
             return poses
 
-        free = self.position_only and self.target.ndim == 2
-        target = self.target[:3, 3] if free else self.target
+        free = self.position_only and self.target.ndim == 3
+        target = self.target[k, :3, 3] if free else self.target[k]
         arm = self.model.arm
         locked = ik.locked_joints(self.model, self.options.locked)
         search = Search(characteristic_length(self.model))
         chosen = choose(arm, lattice, tip, target, joints, search, locked=locked)
-        self.context = context_at(chosen.joints[None]).take(0)
-        if learned is not None:
-            expected = learned.predict(chosen.joints[None], self.context)
-            self.error = np.asarray(expected.error[0], float)
-            self.sigma = np.asarray(expected.sigma[0], float)
+        if self.context_at is not None:
+            self.context = self.context_at(chosen.joints[None]).take(0)
+        if predictor is not None:
+            expected = predictor.predict(chosen.joints[None], self._at([k]))
+            self.error[k], self.sigma[k] = expected.error[0], expected.sigma[0]
         return chosen
+
+
+_ALONE = [status for status in Status if status.physics_only]

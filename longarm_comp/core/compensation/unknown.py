@@ -65,6 +65,9 @@ def unknown_history(
         zeros and "" where everything that matters is known.
     """
     m, n = q.shape
+    read = history_joints(model)
+    if not any(read.values()):
+        return np.zeros((m, 3)), [""] * m
     unsure = np.zeros(n, bool) if doubtful is None else doubtful
     held = {
         name: np.array([np.broadcast_to(v, m) for v in context.of_all(name, n)], float)
@@ -73,7 +76,7 @@ def unknown_history(
     held = {name: values.T.reshape(m, n, -1) for name, values in held.items()}
     open_ = [
         (name, joint, extremes)
-        for name, joints in history_joints(model).items()
+        for name, joints in read.items()
         for joint in joints
         if (extremes := _EXTREMES[name](held[name][:, joint], bool(unsure[joint]))) is not None
     ]
