@@ -11,11 +11,12 @@ from hidden_arm import SIGMA, at, session
 from small_arm import ARM
 from test_thresholds import session_of
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import CameraPlacement
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift, CameraRadial, CameraScale
-from longarm_comp.core.effects.compliances import BearingTilt, LinkStiffness
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, LinkStiffness
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, ServoQuantisation
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.masses import GravityDirection
@@ -104,6 +105,24 @@ def test_outliers_of_the_hold_out_withdraw_no_true_effect() -> None:
     )
     assert [f.name for f in found.findings] == ["joint_gain"]
     assert found.written == "with_effects"
+
+
+def test_an_arm_that_declares_no_weight_still_gives_way() -> None:
+    """No name of a drive stands for what only weight explains; its place is the true one."""
+    soft = (JointCompliance(2, 6e-3),)
+    rows, rest = (of_truth(Model(DEMO, soft), n, seed=n) for n in (200, 60))
+    declared = DEMO.model_dump(exclude_defaults=True, exclude={"links", "point_masses", "payload"})
+    arm = Arm.parse(declared, "weightless")
+    found = diagnose(arm, rows, test=rest)
+    (finding,) = found.findings
+    assert "joint_compliance" in finding.names and "gear_eccentricity" not in finding.names
+    assert "joint 2" in finding.where
+    calibrated, written = (found.rows[name].mean for name in ("calibrated", found.written))
+    assert written < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA < 0.6 * calibrated
+    held = [e for e in found.model.effects if e.through_others]
+    assert {e.name for e in held} == {"undeclared_weight"} and held[0].tip + held[0].drives > 0.0
+    solid = diagnose(arm, of_truth(Model(arm), 200))
+    assert solid.verdict == "noise" and not any(e.through_others for e in solid.model.effects)
 
 
 def test_what_never_changed_is_not_testable() -> None:

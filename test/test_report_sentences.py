@@ -45,7 +45,7 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     (made,) = practical(fitted, [drift.terms], found.held_out)
     rate = np.array([getattr(drift.terms[0], axis) for axis in "xyz"])
     hours = fitted.session.columns["t_s"] / 3600
-    assert made.tip_m == pytest.approx(hours * np.linalg.norm(rate), rel=1e-6)
+    assert made.tip_m == pytest.approx(hours * np.linalg.norm(rate), rel=1e-6, abs=1e-7)
     bare = dataclasses.replace(fitted.model, biases=())
     again = fit(bare, found.train, sigma=fitted.sigma, rho=fitted.rho, weights=fitted.weights)
     left = np.linalg.norm(errors(again.model, found.held_out), axis=1).mean()

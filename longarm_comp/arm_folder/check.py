@@ -186,7 +186,7 @@ def _of_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield from _of_beams(arm, q)
     weight = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
     if not weight:
-        said = "no part has a mass: weigh them. Without weight no compliance can be found"
+        said = "no part has a mass: weigh them. Compliances are relative to 1 kg a metre until then"
         yield unmeasured(f"{ARM}: point_masses", said)
     if arm.payload is None:
         yield unmeasured(f"{ARM}: payload", "no payload is declared: weigh tool and marker")

@@ -40,6 +40,7 @@ from longarm_comp.core.arm.parts import (
     Tip,
     Tolerance,
     Vec3,
+    link_places,
 )
 from longarm_comp.core.arm.spatial import IDENTITY
 from longarm_comp.core.errors import InputError
@@ -241,6 +242,24 @@ class Arm(Declared):
                 if beams and (fixed > abs(lowest) + (-1e-9 if rests else 1e-9)):
                     allowed = f"less than {lowest} m, row {row} {role} at its shortest"
                     raise Misdeclared(field, f"{fixed} m together", allowed)
+
+    @property
+    def weighed(self) -> bool:
+        """Whether the weight of any part is declared."""
+        return bool(self.links or self.point_masses or self.payload)
+
+    @cached_property
+    def usual_masses(self) -> tuple[tuple[int, Vec3, float], ...]:
+        """A kilogram a metre: row of the frame, middle of the length there (m), mass (kg)."""
+        x, y, z = self.tip.position_m
+        made = [(self.tip.frame, (x / 2, y / 2, z / 2), math.hypot(x, y, z))]
+        for row, role, size in link_places(self.joints):
+            made.append(
+                (row - 1, (size / 2, 0.0, 0.0), abs(size))
+                if role == "a"
+                else (row, (0.0, 0.0, -size / 2), abs(size))
+            )
+        return tuple(made)
 
     @cached_property
     def commanded(self) -> tuple[int, ...]:

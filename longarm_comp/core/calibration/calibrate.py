@@ -17,6 +17,7 @@ from longarm_comp.core.calibration.standing import frames, standing, with_frames
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError, JointZero
 from longarm_comp.core.errors import InputError
@@ -150,10 +151,11 @@ def stages(
     """
     base = frames(model.arm, session)
     start = placed = with_frames(model, session)
+    borne = through_others(model.arm) if any(e.loaded for e in model.effects) else ()
     for name, terms in (
         ("frames_only", base),
         ("joint_zeros", (*base, *JointZero.for_arm(model.arm))),
-        ("geometry", geometry(model.arm, session)),
+        ("geometry", (*geometry(model.arm, session), *borne)),
     ):
         if progress is not None:
             progress(name)

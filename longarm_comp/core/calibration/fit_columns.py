@@ -50,11 +50,13 @@ class FitColumns:
         """Evidence on top of the fit, the terms at some places taken out of it.
 
         A term with parameters leaves with its columns; one without gives its shift back to the
-        data.
+        data.  One that acts through others stays as it is: what these are not says nothing of it.
         """
         fitted = self._fitted
-        kept = [k for k, s in enumerate(fitted.slots) if s.owner.key not in places]
-        data = fitted.data
+        fixed = np.array([s.owner.through_others for s in fitted.slots], dtype=bool)
+        kept = [k for k, s in enumerate(fitted.slots) if s.owner.key not in places and not fixed[k]]
+        values = (fitted.model.values / priors(fitted.slots))[fixed]
+        data = fitted.data - fitted.design[:, fixed] @ values
         for term in fitted.model.terms:
             if term.key in places and not slots_of(fitted.model.arm, [term]):
                 data = data + fitted.whitened(self.shift([term])[..., None])[:, 0]

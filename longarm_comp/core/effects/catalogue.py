@@ -17,6 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.camera_errors import CameraDrift, CameraRadial, CameraScale
 from longarm_comp.core.effects.compliances import (
     BaseCompliance,
@@ -37,7 +38,12 @@ from longarm_comp.core.effects.drive_errors import (
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError, Encoder, JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.masses import GravityDirection, LinkMass, TipPayload
+from longarm_comp.core.effects.masses import (
+    GravityDirection,
+    LinkMass,
+    TipPayload,
+    UndeclaredWeight,
+)
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.placements import (
     AnchorPlace,
@@ -73,6 +79,7 @@ GROUP = "longarm_comp.effects"
 _OURS: tuple[Kind, ...] = (
     *(JointZero, DhError, CylinderPins, BasePose, TipOffset, TipOrientation, AnchorPlace),
     *(SensorPlace, TouchPlace, TouchBeside, PlanePlace, CameraPose, Encoder, LinkDeflection),
+    UndeclaredWeight,
     *(JointCompliance, BearingTilt, LinkStiffness, TipPayload, LinkMass, TelescopeClearance),
     *(LinkBending, SlidePlay, GuideCurvature, BaseCompliance, BaseSettling, MeasuredTilt),
     *(GravityDirection, Backlash, CylinderPlay, FrictionHysteresis, GearEccentricity, JointGain),
@@ -98,6 +105,12 @@ def registered() -> dict[str, Kind]:
 def searched() -> tuple[Kind, ...]:
     """The effects that a diagnosis tries."""
     return tuple(k for k in registered().values() if k.searched and not k.geometry)
+
+
+def through_others(arm: Arm) -> list[Effect]:
+    """What an arm has that acts through other effects only."""
+    kinds = (kind for kind in registered().values() if issubclass(kind, Effect))
+    return [term for kind in kinds if kind.through_others for term in kind.for_arm(arm)]
 
 
 def effect_class(name: str, where: str, known_from: str = "") -> Kind:

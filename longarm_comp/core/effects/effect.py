@@ -111,6 +111,7 @@ class _Term:
         loaded: depends on the loads, so that it must be iterated as the arm sags.
         elastic: a part that yields under its load. A little of it at every place is no finding.
         searched: tried by a diagnosis. Geometry is always fitted instead.
+        through_others: not searched, and moves nothing but through other effects of the model.
         aliases: effects that no measurement of the tip tells from it. One of the two declares it.
         limit_aliases: effects that it equals at an end of its form's scale or of a parameter's
             bounds. Studies accept either name there.
@@ -141,6 +142,7 @@ class _Term:
     elastic: ClassVar[bool] = False
     continuous: ClassVar[bool] = True
     searched: ClassVar[bool] = True
+    through_others: ClassVar[bool] = False
     aliases: ClassVar[tuple[str, ...]] = ()
     limit_aliases: ClassVar[tuple[str, ...]] = ()
     free_levels: ClassVar[int] = 0

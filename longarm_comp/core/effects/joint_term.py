@@ -179,14 +179,15 @@ def typical_loads(arm: Arm) -> tuple[float, float]:
 
     The torque is a quarter of weight times reach, or the RMS moment about the bearing that carries
     most, over poses between the limits, where that is less: a heavy base loads no joint. Where
-    the place of a mass is recorded (`position_columns`), it is the quarter.
+    the place of a mass is recorded (`position_columns`), it is the quarter. An arm that declares
+    no weight is taken to weigh a kilogram a metre.
     """
     if arm.hash not in _loads_of:
         mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
         mass += arm.payload.mass_kg if arm.payload else 0.0
-        force = mass * float(np.linalg.norm(arm.gravity_mps2))
+        force = (mass if arm.weighed else reach(arm)) * float(np.linalg.norm(arm.gravity_mps2))
         torque = force * reach(arm) / 4
-        if not any(m.position_columns for m in arm.point_masses):
+        if arm.weighed and not any(m.position_columns for m in arm.point_masses):
             torque = min(torque, _largest_moment(arm))
         _loads_of[arm.hash] = max(force, 1e-9), max(torque, 1e-9)
     return _loads_of[arm.hash]

@@ -9,7 +9,7 @@ from longarm_comp.core.arm.posture import Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Vec, add, cross
 from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
 from longarm_comp.core.effects.joint_term import typical_loads, with_prior
-from longarm_comp.core.effects.sites import rows
+from longarm_comp.core.effects.sites import moving_joints, rows
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,11 @@ class TipPayload(_Weight):
     action = "Weigh what the tip carries and declare it in arm.yaml."
 
     mass: float = parameter("kg", "mass beyond the declared payload", prior=0.1)
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        """None where no weight is declared: `undeclared_weight` has it."""
+        return [{}] if arm.weighed else []
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: a tenth of the arm's weight; the carried mass cannot become negative."""
@@ -73,6 +78,46 @@ class LinkMass(_Weight):
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         return (Lumped(posture.frame(self.frame), self.mass, ZERO),)
+
+
+@dataclass(frozen=True)
+class UndeclaredWeight(_Weight):
+    """The weight of an arm that declares none: a kilogram a metre, and what the rows say.
+
+    The rows tell only the products of weights and what yields under them.  So the kilogram stays as
+    it is, and the sizes of compliances are relative to it.
+    """
+
+    name = "undeclared_weight"
+    title = "weight that is not declared"
+    action = "Weigh the parts with all that they carry, and declare them in arm.yaml."
+    searched = False
+    through_others = True
+
+    tip: float = parameter("kg", "mass at the tip beyond a kilogram a metre", prior=0.3, lower=0.0)
+    drives: float = parameter(
+        "kg", "mass at every joint beyond a kilogram a metre", prior=0.3, lower=0.0
+    )
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        return [] if arm.weighed else [{}]
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Priors: a quarter of the arm's weight at the tip, and another shared by the joints."""
+        tip, drives = self.declared()
+        quarter = typical_loads(arm)[0] / 9.81 / 4
+        each = quarter / len(moving_joints(arm))
+        return (*with_prior((tip,), prior=quarter), *with_prior((drives,), prior=each))
+
+    def masses(self, posture: Posture) -> tuple[Lumped, ...]:
+        arm = posture.arm
+        tip = Lumped(posture.frame(arm.tip.frame), self.tip, arm.tip.position_m)
+        drives = (Lumped(posture.frame(row), self.drives, ZERO) for row in moving_joints(arm))
+        usual = (
+            Lumped(posture.frame(row), mass, position) for row, position, mass in arm.usual_masses
+        )
+        return (tip, *drives, *usual)
 
 
 @dataclass(frozen=True)

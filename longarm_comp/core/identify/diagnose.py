@@ -19,6 +19,7 @@ from longarm_comp.core.calibration.plausible import check_fits, check_noise
 from longarm_comp.core.calibration.standing import standing
 from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.diagnosis import (
     CALIBRATED,
@@ -89,7 +90,8 @@ def diagnose(
     test = None if test is None else as_fitted(test, nominal)
     train, rest = _split(session, test, seed)
     staged = dict(stages(nominal, train, say, kind))
-    start = staged["geometry"].model
+    calibrated = staged["geometry"].model
+    start = calibrated.with_missing(through_others(arm))
     offered = library(arm, train.context(), kinds, start.terms)
     candidates = offered.testable
     say("memory of the joints")
@@ -105,7 +107,7 @@ def diagnose(
         progress=say,
     )
     say("structure")
-    fits = _fits(start, found)
+    fits = _fits(calibrated, found)
     beside = tolerances(found.fit, found.candidates, found.found, found.tolerance)
     structure = examine(found.fit, fits[CALIBRATED], beside)
     expected = expected_commanded(fits, found.found)

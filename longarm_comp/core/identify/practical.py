@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -109,13 +110,14 @@ def practical(
 
 def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
     """The model without the terms at some places, all others fitted again to first order."""
-    marginal = FitColumns(fitted).without(places)
-    kept = tuple(s for s in fitted.slots if s.owner.key not in places)
-    scale = priors(kept)
+    marginal, left = FitColumns(fitted).without(places), fitted.model.without(places)
+    free = np.array([not s.owner.through_others for s in left.slots], dtype=bool)
+    kept = tuple(compress(left.slots, free))
+    scale, values = priors(kept), np.array(left.values, dtype=float)
     lower = np.array([s.parameter.lower for s in kept]) / scale
     upper = np.array([s.parameter.upper for s in kept]) / scale
-    found = linear.solve(marginal.a, marginal.y, lower, upper)
-    return fitted.model.without(places).with_values(found.u * scale)
+    values[free] = linear.solve(marginal.a, marginal.y, lower, upper).u * scale
+    return left.with_values(values)
 
 
 def expected_commanded(

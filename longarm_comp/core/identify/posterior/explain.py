@@ -130,7 +130,7 @@ class _Search:
             left = (f for f in doubtful if held.isdisjoint(t.key for t in f.terms))
             doubtful = (*again, *left)
         slack = self._standing(state.fit, state.found)[1]
-        fitted = with_give(state.fit, self.candidates) if slack.give else state.fit
+        fitted = with_give(state.fit, self.candidates) if slack.give else _plain(state.fit)
         known = {t.variant: t for t in fitted.model.terms}
         found = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
         left = (f for f in doubtful if f.in_doubt)
@@ -319,6 +319,18 @@ class _Search:
             return term
         fitted = next(t for t in state.fit.model.terms if t.key == term.key)
         return refined(state.fit, fitted, self.candidates)
+
+
+def _plain(fitted: ModelFit) -> ModelFit:
+    """Without what acts through others, where there is nothing that it acts through."""
+    model = fitted.model
+    idle = {e.key for e in model.effects if e.through_others}
+    if not idle or any(e.loaded for e in model.effects if e.key not in idle):
+        return fitted
+    return fit(
+        model.without(idle), fitted.session, sigma=fitted.sigma, rho=fitted.rho,
+        weights=fitted.weights, near=fitted,
+    )  # fmt: skip
 
 
 def _loose(found: FoundEffect) -> FoundEffect:
