@@ -25,6 +25,8 @@ _KIND = "kind"
 
 INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
 """Names of the columns of an inclinometer; NaN where it gave no reading."""
+ORDER = "pose_number"
+"""Column of the number of each pose, where a session does not tell its time."""
 _TOLD = ("t_s", "temperature_c", "payload_kg")
 NEVER_TOLD = "(a circumstance that no command knows)"
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import floor, log10
 
+from longarm_comp.core.arm.context import ORDER
 from longarm_comp.core.effects.discovered import (
     BASE_PLACE,
     CAMERA,
@@ -100,9 +101,10 @@ READINGS: tuple[tuple[str, Callable[[Traits], bool]], ...] = (
     ),
     ("a spring or cable between the two places", lambda t: t.quantity(Span)),
     ("a contact, a stop or a taut cable", lambda t: t.shape(Above, Below)),
+    ("something that happened between two poses", lambda t: ORDER in t.columns and t.shape(Switch)),
     ("a part that changes over at one position", lambda t: t.shape(Switch)),
     ("something thermal", lambda t: t.quantity(Warmth)),
-    ("drift", lambda t: TIME in t.columns),
+    ("drift", lambda t: not {TIME, ORDER}.isdisjoint(t.columns)),
     ("something that depends on the recorded column", lambda t: bool(t.columns)),
     (
         "a hose, chain or cable that is lifted",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -9,6 +10,7 @@ from functools import cache
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import ORDER
 from longarm_comp.core.calibration.calibrate import declared_model, stages
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.calibration.fit import fit
@@ -86,8 +88,8 @@ def diagnose(
         return _split(with_run_ups(session, arm, length), held, seed)
 
     nominal = model or declared_model(arm)
-    session = as_fitted(session, nominal)
-    test = None if test is None else as_fitted(test, nominal)
+    session = _in_order(as_fitted(session, nominal))
+    test = None if test is None else _in_order(as_fitted(test, nominal), len(session))
     train, rest = _split(session, test, seed)
     staged = dict(stages(nominal, train, say, kind))
     calibrated = staged["geometry"].model
@@ -179,6 +181,17 @@ def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
         less = fit(named, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
         made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
     return {name: folded(fitted) for name, fitted in made.items()}
+
+
+def _in_order(session: Session, first: int = 0) -> Session:
+    """With the order of the rows in the place of their time, where no row tells its time.
+
+    What happens once (a blow to a camera, another tool, a belt that jumps) shows in no other.
+    """
+    if "t_s" in session.columns:
+        return session
+    order = first + np.arange(len(session), dtype=float)
+    return dataclasses.replace(session, columns={**session.columns, ORDER: order})
 
 
 def _hash(model: Model) -> str:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import is_told
+from longarm_comp.core.arm.context import ORDER, is_told
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.quantities import (
@@ -33,7 +33,6 @@ FEW_LEVELS = 3
 """On no more positions than this nothing tells a curve of the joint from another."""
 _FINE = 50
 _FAR = 20.0
-_BOOKKEEPING = ("index",)
 
 
 SEEN = "seen_"
@@ -105,9 +104,7 @@ def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
     """Arguments of the arm's side at the rows of a session."""
     rows = len(session)
     columns = tuple(
-        "warmth" if n == "temperature_c" else n
-        for n in session.columns
-        if n not in _BOOKKEEPING and is_column(n)
+        "warmth" if n == "temperature_c" else n for n in session.columns if is_column(n)
     )
     made: list[Argument] = []
     read: list[tuple[str, Quantity, np.ndarray]] = []
@@ -124,7 +121,7 @@ def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
         if np.ptp(values) < _resolved(found, values, widest[type(found)]):
             continue
         _add(made, name, values, arm)
-    kept = {i.name for i in made}
+    kept = {i.name for i in made} - {ORDER}
     return Arguments(tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n)
 
 
@@ -143,7 +140,7 @@ def camera_inputs(points: np.ndarray, session: Session) -> Arguments:
     for axis, values in zip("xyz", points.T, strict=True):
         _add(made, f"{SEEN}{axis}", values, None)
     for name, values in session.columns.items():
-        if name not in _BOOKKEEPING and is_column(name):
+        if is_column(name):
             _add(made, name, values, None)
     return Arguments(tuple(made), (), 0)
 
