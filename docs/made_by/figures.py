@@ -24,12 +24,12 @@ CODE = ("longarm_comp", "longarm_interfaces", "studies", "bench", "config", "set
 BENCHES = ("kinematics", "ssa", "calibration", "diagnosis", "bags", "startup", "ros")
 
 LOOPS = {
-    "none": "--groups none --rows 300 --arms 3 --repeats 12",
-    "single": "--groups single --rows 300 --arms 4 --repeats 2",
+    "none": "--groups none --rows 300 --arms 3 --repeats 4",
+    "single": "--groups single --rows 300 --arms 2 --repeats 1",
     "sobol": "--groups single --plans sobol --rows 300 --arms 1 --repeats 1",
-    "pair": "--groups pair --rows 300 --arms 3 --repeats 1",
-    "removed": "--groups removed,outside --rows 300 --arms 3 --repeats 1",
-    "few": "--groups single --rows 60 --arms 3 --repeats 1",
+    "removed": "--groups removed,outside --rows 300 --arms 1 --repeats 1",
+    "few": "--groups single --rows 60 --arms 2 --repeats 1",
+    "pair": "--groups pair --rows 300 --arms 1 --repeats 1",
 }
 """Groups of `docs/loop_study.md`; each case is a line of a file that is gone on with."""
 

@@ -78,7 +78,7 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
     """
     tested = groups(fit)
     design = fit.design if beside is None else np.concatenate([fit.design, beside], axis=1)
-    counts = ~read_exactly(fit)[fit.weights > 0].reshape(-1)
+    counts = (fit.session.measured & ~read_exactly(fit))[fit.weights > 0].reshape(-1)
     marginal = Marginal(design * counts[:, None], fit.data * counts)
     residual = fit.whitened(fit.residual[..., None])[:, 0]
     left = float(marginal.py @ marginal.py)
