@@ -105,6 +105,7 @@ def test_outliers_of_the_hold_out_withdraw_no_true_effect() -> None:
     )
     assert [f.name for f in found.findings] == ["joint_gain"]
     assert found.written == "with_effects"
+    assert not any(e.through_others for e in found.model.effects)  # nothing there yields
 
 
 def test_an_arm_that_declares_no_weight_still_gives_way() -> None:

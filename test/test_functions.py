@@ -207,7 +207,12 @@ def test_what_happens_once_is_told_with_its_pose(what: str) -> None:
     assert isinstance(jump, Switch)
     assert 80 < jump.threshold - jump.half <= 90 <= jump.threshold + jump.half < 100
     assert found.verdict == "partly" and found.rows["with_functions"].mean < 4e-4
-    timed = dataclasses.replace(rows, columns={"t_s": 20.0 * np.arange(150.0)})
+    late = session(n=40, seed=9)
+    later = dataclasses.replace(late, xyz=late.xyz + moved[-1])
+    told = diagnose(SMALL, dataclasses.replace(rows, xyz=rows.xyz + moved), test=later)
+    assert told.rows["with_functions"].mean < 0.5 * told.rows["calibrated"].mean
+    hours = np.cumsum(np.random.default_rng(1).uniform(5.0, 60.0, 150))
+    timed = dataclasses.replace(rows, columns={"t_s": hours})
     known = diagnose(SMALL, dataclasses.replace(timed, xyz=rows.xyz + moved))
     assert {name for c in known.causes for name in c.inputs} == {"t_s"}
 

@@ -207,6 +207,8 @@ def test_a_side_that_a_target_asks_for_is_kept(loose: Model) -> None:
         assert made.arrivals[0].move.side.tolist() == [side] * ARM.n
         truly = loose.tip(made[0].command, Context((side,) * ARM.n))
         np.testing.assert_allclose(truly, target, rtol=0, atol=1e-6)
+        stiff = compensate(Model(ARM), target, context=Context((side,) * ARM.n))
+        assert stiff.arrivals[0].move.side.tolist() == [side] * ARM.n
 
 
 def test_the_history_of_a_file_is_carried_from_target_to_target(
