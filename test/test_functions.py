@@ -194,12 +194,17 @@ def test_what_follows_the_warmth_is_no_drift() -> None:
 @pytest.mark.parametrize("what", ["a belt jumps a tooth", "somebody pushes the camera"])
 def test_what_happens_once_is_told_with_its_pose(what: str) -> None:
     """No row tells its time, and after the 90th pose something is another."""
-    rows, after = session(n=150, seed=4), np.arange(150) >= 90
-    moved = np.outer(after, [2e-3, -1e-3, 2e-3])
-    if what == "a belt jumps a tooth":
-        jumped, side = rows.q + np.outer(after, at(2, 0.01)), rows.approach[:, 0]
-        moved = tip((), jumped, side) - tip((), rows.q, side)
-    found = diagnose(SMALL, dataclasses.replace(rows, xyz=rows.xyz + moved))
+    rows, late = session(n=150, seed=4), session(n=40, seed=9)
+
+    def changed(of: Session, after: np.ndarray) -> Session:
+        moved = np.outer(after, [2e-3, -1e-3, 2e-3])
+        if what == "a belt jumps a tooth":
+            jumped, side = of.q + np.outer(after, at(2, 0.01)), of.approach[:, 0]
+            moved = tip((), jumped, side) - tip((), of.q, side)
+        return dataclasses.replace(of, xyz=of.xyz + moved)
+
+    rows, later = changed(rows, np.arange(150) >= 90), changed(late, np.ones(40))
+    found = diagnose(SMALL, rows, test=later)
     (cause,) = found.causes
     assert cause.inputs == ("pose_number",) and not cause.compensated
     assert cause.reading == "behaves like something that happened between two poses"
@@ -207,13 +212,8 @@ def test_what_happens_once_is_told_with_its_pose(what: str) -> None:
     assert isinstance(jump, Switch)
     assert 80 < jump.threshold - jump.half <= 90 <= jump.threshold + jump.half < 100
     assert found.verdict == "partly" and found.rows["with_functions"].mean < 4e-4
-    late = session(n=40, seed=9)
-    later = dataclasses.replace(late, xyz=late.xyz + moved[-1])
-    told = diagnose(SMALL, dataclasses.replace(rows, xyz=rows.xyz + moved), test=later)
-    assert told.rows["with_functions"].mean < 0.5 * told.rows["calibrated"].mean
     hours = np.cumsum(np.random.default_rng(1).uniform(5.0, 60.0, 150))
-    timed = dataclasses.replace(rows, columns={"t_s": hours})
-    known = diagnose(SMALL, dataclasses.replace(timed, xyz=rows.xyz + moved))
+    known = diagnose(SMALL, dataclasses.replace(rows, columns={"t_s": hours}))
     assert {name for c in known.causes for name in c.inputs} == {"t_s"}
 
 

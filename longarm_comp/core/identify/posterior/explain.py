@@ -130,7 +130,7 @@ class _Search:
             left = (f for f in doubtful if held.isdisjoint(t.key for t in f.terms))
             doubtful = (*again, *left)
         slack = self._standing(state.fit, state.found)[1]
-        fitted = with_give(state.fit, self.candidates) if slack.give else _plain(state.fit)
+        fitted = _plain(with_give(state.fit, self.candidates) if slack.give else state.fit)
         known = {t.variant: t for t in fitted.model.terms}
         found = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
         left = (f for f in doubtful if f.in_doubt)
