@@ -103,13 +103,14 @@ def bench(found: Any) -> Cells:
         low, high = row["spread"] or (None, None)
         ahead = f"**{cell(row['ratio'])}** ({cell(low)} .. {cell(high)})"
         here = "" if row["value"] is None else f"{cell(row['value'])} {row['unit']}"
-        made.append([f"`{row['name']}`", here, row["peer"] or "", row["peer_value"],
+        peer = re.sub(r" \(.*\)", "", row["peer"] or "")  # what it was asked to do is in the page
+        made.append([f"`{row['name']}`", here, peer, row["peer_value"],
                      "" if row["ratio"] is None else ahead])  # fmt: skip
     return made
 
 
 def shares(found: Any) -> Cells:
-    """How often, of the cases of a group."""
+    """How often, of the visible cases of a group."""
     return [
         [
             row["of"],
@@ -118,6 +119,7 @@ def shares(found: Any) -> Cells:
             f"{row['low']:.2f} .. {row['high']:.2f}",
         ]
         for row in found["summary"]
+        if not row["of"].endswith("not visible")
     ]
 
 

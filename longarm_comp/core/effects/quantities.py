@@ -26,7 +26,7 @@ import numpy as np
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import ORDER, Context
 from longarm_comp.core.arm.posture import BASE, Posture
 from longarm_comp.core.arm.spatial import Scalar, Vec
 from longarm_comp.core.effects.joint_term import joint_load
@@ -215,6 +215,11 @@ class Recorded(Quantity):
     pattern = r"[A-Za-z]\w*"
 
     column: str = ""
+
+    @property
+    def plain(self) -> bool:  # type: ignore[override]
+        """All but the number of a pose: it causes nothing by itself."""
+        return self.column != ORDER
 
     def unit(self, arm: Arm) -> str:
         return _UNITS.get(self.column, f"[{self.column}]")
