@@ -38,6 +38,8 @@ def test_a_table_is_written_below_its_mark_and_nowhere_else() -> None:
     assert made == f"a\n\n<!-- figures: day -->\n\n{told}\nb\n\n| other |\n"
     with pytest.raises(ValueError, match="no mark"):
         figures.placed(page, "real", told)
+    with pytest.raises(ValueError, match="other columns"):
+        figures.table(header[:2], rows(found))
 
 
 def test_a_row_is_that_of_its_command_and_the_others_stay() -> None:

@@ -150,7 +150,7 @@ TABLES: dict[str, tuple[str, tuple[str, ...], Callable[[Any], Cells]]] = {
         of("effect", "poses", "grid_mm", "sobol_mm", "i-optimal_mm"),
     ),
     "measurements": (
-        "studies.md", ("rows", "pose", "position", "distance"),
+        "studies.md", ("rows", "pose", "position", "distance", "touch"),
         lambda found: [list(row.values()) for row in found["errors"]]
         + [[f"rows for {row.pop('error_mm'):g} mm", *row.values()] for row in found["needed"]],
     ),
@@ -176,7 +176,10 @@ def cell(value: Any) -> str:
 
 def table(header: Iterable[str], rows: Cells) -> str:
     """A table in Markdown."""
-    lines = [list(header), ["---"] * len(list(header)), *rows]
+    names = list(header)
+    if any(len(row) != len(names) for row in rows):
+        raise ValueError(f"a row has other columns than {names}")
+    lines = [names, ["---"] * len(names), *rows]
     return "".join(f"| {' | '.join(map(cell, line))} |\n" for line in lines)
 
 
