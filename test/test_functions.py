@@ -36,6 +36,7 @@ from longarm_comp.core.identify.posterior.explain import ExplainedSession, expla
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.workflows.compensate import compensate
 from studies.discover import set_up
 from studies.outside import HosePull, PumpShake, RubberStop, TwoSeats
 
@@ -212,6 +213,11 @@ def test_what_happens_once_is_told_with_its_pose(what: str) -> None:
     assert isinstance(jump, Switch)
     assert 80 < jump.threshold - jump.half <= 90 <= jump.threshold + jump.half < 100
     assert found.verdict == "partly" and found.rows["with_functions"].mean < 4e-4
+    model = found.fits["with_functions"].model
+    (command,) = compensate(model, Model(SMALL).tip(SMALL.mid), frame="base")
+    size = 0.5 * np.linalg.norm((later.xyz - late.xyz).mean(0))
+    assert command.success and "what happened between poses" in command.reason
+    assert 0.5 * size < command.expected_m < 1.5 * size
     hours = np.cumsum(np.random.default_rng(1).uniform(5.0, 60.0, 150))
     known = diagnose(SMALL, dataclasses.replace(rows, columns={"t_s": hours}))
     assert {name for c in known.causes for name in c.inputs} == {"t_s"}
