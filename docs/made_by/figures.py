@@ -109,6 +109,10 @@ def bench(found: Any) -> Cells:
     return made
 
 
+BESIDE = ("exact name", "says noise", "any wrong name beside", "the same on the fitted poses")
+"""What other rows of the same table say as well."""
+
+
 def shares(found: Any) -> Cells:
     """How often, of the visible cases of a group."""
     return [
@@ -119,7 +123,7 @@ def shares(found: Any) -> Cells:
             f"{row['low']:.2f} .. {row['high']:.2f}",
         ]
         for row in found["summary"]
-        if not row["of"].endswith("not visible")
+        if not row["of"].endswith("not visible") and row["measure"] not in BESIDE
     ]
 
 
