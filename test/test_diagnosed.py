@@ -118,6 +118,7 @@ def test_an_arm_that_declares_no_weight_still_gives_way() -> None:
     (finding,) = found.findings
     assert "joint_compliance" in finding.names and "gear_eccentricity" not in finding.names
     assert "joint 2" in finding.where
+    assert "declares no weight" in found.summary
     calibrated, written = (found.rows[name].mean for name in ("calibrated", found.written))
     assert written < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA < 0.6 * calibrated
     held = [e for e in found.model.effects if e.through_others]

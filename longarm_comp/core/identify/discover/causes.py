@@ -114,8 +114,10 @@ def _places(terms: Sequence[words.Found], found: FoundEffect) -> tuple[str, ...]
 
 
 def doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
-    """Joints that were measured at few positions, and thresholds that lie in a gap of the data."""
+    """Joints measured at few positions, thresholds in a gap of the data, weight not declared."""
     made = []
+    if any(effect.through_others for effect in fit.model.effects):
+        made.append("arm.yaml declares no weight, so which part yields is not sure")
     for shape in _shapes(found):
         if _on_few(fit, shape):
             made.append(f"{shape.of} was measured at few positions; between them it is a guess")
