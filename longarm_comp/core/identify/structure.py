@@ -129,11 +129,8 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
 
 def smallest(fit: ModelFit) -> float:
     """Size (m) below which structure does not matter."""
-    rows = fit.session.take(fit.session.located)
-    limit = SMALLEST_M
-    if len(rows) > 1:
-        limit = min(limit, OF_SPREAD * median_spread(rows.xyz))
-    return limit
+    xyz = fit.session.take(fit.session.located).xyz
+    return min(SMALLEST_M, OF_SPREAD * median_spread(xyz) if len(xyz) > 1 else SMALLEST_M)
 
 
 def _smooth(fit: ModelFit, marginal: Marginal, bases: list[np.ndarray]) -> tuple[np.ndarray, float]:
