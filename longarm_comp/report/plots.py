@@ -127,9 +127,6 @@ def _together(places: Mapping[str, np.ndarray], close: float) -> list[list[str]]
     return groups
 
 
-_MM = 1e3
-
-
 def at_the_tip(
     errors: Mapping[str, np.ndarray],
     looks: Sequence[Look] = tuple(LOOKS.values()),
@@ -148,7 +145,7 @@ def at_the_tip(
     width = 0.8 / max(1, len(errors))
     for k, (name, held) in enumerate(errors.items()):
         look = looks[k % len(looks)]
-        length = np.sort(np.linalg.norm(held, axis=1)) * _MM
+        length = np.sort(np.linalg.norm(held, axis=1)) * 1e3
         share = (np.arange(len(length)) + 1) / max(1, len(length))
         left.plot(
             np.maximum(length, 1e-4), share, label=name, color=look.color,
@@ -157,7 +154,7 @@ def at_the_tip(
         )  # fmt: skip
         at = np.arange(3) + (k - (len(errors) - 1) / 2) * width
         boxes = right.boxplot(
-            list((held * _MM).T), positions=at, widths=width * 0.8, patch_artist=True,
+            list((held * 1e3).T), positions=at, widths=width * 0.8, patch_artist=True,
             whis=(2.5, 97.5), showfliers=False, medianprops={"color": INK, "linewidth": 1.5},
         )  # fmt: skip
         for box in boxes["boxes"]:

@@ -17,7 +17,6 @@ from longarm_comp.report.style import rc, save
 
 LEAST = 2
 """Fewer targets seen in both runs give no interval."""
-_MM = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +50,10 @@ class Verification:
     @property
     def summary(self) -> str:
         """The result in one sentence."""
-        low, high = (_MM * g for g in self.gain_ci95_m)
+        low, high = (1e3 * g for g in self.gain_ci95_m)
         said = "helps" if self.helps else "does not help beyond chance"
         return (
-            f"compensation {said}: the mean error falls by {_MM * self.gain_m:.3f} mm "
+            f"compensation {said}: the mean error falls by {1e3 * self.gain_m:.3f} mm "
             f"[{low:.3f}, {high:.3f}] over {len(self.without)} targets"
         )
 
@@ -99,5 +98,5 @@ def error_row(name: str, error: np.ndarray) -> dict[str, Any]:
         "run": name,
         "n": figures.n,
         **{key: figures.mm[key] for key in told},
-        **{f"mean_{axis}_mm": _MM * float(mean) for axis, mean in means},
+        **{f"mean_{axis}_mm": 1e3 * float(mean) for axis, mean in means},
     }
