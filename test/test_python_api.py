@@ -291,6 +291,8 @@ def test_compensate_takes_one_target_or_many(arm: la.Arm, model: la.Model) -> No
             la.compensate(model, wrong)
     with pytest.raises(la.InputError, match="seed"):
         la.compensate(model, poses, seed=np.tile(q, (2, 1)))
+    with pytest.raises(la.InputError, match=r"seed: 'shape \(2,\)'"):
+        la.compensate(model, poses, seed=[0.0, 0.1])
     lost = la.compensate(model, [[np.nan, 0.0, 0.0]])
     assert [status.name for status in lost.status] == ["BAD_TARGET"]
 

@@ -26,6 +26,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify.wind_up import as_fitted
+from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import XYZ, joint_names
@@ -188,12 +189,11 @@ def compensate(
     goals, told, numbers = goals_of(model, targets, context)
     contexts = told.each(len(goals))
     placements = placements_of(model, targets, goals, contexts, frame or "")
-    starts = None if seed is None else np.asarray(seed, dtype=float)
-    if starts is not None and starts.ndim == 2 and len(starts) != len(goals):
-        allowed = f"one row or {len(goals)}"
-        raise InputError("compensate", "seed", f"{len(starts)} rows", allowed)
+    seeds = None
+    if seed is not None:
+        starts = np.asarray(seed, dtype=float)
+        seeds = ik.checked_seed(model, starts, len(goals), "compensate")
     options = CompensationOptions(chosen, locked, run_up, realisable, **settling)
-    seeds = np.broadcast_to(starts, (len(goals), model.arm.n)) if starts is not None else None
     to = [placed.carried(goal) for placed, goal in zip(placements, goals, strict=True)]
     unknown = History.unknown(model.arm.n)
     arrivals: list[Arrival] = []

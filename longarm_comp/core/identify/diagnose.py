@@ -188,7 +188,7 @@ def _in_order(session: Session, first: int = 0) -> Session:
 
     What happens once (a blow to a camera, another tool, a belt that jumps) shows in no other.
     """
-    if "t_s" in session.columns:
+    if not {"t_s", ORDER}.isdisjoint(session.columns):
         return session
     order = first + np.arange(len(session), dtype=float)
     return dataclasses.replace(session, columns={**session.columns, ORDER: order})
