@@ -218,6 +218,11 @@ def test_what_happens_once_is_told_with_its_pose(what: str) -> None:
     size = 0.5 * np.linalg.norm((later.xyz - late.xyz).mean(0))
     assert command.success and "what happened between poses" in command.reason
     assert 0.5 * size < command.expected_m < 1.5 * size
+    windy = Discovered("joint 4", "turn z", "linear(wind)", "wind 0.0..1.0", 1e-3, 1e-3)
+    (stiff,) = compensate(
+        model.plus(windy), Model(SMALL).tip(SMALL.mid), frame="base", method="none"
+    )
+    assert stiff.success and "what happened between poses" in stiff.reason
     hours = np.cumsum(np.random.default_rng(1).uniform(5.0, 60.0, 150))
     known = diagnose(SMALL, dataclasses.replace(rows, columns={"t_s": hours}))
     assert {name for c in known.causes for name in c.inputs} == {"t_s"}

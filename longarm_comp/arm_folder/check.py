@@ -186,8 +186,9 @@ def _of_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield from _of_beams(arm, q)
     weight = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
     if not weight:
-        said = "no part has a mass: weigh them. Compliances are relative to 1 kg a metre until then"
-        yield unmeasured(f"{ARM}: point_masses", said)
+        until = "Compliances are relative to 1 kg a metre until then"
+        until = "Without weight no compliance can be found" if arm.weighed else until
+        yield unmeasured(f"{ARM}: point_masses", f"no part has a mass: weigh them. {until}")
     if arm.payload is None:
         yield unmeasured(f"{ARM}: payload", "no payload is declared: weigh tool and marker")
     if not any(arm.gravity_mps2):

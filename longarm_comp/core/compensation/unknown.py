@@ -129,8 +129,9 @@ def left_out(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray,
     if not any(ORDER in effect.inputs for effect in model.effects):
         return np.zeros((len(q), 3)), [""] * len(q)
     first, last = (
-        model.tip(q, dataclasses.replace(context, columns={**context.columns, ORDER: pose}))
+        model.told_by(there).tip(q, there)
         for pose in (-_FAR, _FAR)
+        for there in [dataclasses.replace(context, columns={**context.columns, ORDER: pose})]
     )
     half = np.abs(last - first) / 2.0
     text = "what happened between poses of the session is left out"
