@@ -215,6 +215,9 @@ def test_link_follows_an_unplug_and_a_replug(tmp_path: Path) -> None:
         emulator.unplug()
         with pytest.raises(OSError):
             port.ser.write(b"\xff\xff\x07\x02\x01\xf5")
+        port.closePort()
+        with ServoEmulator("feetech", START):  # of another program, whose number may be the same
+            assert not link.is_symlink()
         emulator.replug()
         assert link.resolve() == Path(emulator.port)
         fresh = scs.PortHandler(str(link))

@@ -118,12 +118,15 @@ class ServoEmulator:
     def stop(self) -> None:
         """Close the pseudo-terminal and remove the link; may be called twice."""
         self.unplug()
-        if self._link is not None:
-            with contextlib.suppress(FileNotFoundError):
-                self._link.unlink()
 
     def unplug(self) -> None:
-        """Pull the cable: the client's next read or write fails. Servos keep their power."""
+        """Pull the cable: the client's next read or write fails. Servos keep their power.
+
+        The link goes first, as a device file does: the next pseudo-terminal of any program may have
+        the same number, and a client that tries again would take that one.
+        """
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -134,7 +137,7 @@ class ServoEmulator:
             self._fds = None
 
     def replug(self) -> None:
-        """Put the cable back: a new pseudo-terminal, the same link, the same servos."""
+        """Put the cable back: a new pseudo-terminal, a link of the same name, the same servos."""
         self.unplug()
         self.start()
 
