@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import re
 from collections.abc import Callable
@@ -27,38 +26,24 @@ _SQUARE_MM, _TAG_SHARE = 25.0, 0.72
 
 
 def _board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Options ``--board``, ``--square-mm``, ``--tag-mm``, ``--dictionary``.
-
-    The command gets `board`: the `CharucoTarget`, or None where there is none.
-    """
-
-    def add(function: Callable[..., Any]) -> Callable[..., Any]:
-        @functools.wraps(function)
-        def command(
-            board: str | None, square_mm: float, tag_mm: float | None, dictionary: str, **rest: Any
-        ) -> Any:
-            made = None if board is None else _target(board, square_mm, tag_mm, dictionary)
-            return function(board=made, **rest)
-
-        return options.several(
-            click.option("--board", default=default, metavar="COLUMNSxROWS",
-                         help="ChArUco board: squares across and down."),
-            click.option("--square-mm", type=float, default=_SQUARE_MM,
-                         help="Side of its squares, measured on the print."),
-            click.option("--tag-mm", type=float, help="Side of its tags. Default: 0.72 squares."),
-            click.option("--dictionary", default="DICT_5X5_100",
-                         help="Tag family of the board; it must differ from the marker's."),
-        )(command)  # fmt: skip
-
-    return add
+    """Options of a board, the arguments of `_target`."""
+    return options.several(
+        click.option("--board", default=default, metavar="COLUMNSxROWS",
+                     help="ChArUco board: squares across and down."),
+        click.option("--square-mm", type=float, default=_SQUARE_MM,
+                     help="Side of its squares, measured on the print."),
+        click.option("--tag-mm", type=float, help="Side of its tags. Default: 0.72 squares."),
+        click.option("--dictionary", default="DICT_5X5_100",
+                     help="Tag family of the board; it must differ from the marker's."),
+    )  # fmt: skip
 
 
-def _target(size: str, square_mm: float, tag_mm: float | None, dictionary: str) -> CharucoTarget:
+def _target(board: str, square_mm: float, tag_mm: float | None, dictionary: str) -> CharucoTarget:
     from longarm_comp.devices.stereo import CharucoTarget
 
-    found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", size)
+    found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", board)
     if found is None:
-        raise InputError("board", "--board", size, "COLUMNSxROWS, for instance 7x5")
+        raise InputError("board", "--board", board, "COLUMNSxROWS, for instance 7x5")
     tag = square_mm * _TAG_SHARE if tag_mm is None else tag_mm
     return CharucoTarget(square_mm / 1e3, tag / 1e3, int(found[1]), int(found[2]), dictionary)
 
@@ -67,7 +52,7 @@ def _target(size: str, square_mm: float, tag_mm: float | None, dictionary: str) 
 @options.path_argument("folder", "[DIR]", required=False)
 @_board(None)
 @options.output("marker.pdf", "Page to print.", outputs.PICTURE)
-def marker(folder: Path | None, board: CharucoTarget | None, output: Path) -> None:
+def marker(folder: Path | None, board: str | None, output: Path, **size: Any) -> None:
     """Write the marker of DIR/stereo_bridge.yaml, or a calibration board, in true size.
 
     The page has a ruler of 100 mm: measure it, because printers scale. Then measure the tags and
@@ -85,10 +70,12 @@ def marker(folder: Path | None, board: CharucoTarget | None, output: Path) -> No
     if (folder is None) == (board is None):
         given = "neither" if folder is None else "both"
         raise InputError("stereo marker", "DIR, --board", given, "one of the two")
-    printed: CharucoTarget | TagBoard | None = board
-    if folder is not None:
+    printed: CharucoTarget | TagBoard
+    if board is not None:
+        printed = _target(board, **size)
+    else:
+        assert folder is not None
         printed = TagBoard.of(parameters_of("stereo_bridge", folder / "stereo_bridge.yaml"))
-    assert printed is not None
     paper = write_sheet(printed, output)
     note(f"{output}: {paper}, to be printed at 100 %")
 
@@ -133,12 +120,7 @@ def webcams(frames: Path | None) -> None:
 @options.namespace
 @options.as_json
 def calibrate(
-    folder: Path,
-    images: Path | None,
-    live: bool,
-    board: Target,
-    save: Path | None,
-    namespace: str,
+    folder: Path, images: Path | None, live: bool, save: Path | None, namespace: str, **board: Any
 ) -> None:
     """Calibrate the two cameras from views of a printed board; write DIR/cameras/left.yaml, right.
 
@@ -160,11 +142,12 @@ def calibrate(
         raise InputError("stereo calibrate", "--images, --live", given, "one of the two")
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR`")
+    target = _target(**board)
     if images is not None:
-        views, size = _from_files(board, images)
+        views, size = _from_files(target, images)
     else:
-        views, size = _from_topics(board, save, namespace)
-    found = calibrated(board, views, size)
+        views, size = _from_topics(target, save, namespace)
+    found = calibrated(target, views, size)
     files = write_cameras(folder, found)
     fit = found.fit
     facts = {
