@@ -59,8 +59,8 @@ def test_runs_are_paired_where_the_marker_was_seen_in_both(rng: np.random.Genera
     after[4, 2] = np.nan
     both = [0, 2, 3, 5, 6, 7]
     result = verification(NAMES, before, after)
-    np.testing.assert_array_equal(result.without, before[both])
-    np.testing.assert_array_equal(result.compensated, after[both])
+    np.testing.assert_array_equal(result.runs[NAMES[0]], before[both])
+    np.testing.assert_array_equal(result.runs[NAMES[1]], after[both])
     lengths = np.linalg.norm(before[both], axis=1) - np.linalg.norm(after[both], axis=1)
     assert result.gain_m == pytest.approx(lengths.mean())
     before[both[1:]] = np.nan

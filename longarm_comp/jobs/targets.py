@@ -229,7 +229,7 @@ def verify(
         "gain_ci95_mm": [1e3 * g for g in result.gain_ci95_m],
         "method": method.value,
         "targets": len(xyz),
-        "seen_in_both": len(result.without),
+        "seen_in_both": result.rows[0]["n"],
         "status": dict(Counter(str(Status(int(s))) for s in compensated.status)),
         "refused": [{"target": target, "why": why} for target, why in refused],
         "errors": [

@@ -21,14 +21,12 @@ LEAST = 2
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """Two runs over the same targets, paired: (N, 3) tip - target, m, seen in both runs.
+    """Two runs over the same targets, paired: (N, 3) tip - target, m, by name, seen in both runs.
 
     `gain_m`: mean |tip - target| without minus with compensation, and its 95 % bootstrap interval.
     """
 
-    names: tuple[str, str]
-    without: np.ndarray
-    compensated: np.ndarray
+    runs: Mapping[str, np.ndarray]
     gain_m: float
     gain_ci95_m: tuple[float, float]
 
@@ -36,11 +34,6 @@ class Verification:
     def helps(self) -> bool:
         """Whether compensation brings the tip nearer, beyond chance: the interval is above 0."""
         return self.gain_ci95_m[0] > 0.0
-
-    @property
-    def runs(self) -> Mapping[str, np.ndarray]:
-        """Errors (N, 3) by name, m."""
-        return dict(zip(self.names, (self.without, self.compensated), strict=True))
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -54,7 +47,7 @@ class Verification:
         said = "helps" if self.helps else "does not help beyond chance"
         return (
             f"compensation {said}: the mean error falls by {1e3 * self.gain_m:.3f} mm "
-            f"[{low:.3f}, {high:.3f}] over {len(self.without)} targets"
+            f"[{low:.3f}, {high:.3f}] over {self.rows[0]['n']} targets"
         )
 
     def picture(self, path: Path) -> None:
@@ -84,9 +77,8 @@ def verification(
         (gain,), np.mean, n_resamples=5000, method="percentile",
         rng=np.random.default_rng(seed),
     ).confidence_interval  # fmt: skip
-    return Verification(
-        names, before, after, float(gain.mean()), (float(drawn.low), float(drawn.high))
-    )
+    runs = dict(zip(names, (before, after), strict=True))
+    return Verification(runs, float(gain.mean()), (float(drawn.low), float(drawn.high)))
 
 
 def error_row(name: str, error: np.ndarray) -> dict[str, Any]:
