@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import sys
 from collections.abc import Sequence
 from contextlib import closing
@@ -15,7 +16,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_table, progress
-from longarm_comp.cli.signals import ask, by_name, ended_by_signals, go_on
+from longarm_comp.cli.signals import ask, by_name, go_on, handled
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -45,8 +46,7 @@ def scan(port: str | None, **line: Any) -> None:
     """
     found = scanned(asked_port("servo scan", port, None), **line)
     print_json(asdict(found))
-    show(found)
-    refuse_clashes(found)
+    _show(found)
 
 
 def asked_port(command: str, port: str | None, known: str | None) -> str:
@@ -78,7 +78,8 @@ def scanned(
     return found
 
 
-def show(found: Scan, on_stderr: bool = False) -> None:
+def _show(found: Scan, on_stderr: bool = False) -> None:
+    """Print the servos; refuse ids that are not clear."""
     rows = [
         (s.servo_id, s.model or f"unknown model {s.model_number}", s.firmware,
          "two servos with this id, or a bad line" if s.clash else "")
@@ -86,9 +87,6 @@ def show(found: Scan, on_stderr: bool = False) -> None:
     ]  # fmt: skip
     title = f"{found.port}: {found.protocol}, {found.baudrate} bit/s"
     print_table(title, ("id", "model", "firmware", ""), rows, on_stderr)
-
-
-def refuse_clashes(found: Scan) -> None:
     if found.clashes:
         raise JobError(
             "answers are damaged or doubled: connect these servos one at a time and give each its "
@@ -121,7 +119,6 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
     Example:
       longarm servo set-id 3 --port /dev/ttyUSB0
     """
-    from longarm_comp.cli.output import note
     from longarm_comp.devices.servo_bus.registry import renumber
 
     found = scanned(asked_port("servo set-id", port, None), **line)
@@ -176,7 +173,7 @@ _SIGNS = {"+": 1, "-": -1}
 )
 @options.flag("--yes", "Do not wait at each step: the arm is held or supported.")
 @options.as_json
-@ended_by_signals()
+@handled(signal.default_int_handler)
 def setup(
     folder: Path,
     port: str | None,
@@ -212,8 +209,7 @@ def setup(
     config = ServoConfig.load(file)
     held, directions, bus = _held(config, pose), _given(config, direction), config.bus
     found = scanned(asked_port(_COMMAND, port, bus.port), **line)
-    show(found, on_stderr=True)
-    refuse_clashes(found)
+    _show(found, on_stderr=True)
     blind = _on_the_bus(config, found)
     wait("The torque goes off: hold or support the arm.")
     servo_bus = open_bus(

@@ -8,8 +8,9 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -21,21 +22,26 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def handled(handlers: Mapping[int, Callable[..., Any]]) -> Iterator[None]:
-    """Signals are handled so meanwhile; the previous handlers are restored at the end."""
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+def handled(
+    handler: Callable[..., Any], numbers: Sequence[int] = (signal.SIGINT, signal.SIGTERM)
+) -> Iterator[None]:
+    """Signals are handled so meanwhile; the previous handlers are restored at the end.
+
+    `signal.default_int_handler` raises KeyboardInterrupt, so that what must be put back is.
+    """
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, old in before.items():
+            signal.signal(number, old)
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
     """An event that SIGINT and SIGTERM set."""
     stop = threading.Event()
-    with handled(dict.fromkeys((signal.SIGINT, signal.SIGTERM), lambda *_: stop.set())):
+    with handled(lambda *_: stop.set()):
         yield stop
 
 
@@ -45,14 +51,8 @@ def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> I
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.graph_client import GraphClient
 
-    with (
-        stop_on_signals() as stop,
-        (
-            GraphClient(namespace, stop, name)
-            if arm is None
-            else ArmClient(arm, namespace, stop, name, **how)
-        ) as client,
-    ):
+    of: Callable[..., GraphClient] = GraphClient if arm is None else partial(ArmClient, arm)
+    with stop_on_signals() as stop, of(namespace, stop, name, **how) as client:
         yield client
 
 
@@ -61,7 +61,7 @@ def agreed(question: str, yes: bool) -> bool:
     if yes:
         return True
     try:
-        with handled({signal.SIGINT: signal.default_int_handler}):
+        with handled(signal.default_int_handler, [signal.SIGINT]):
             return click.confirm(question, err=True)
     except click.Abort:
         raise JobError("there was no answer yes: answer the question, or use --yes") from None
@@ -87,13 +87,6 @@ def go_on(command: str, yes: bool, text: str) -> None:
     """Wait until the user says that it may go on; click.Abort: the user says no."""
     if not yes and not ask(command, "--yes", f"{text} Go on?", "--yes", default="y", type=bool):
         raise click.Abort
-
-
-@contextmanager
-def ended_by_signals() -> Iterator[None]:
-    """SIGTERM and SIGINT raise KeyboardInterrupt, so that what must be put back is."""
-    with handled(dict.fromkeys((signal.SIGINT, signal.SIGTERM), signal.default_int_handler)):
-        yield
 
 
 def by_name(command: str, flag: str, given: Sequence[str], names: Sequence[str]) -> dict[str, str]:

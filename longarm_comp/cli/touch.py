@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from contextlib import nullcontext
 from pathlib import Path
 from threading import Event
@@ -124,7 +123,7 @@ def _asked(prompt: str, stop: Event) -> str:
         raise KeyboardInterrupt
 
     try:
-        with handled(dict.fromkeys((signal.SIGINT, signal.SIGTERM), now)):
+        with handled(now):
             return str(click.prompt(prompt, default="", show_default=False, err=True)).strip()
     except click.Abort:
         if stop.is_set():
