@@ -306,9 +306,9 @@ def a_set(rng: np.random.Generator) -> Diagnosis:
     split = SetSplit(
         tuple(members),
         "On three levels per joint both are a step between the two approach sides.",
+        12.4,
         np.array(poses),
         tuple(1 if k % 2 else -1 for k in range(len(poses))),
-        12.4,
     )
     return report, _with(detail, splits=(split,))
 

@@ -56,7 +56,7 @@ def _row(at: Label, value: float | None, state: str, why: str) -> dict[str, Any]
 def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
     """Rows of the effects that the search added, each place against the model without it."""
     result = diagnosis.search
-    columns = FitColumns(result.fit)
+    columns, written = FitColumns(result.fit), {t.key for t in diagnosis.model.terms}
     accepted = {}
     for term in result.chosen:
         single = Candidate(term.name, (term,))
@@ -65,7 +65,7 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
         facts = (f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in single.form)
         form = f", {', '.join(facts)}" if single.form else ""
         state, why = "accepted", f"log Bayes factor {gain:.1f} on top of the rest{form}"
-        if term.key not in {t.key for t in diagnosis.model.terms}:
+        if term.key not in written:
             state, why = "rejected", f"{why}; a command is expected to err less without it"
         accepted[_label(single)] = _row(_label(single), gain, state, why)
     return accepted
@@ -79,15 +79,12 @@ def _judged(diagnosis: Diagnosis, one: Smallest) -> tuple[str, str]:
         return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
     if value >= need:
         return "rejected", f"log Bayes factor {value:.1f}, but the other effects already explain it"
-    if not one.visible:
-        return "invisible", _unseen(one)
-    return "rejected", f"log Bayes factor {value:.1f}, needs {need:.1f}"
-
-
-def _unseen(one: Smallest) -> str:
-    if not math.isfinite(one.size):
-        return "would not show at any size: the geometry explains it, or the poses do not excite it"
-    return (
-        f"would show above {1e3 * one.shift_m:.1f} mm at the tip only, {one.size:.0f} times its "
-        f"typical size (believed up to {INCREDIBLE:.0f})"
-    )
+    if one.visible:
+        return "rejected", f"log Bayes factor {value:.1f}, needs {need:.1f}"
+    why = "would not show at any size: the geometry explains it, or the poses do not excite it"
+    if math.isfinite(one.size):
+        why = (
+            f"would show above {1e3 * one.shift_m:.1f} mm at the tip only, {one.size:.0f} times "
+            f"its typical size (believed up to {INCREDIBLE:.0f})"
+        )
+    return "invisible", why

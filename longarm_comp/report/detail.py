@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.visible_size import Smallest
@@ -83,10 +82,10 @@ class SetSplit(NamedTuple):
     """
 
     members: tuple[str, ...]
-    reason: str = ""
+    reason: str
+    expected_log_bayes_factor: float
     q: np.ndarray = np.empty((0, 0))
     sides: tuple[int, ...] = ()
-    expected_log_bayes_factor: float | None = None
 
 
 class Marked(NamedTuple):
@@ -263,9 +262,9 @@ def _split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
             reason += f" What the encoders say does ({', '.join(deciding)})."
         if any({"temperature_c", "t_s"} & set(t.needs) for t in (*found.terms, *others)):
             reason += " Measure again after a pause, at another temperature."
-        return SetSplit(found.names, reason, expected_log_bayes_factor=by.log_bayes_factor)
+        return SetSplit(found.names, reason, by.log_bayes_factor)
     reason, sides = f"These poses do not tell {pair} apart.", tuple(map(int, by.approach))
-    return SetSplit(found.names, reason, by.q, sides, by.log_bayes_factor)
+    return SetSplit(found.names, reason, by.log_bayes_factor, by.q, sides)
 
 
 def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable | None:
@@ -302,22 +301,18 @@ def _marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
     row = int(np.linalg.norm(tips - tips.mean(axis=0), axis=1).argmax())
     context, q = rows.context().take(row), rows.q[row]
     line, posture = outline(model, q, context), model.posture(unstack(q), context)
-    return tuple(Marked(line, _places(terms, model, posture, context)) for terms in found)
+    return tuple(Marked(line, _places(terms, model, posture)) for terms in found)
 
 
-def _places(
-    terms: tuple[Effect | Bias, ...], model: Model, posture: Posture, context: Context
-) -> dict[str, np.ndarray]:
+def _places(terms: tuple[Term, ...], model: Model, posture: Posture) -> dict[str, np.ndarray]:
     points: dict[str, list[np.ndarray]] = {}
     for term in terms:
-        points.setdefault(term.where, []).extend(_points(term, model, posture, context))
+        points.setdefault(term.where, []).extend(_points(term, model, posture))
     called = model.arm.called
     return {called.get(at, at): np.mean(held, axis=0) for at, held in points.items()}
 
 
-def _points(
-    term: Effect | Bias, model: Model, posture: Posture, context: Context
-) -> list[np.ndarray]:
+def _points(term: Term, model: Model, posture: Posture) -> list[np.ndarray]:
     """The stations that it turns or moves; of a camera, the camera; else the tip."""
     camera = model.arm.camera
     if isinstance(term, Bias):

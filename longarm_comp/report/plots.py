@@ -82,7 +82,8 @@ def place(found: Marked) -> Figure:
     axes = drawn.subplots()
     points = np.concatenate([found.arm_m, np.array(list(found.places_m.values())).reshape(-1, 3)])
     flat = found.arm_m[:, :2] - found.arm_m[0, :2]
-    aside = np.linalg.svd(flat)[2][0] * (np.sign(flat[-1] @ np.linalg.svd(flat)[2][0]) or 1.0)
+    aside = np.linalg.svd(flat)[2][0]
+    aside *= np.sign(flat[-1] @ aside) or 1.0
 
     def seen(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return (at[..., :2] - found.arm_m[0, :2]) @ aside, at[..., 2]

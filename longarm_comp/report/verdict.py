@@ -136,7 +136,6 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, t
 def _split_by(split: SetSplit) -> str:
     said = f"Whether it is {listed(list(split.members))}"
     if not len(split.q):
-        return f"{said}. {split.reason or 'No pose of this arm tells them apart.'}"
-    expected = split.expected_log_bayes_factor
-    figure = "" if expected is None else f" (expected odds {odds(expected)})"
-    return f"{said}: {len(split.q)} poses in next_poses.csv would tell{figure}."
+        return f"{said}. {split.reason}"
+    figure = f"expected odds {odds(split.expected_log_bayes_factor)}"
+    return f"{said}: {len(split.q)} poses in next_poses.csv would tell ({figure})."

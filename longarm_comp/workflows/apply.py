@@ -19,8 +19,9 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import atomic_path
@@ -33,7 +34,6 @@ from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.workflows import inputs
 from longarm_comp.workflows.train import TrainedPredictor, train
 
-Term = Effect | Bias
 Key = tuple[str, str]
 Value = tuple[str, str, float, float]
 GEOMETRY, CAMERA = "geometry", "camera"

@@ -13,6 +13,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Rung, ladder, stages
+from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -29,7 +30,6 @@ from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import effect_class
-from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
@@ -70,9 +70,6 @@ def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, s
 def _noise_key(kind: str) -> str:
     """Key of a model.yaml's provenance: the noise of a kind of measurement, m or rad."""
     return f"noise_{kind}"
-
-
-Term = Effect | Bias
 
 
 @dataclass(frozen=True)
@@ -305,7 +302,7 @@ def _named(
 ) -> tuple[str, tuple[Term, ...]]:
     if isinstance(given, str):
         return given, recorded(instances(given, arm), session, note)
-    terms = (given,) if isinstance(given, Effect | Bias) else tuple(given)
+    terms = (given,) if isinstance(given, Term) else tuple(given)
     if not terms:
         raise InputError("calibrate", "effects", "nothing", "a name or instances of an effect")
     return terms[0].name, terms
