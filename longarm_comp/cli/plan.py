@@ -83,10 +83,8 @@ def command(
 
     declared = Arm.load(arm)
     form, output = options.form_of(like, output)
-    given |= {"kind": kind, "seen": _sees(arm) if seen else None}
-    if kind in ("i-optimal", "d-optimal"):
-        given |= {"measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
-        given["points"] = {name: place for name, *place in points}
+    given |= {"kind": kind, "measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
+    given |= {"seen": _sees(arm) if seen else None, "points": {n: place for n, *place in points}}
     poses = plan(declared, count, note=note, **given)
     write_poses(poses, output, *([form.write] if form else []))
     facts: dict[str, Any] = {"output": output, "poses": poses.q, "approach": poses.approach}

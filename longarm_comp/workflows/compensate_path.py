@@ -120,13 +120,12 @@ def compensate_path(
     sides = np.where(np.abs(steps) < SAME_POSE, 0.0, np.sign(steps))
     outcomes = found.each(model, chosen, carried)
     contexts = found.context.each(len(carried))
-    moves = [Move(q, None, side, np.zeros(n, bool)) for q, side in zip(joints, sides, strict=True)]
-    arrivals = [
-        Arrival(outcome, move, context, found.history)
-        for outcome, move, context in zip(outcomes, moves, contexts, strict=True)
-    ]
+    arrivals = tuple(
+        Arrival(outcome, Move(q, None, side, np.zeros(n, bool)), context, found.history)
+        for outcome, q, side, context in zip(outcomes, joints, sides, contexts, strict=True)
+    )
     return PathCommands(
-        numbers, tuple(arrivals), placements,
+        numbers, arrivals, placements,
         timed=found.timed, correction_m=found.correction_m, notes=found.notes,
     )  # fmt: skip
 

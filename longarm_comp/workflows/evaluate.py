@@ -112,11 +112,9 @@ class Evaluation(ErrorTable):
     @property
     def notes(self) -> list[str]:
         """What has to be known to read the table: the worst rows, and what was done."""
-        said = []
-        if self.errors:
-            last = list(self)[-1]
-            worst = (f"{row} ({1e3 * size:.3g} mm)" for row, size in self[last].worst)
-            said.append(f"worst rows of {last}, by index: {', '.join(worst)}")
+        last = list(self)[-1]
+        worst = (f"{row} ({1e3 * size:.3g} mm)" for row, size in self[last].worst)
+        said = [f"worst rows of {last}, by index: {', '.join(worst)}"]
         if self.placed:
             why = "because they see it elsewhere"
             said.append(f"the declared arm was placed by these rows first, {why}")
