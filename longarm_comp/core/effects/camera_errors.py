@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Instrument
-from longarm_comp.core.arm.spatial import Scalar, Vec, add, dot, scale, sub
+from longarm_comp.core.arm.spatial import Vec, add, dot, scale, sub
 from longarm_comp.core.effects.effect import Bias, parameter
 
 
@@ -21,20 +19,6 @@ class CameraView(Bias):
 
     instruments: ClassVar[Mapping[Instrument, str]] = {"camera": ""}
     part = "camera"
-
-    @staticmethod
-    def split(point: Vec, arm: Arm) -> tuple[Vec, Scalar, Vec, Vec]:
-        """(camera position, depth, optical axis, lateral part) of a point, m, base frame."""
-        assert arm.camera is not None
-        size = float(np.linalg.norm(arm.camera.optical_axis))
-        axis = tuple(float(c) / size for c in arm.camera.optical_axis)
-        ray = sub(point, arm.camera.position_m)
-        depth = dot(ray, axis)  # type: ignore[arg-type]
-        return arm.camera.position_m, depth, axis, sub(ray, scale(depth, axis))  # type: ignore[arg-type, return-value]
-
-    @staticmethod
-    def join(position: Vec, depth: Scalar, axis: Vec, lateral: Vec) -> Vec:
-        return add(position, add(scale(depth, axis), lateral))
 
 
 @dataclass(frozen=True)
@@ -48,9 +32,8 @@ class CameraScale(CameraView):
     scale: float = parameter("1", "relative scale error", prior=0.02)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        position, depth, axis, lateral = self.split(point, arm)
-        factor = 1.0 + self.scale
-        return self.join(position, factor * depth, axis, scale(factor, lateral))
+        assert arm.camera is not None
+        return add(point, scale(self.scale, sub(point, arm.camera.position_m)))
 
 
 @dataclass(frozen=True)
@@ -64,9 +47,12 @@ class CameraRadial(CameraView):
     k1: float = parameter("1", "first radial coefficient left over", prior=0.05)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        position, depth, axis, lateral = self.split(point, arm)
-        r2 = dot(lateral, lateral) / (depth * depth)
-        return self.join(position, depth, axis, scale(1.0 + self.k1 * r2, lateral))
+        assert arm.camera is not None
+        ray, axis = sub(point, arm.camera.position_m), arm.camera.optical_axis
+        ahead = scale(dot(ray, axis) / dot(axis, axis), axis)
+        lateral = sub(ray, ahead)
+        r2 = dot(lateral, lateral) / dot(ahead, ahead)
+        return add(point, scale(self.k1 * r2, lateral))
 
 
 @dataclass(frozen=True)
