@@ -43,7 +43,7 @@ def test_the_odds_of_the_rows_alone_are_half_the_square_of_what_nothing_else_exp
     (found,) = in_doubt().findings
     keys = {t.key for t in found.terms}
     own = [s for s in fitted.slots if s.owner.key in keys]
-    values = np.array([getattr(s.owner, s.parameter.name) for s in own]) / priors(tuple(own))
+    values = np.array([s.value for s in own]) / priors(tuple(own))
     columns = FitColumns(fitted)
     rival = next(r for r in found.alternatives if r.candidate.name not in found.names[1:2])
     alone = columns.without(keys)

@@ -77,7 +77,7 @@ class Parameters:
     @cached_property
     def values(self) -> np.ndarray:
         """(q,) as the model has them."""
-        return np.array([getattr(s.owner, s.parameter.name) for s in self.slots], dtype=float)
+        return np.array([s.value for s in self.slots], dtype=float)
 
     @cached_property
     def widths(self) -> np.ndarray:

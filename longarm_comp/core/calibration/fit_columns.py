@@ -73,7 +73,7 @@ class FitColumns:
 def shift_of(fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]) -> np.ndarray:
     """(N, d) what fitted terms add to the rows, m or rad."""
     slots = slots_of(fitted.model.arm, terms)
-    values = np.array([getattr(s.owner, s.parameter.name) for s in slots]) / priors(slots)
+    values = np.array([s.value for s in slots]) / priors(slots)
     moved = columns.of(terms) @ values
     fixed = [t for t in terms if not slots_of(fitted.model.arm, [t])]
     return np.asarray(moved + columns.shift(fixed) if fixed else moved)

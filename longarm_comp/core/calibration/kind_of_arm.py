@@ -71,8 +71,7 @@ class KindOfArm:
         for row, slots in zip(values, held, strict=True):
             for k, key in enumerate(every):
                 if key in slots:
-                    slot = slots[key]
-                    row[k] = getattr(slot.owner, slot.parameter.name) / slot.parameter.width
+                    row[k] = slots[key].value / slots[key].parameter.width
         shares, rest = _shrunk(values)
         directions = tuple(
             KindDirection(number, _terms(list(every.values()), share))
@@ -98,7 +97,7 @@ def folded(fit: ModelFit) -> ModelFit:
     for k, slot in enumerate(fit.slots):
         if isinstance(slot.owner, KindDirection):
             for part in slots_of(model.arm, slot.owner.terms):
-                ways[place[part.identity], k] += getattr(part.owner, part.parameter.name)
+                ways[place[part.identity], k] += part.value
         else:
             ways[place[slot.identity], k] = 1.0
     model = model.with_values(ways @ fit.model.values)

@@ -142,7 +142,7 @@ def check_sizes(model: Model, source: str) -> None:
         JobError: one is.
     """
     for slot in model.slots:
-        value, p = getattr(slot.owner, slot.parameter.name), slot.parameter
+        value, p = slot.value, slot.parameter
         if not slot.owner.geometry and abs(value) > INCREDIBLE * p.prior:
             raise JobError(
                 f"{slot.owner.name} at {slot.owner.where}: {p.name} {value:.3g} {p.unit} is not "

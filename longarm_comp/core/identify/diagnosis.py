@@ -160,7 +160,7 @@ class Diagnosis:
         for slot in self.search.fit.slots:
             key = (*slot.owner.key, slot.parameter.name)
             if slot.owner.key in {t.key for t in finding.terms}:
-                value = float(getattr(slot.owner, slot.parameter.name))
+                value = slot.value
                 made[key] = held.get(key, Interval(value, value, value))
         return made
 

@@ -54,6 +54,11 @@ class Slot:
         return f"{self.owner.name} / {self.owner.place} / {self.parameter.name}"
 
     @property
+    def value(self) -> float:
+        """Value of the parameter."""
+        return float(getattr(self.owner, self.parameter.name))
+
+    @property
     def step(self) -> float:
         """A small change of the parameter."""
         return 0.01 * self.parameter.prior
@@ -62,7 +67,7 @@ class Slot:
     def ends(self) -> tuple[Any, Any]:
         """Its term with the parameter a step higher, and a step lower."""
         name, term = self.parameter.name, self.owner
-        up, down = (getattr(term, name) + by for by in (self.step, -self.step))
+        up, down = self.value + self.step, self.value - self.step
         return term.with_values({name: up}), term.with_values({name: down})
 
 
@@ -135,7 +140,7 @@ class Model:
     @cached_property
     def values(self) -> np.ndarray:
         """Parameter values, (p,)."""
-        return np.array([getattr(s.owner, s.parameter.name) for s in self.slots], dtype=float)
+        return np.array([s.value for s in self.slots], dtype=float)
 
     def with_values(self, values: np.ndarray) -> Model:
         """A copy with other parameter values, (p,)."""

@@ -97,5 +97,5 @@ def _designs(
     rest = tuple(s for s in fit.slots if s.owner.key not in places)
     rest += other.slots(fit.model.arm)
     own = [s for s in fit.slots if s.owner.key in places]
-    values = np.array([getattr(s.owner, s.parameter.name) for s in own])
+    values = np.array([s.value for s in own])
     return of(rest) * priors(rest), (of(own) @ values)[..., None]

@@ -85,7 +85,7 @@ def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
     terms = tuple(s.owner for _, s in held if isinstance(s.owner, words.Found))
     amounts, shift = [], np.zeros(fit.residual.shape)
     for term, (i, slot) in zip(terms, held, strict=True):
-        value = float(getattr(slot.owner, slot.parameter.name))
+        value = slot.value
         error = float(fit.standard_errors[i])
         shift = shift + value * fit.columns[..., i]
         amounts.append((term.where, term.of.formula, value, error, slot.parameter.unit))
