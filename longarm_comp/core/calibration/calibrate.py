@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -40,15 +41,15 @@ class Errors:
     from the same rows; None where nothing was touched.
     """
 
-    n: int
-    mean: float
-    rms: float
-    p95: float
-    max: float
-    mean_abs_z: float
-    variance: float
+    n: int = 0
+    mean: float = math.nan
+    rms: float = math.nan
+    p95: float = math.nan
+    max: float = math.nan
+    mean_abs_z: float = math.nan
+    variance: float = math.nan
     angle: float | None = None
-    median: float = float("nan")
+    median: float = math.nan
     worst: tuple[tuple[int, float], ...] = ()
     spread: float | None = None
 
@@ -83,8 +84,7 @@ class Errors:
         if turn is not None and len(turn):
             mean_turn = float(np.linalg.norm(turn, axis=1).mean())
         if not len(error):
-            nan = float("nan")
-            return cls(0, nan, nan, nan, nan, nan, nan, mean_turn, spread=about)
+            return cls(angle=mean_turn, spread=about)
         length = np.linalg.norm(error, axis=1)
         numbers = np.arange(len(error)) if numbers is None else numbers
         return cls(
@@ -187,7 +187,7 @@ def _beyond(model: Model) -> tuple[tuple[tuple[object, ...], float], ...]:
     """As `Model.beyond`, by the model's values."""
     bare = dataclasses.replace(model, beyond=())
     slots = [s for s in bare.slots if not s.parameter.unknown]
-    told = np.array([getattr(s.owner, s.parameter.name) / s.parameter.width for s in slots])
+    told = np.array([s.value / s.parameter.width for s in slots])
     every = np.ones((len(slots), 1))
     sizes = sized(told, every * SIZES, every * CHANCES)[0].tolist()
     return tuple((s.identity, f) for s, f in zip(slots, sizes, strict=True) if f != 1.0)

@@ -29,6 +29,8 @@ NEAR = 1.0
 STALLED = 3
 """Steps without gain after which a fit ends with the best values it had: where loads and what they
 bend are fitted together, steps may go around the solution for ever."""
+MOST_STEPS = 25
+"""Bound on the Gauss-Newton steps."""
 GAIN = 0.1
 """Fall of the cost (minus twice the log posterior) that is a gain."""
 WORSE = 0.1
@@ -44,7 +46,6 @@ def fit(
     rho: float = 0.0,
     robust: bool = True,
     weights: np.ndarray | None = None,
-    max_iterations: int = 25,
     close: float = CLOSE,
     begun: ModelFit | None = None,
     near: ModelFit | None = None,
@@ -60,7 +61,6 @@ def fit(
         rho: correlation of the noise from one row to the next (in the order of the rows).
         robust: give outliers weight 0, anew at every step.
         weights: (N of seen rows,) fixed weights instead.
-        max_iterations: bound on the Gauss-Newton steps.
         close: the last step must be below so many standard errors.
         begun: a fit of the same model to the same session, if there is one: residual and design
             are taken from it.
@@ -71,24 +71,17 @@ def fit(
         InputError: fewer than four seen rows, or an input that a term needs is missing.
         JobError: the fit did not stay finite.
     """
-    part = SessionProblem.of(model, session, sigma, weights, robust, rho)
-    part.usual = usual or {}
+    part = SessionProblem(model, session, sigma, weights, robust, rho, usual)
     if begun is not None:
         part.took(begun)
     elif near is not None:
         part.near = near.posture
-    return _fit_parts([part], max_iterations, close)[0]
+    return _fit_parts([part], close)[0]
 
 
 def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
-    """A model held against a session as it is: residual and design, nothing fitted yet.
-
-    Args:
-        model: as it is.
-        session: rows.
-        near: a fit of a similar model to the same session, if there is one.
-    """
-    part = SessionProblem.of(model, session, None, None, False)
+    """A model held against a session as it is: residual and design; `near` as in `fit`."""
+    part = SessionProblem(model, session, robust=False)
     part.near = None if near is None else near.posture
     part.look()
     part.weigh(settled=False)
@@ -98,8 +91,6 @@ def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> Mo
 def fit_together(
     parts: Sequence[tuple[Model, Session]],
     own: Callable[[Slot], bool],
-    *,
-    max_iterations: int = 25,
 ) -> list[ModelFit]:
     """Fit several arms that share a part of their chain (two arms on one torso).
 
@@ -107,18 +98,15 @@ def fit_together(
         parts: a starting model and a session each.
         own: which parameters belong to each part alone; all others with the same label are
             one parameter.
-        max_iterations: bound on the Gauss-Newton steps.
 
     Raises:
         InputError, JobError: as `fit`.
     """
-    made = [SessionProblem.of(model, session, None, None, True) for model, session in parts]
-    return _fit_parts(made, max_iterations, CLOSE, own)
+    return _fit_parts([SessionProblem(model, session) for model, session in parts], CLOSE, own)
 
 
 def _fit_parts(
     parts: list[SessionProblem],
-    max_iterations: int,
     close: float,
     own: Callable[[Slot], bool] | None = None,
 ) -> list[ModelFit]:
@@ -135,7 +123,7 @@ def _fit_parts(
             places.append(place[key])
         maps.append(np.array(places, dtype=int))
     scale = priors(tuple(chosen))
-    now = np.array([getattr(s.owner, s.parameter.name) for s in chosen], dtype=float)
+    now = np.array([s.value for s in chosen], dtype=float)
     centre = np.where([s.parameter.unknown for s in chosen], now, 0.0)
     lower = (np.array([s.parameter.lower for s in chosen]) - centre) / scale
     upper = (np.array([s.parameter.upper for s in chosen]) - centre) / scale
@@ -145,15 +133,15 @@ def _fit_parts(
         part.look()
     posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
     cost, best, least, stalled = np.inf, now, np.inf, 0
-    for step in range(1, max_iterations + 1):
-        designs, data = [], []
+    for step in range(1, MOST_STEPS + 1):
+        gram, moment = np.zeros((len(scale), len(scale))), np.zeros(len(scale))
         for part, mine in zip(parts, maps, strict=True):
             part.weigh(settled=step > 2)
             a, y = part.whitened(scale[mine], centre[mine])
-            designs.append(_placed(a, mine, len(scale)))
-            data.append(y)
+            gram[np.ix_(mine, mine)] += a.T @ a
+            moment[mine] += a.T @ y
         try:
-            posterior = linear.solve(_joined(designs), _joined(data), lower, upper)
+            posterior = linear.solved(gram, moment, lower, upper)
         except np.linalg.LinAlgError:
             rows = sum(len(part.seen) for part in parts)
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
@@ -232,17 +220,3 @@ def _stepped(
         raise failed
     move(now)
     return now, before
-
-
-def _placed(columns: np.ndarray, places: np.ndarray, width: int) -> np.ndarray:
-    """(m, k) columns of one part at their places among those of all parts, (m, width)."""
-    if np.array_equal(places, np.arange(width)):
-        return columns
-    wide = np.zeros((len(columns), width))
-    np.add.at(wide.T, places, columns.T)
-    return wide
-
-
-def _joined(blocks: list[np.ndarray]) -> np.ndarray:
-    """Rows of all parts; those of a single one are not copied."""
-    return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from longarm_comp.core.calibration import linear
-from longarm_comp.core.calibration.linear import MAD, OUTLIER, mean, median
+from longarm_comp.core.calibration.linear import BEFOREHAND, MAD, OUTLIER, mean, median
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, posture
@@ -17,8 +17,6 @@ from longarm_comp.core.model.model import Model
 
 ENOUGH_REPEATS = 15
 """Degrees of freedom that repeats must have to be trusted."""
-ALIKE = 4.0
-"""Degrees of freedom, beside an axis's own, that say that it is as noisy as the others."""
 ALLOWED = 1e-3
 """Chance of an axis, one of several in every session, to be noisier than its repeats allow."""
 MOST_STEPS = 60
@@ -165,7 +163,7 @@ def from_residual(
         weights = count * (np.nan_to_num(worst).max(axis=1) <= OUTLIER)
         square = (even[weights > 0] ** 2).sum(0)
         alike = _usual(fit, square / degrees)
-        new = np.sqrt((square + ALIKE * alike) / (degrees + ALIKE))
+        new = np.sqrt((square + BEFOREHAND * alike) / (degrees + BEFOREHAND))
         new = np.where(held[weights > 0].any(0), new, np.inf)
         shrunk = _shrunk(posterior, added) if few else 1.0
         done = np.all((new == sigma) | (np.abs(new - sigma) < 0.01 * sigma))

@@ -4,71 +4,58 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.calibration.linear import believed, freedom, inliers, spread, whiten
+from longarm_comp.core.calibration.linear import (
+    BEFOREHAND,
+    believed,
+    freedom,
+    inliers,
+    spread,
+    whiten,
+)
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 
-USUAL = 4.0
-"""Equations that the usual noise of an arm's kind is worth: among arms of one kind it differs by
-about a third, as an estimate from so many does."""
 
-
-@dataclass
 class SessionProblem:
-    """One session on its way through the Gauss-Newton steps."""
+    """One session on its way through the Gauss-Newton steps; arguments and errors as of `fit`."""
 
-    model: Model
-    seen: Session
-    sigma: np.ndarray | None
-    fixed: np.ndarray | None
-    robust: bool
-    weights: np.ndarray
-    noise: np.ndarray
-    residual: np.ndarray = field(init=False)
-    columns: np.ndarray = field(init=False)
-    effective: float = 0.0
-    rho: float = 0.0
-    posture: Posture | None = None
-    near: Posture | None = None
-    usual: Mapping[str, float] = field(default_factory=dict)
+    residual: np.ndarray
+    columns: np.ndarray
 
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         model: Model,
         session: Session,
-        sigma: np.ndarray | None,
-        weights: np.ndarray | None,
-        robust: bool,
+        sigma: np.ndarray | None = None,
+        weights: np.ndarray | None = None,
+        robust: bool = True,
         rho: float = 0.0,
-    ) -> SessionProblem:
-        seen = session.take(session.seen)
+        usual: Mapping[str, float] | None = None,
+    ) -> None:
+        self.seen = seen = session.take(session.seen)
         if len(seen) < 4:
             raise InputError(session.source, "xyz", f"{len(seen)} seen rows", "at least 4")
         context = seen.context()
         for term in model.terms:
             term.require(context)
-        start = np.ones(len(seen)) if weights is None else np.asarray(weights, float)
-        noise = np.full(len(seen.channels), np.nan) if sigma is None else np.asarray(sigma, float)
-        return cls(
-            dataclasses.replace(model, arrivals=seen.arrivals, uncertainty=None),
-            seen,
-            sigma,
-            weights,
-            robust,
-            start,
-            noise,
-            rho=rho,
+        self.model = dataclasses.replace(model, arrivals=seen.arrivals, uncertainty=None)
+        self.sigma, self.fixed, self.robust, self.rho = sigma, weights, robust, rho
+        self.usual = usual or {}
+        self.weights = np.ones(len(seen)) if weights is None else np.asarray(weights, float)
+        self.noise = np.asarray(
+            np.full(len(seen.channels), np.nan) if sigma is None else sigma, float
         )
+        self.effective = 0.0
+        self.posture: Posture | None = None
+        self.near: Posture | None = None
 
     def look(self) -> None:
         """Residual and design of the model as it is now."""
@@ -106,18 +93,9 @@ class SessionProblem:
     ) -> ModelFit:
         """The model as it is now."""
         found = ModelFit(
-            self.model,
-            self.seen,
-            self.residual,
-            self.columns,
-            covariance,
-            self.weights,
-            self.noise,
-            self.effective,
-            iterations,
-            converged,
-            self.rho,
-        )
+            self.model, self.seen, self.residual, self.columns, covariance, self.weights,
+            self.noise, self.effective, iterations, converged, self.rho,
+        )  # fmt: skip
         found.__dict__["posture"] = self.posture
         return found
 
@@ -152,7 +130,7 @@ class SessionProblem:
     def _common(self, sigma: np.ndarray) -> np.ndarray:
         """(d,) one figure for all channels of a kind and sensor.
 
-        Where the usual noise of the kind is known it counts as `USUAL` further equations.
+        Where the usual noise of the kind is known it counts as `BEFOREHAND` further equations.
         """
         made, start = [], 0
         free = freedom(self.weights, self.effective, self.seen.measured)
@@ -164,8 +142,8 @@ class SessionProblem:
             common = np.sqrt((held**2).mean()) if len(held) else np.inf
             known = self.usual.get(block.kind)
             if known is not None and len(held):
-                square = USUAL * known**2 + degrees * common**2
-                common = np.sqrt(square / (USUAL + degrees))
+                square = BEFOREHAND * known**2 + degrees * common**2
+                common = np.sqrt(square / (BEFOREHAND + degrees))
             made.append(np.full(len(mine), common))
         return np.concatenate(made)
 

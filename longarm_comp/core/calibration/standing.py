@@ -18,13 +18,11 @@ from longarm_comp.core.data.measurement import equations, errors, posture, turns
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.geometry_errors import ELSEWHERE
 from longarm_comp.core.effects.placements import BasePose, TipOffset, TipOrientation
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
-MISPLACED = 0.25
-"""Median error, as a share of the way that its frames travel (or in rad), of an arm that stands
-elsewhere.  A tip that touches a point does not travel; the arm behind it does."""
 UNTOLD = 0.1
 """Posterior standard deviation, in that of a prior that knows nothing, of what rows do not tell."""
 
@@ -65,14 +63,18 @@ def standing(model: Model, session: Session) -> tuple[Model, bool]:
 
 
 def misplaced(model: Model, session: Session) -> bool:
-    """Whether the rows see the arm somewhere else than a model puts it."""
+    """Whether the rows see the arm somewhere else than a model puts it.
+
+    The median error is then `ELSEWHERE` of the way that its frames travel (or in rad).  A tip that
+    touches a point does not travel; the arm behind it does.
+    """
     if not session.placed.any():
-        return bool(session.turned.any()) and median_distance(turns(model, session)) > MISPLACED
+        return bool(session.turned.any()) and median_distance(turns(model, session)) > ELSEWHERE
     rows = session.take(session.placed)
     at = posture(model, rows)
     frames = [stack(frame.p) for frame in (*at.frames, model.tip_frame(at))]
     travel = max(median_spread(p) for p in frames if p.ndim == 2)
-    return median_distance(errors(model, rows)) > MISPLACED * travel
+    return median_distance(errors(model, rows)) > ELSEWHERE * travel
 
 
 def untold(fit: ModelFit) -> tuple[str, ...]:

@@ -47,9 +47,9 @@ class JointZero(JointTerm):
         return self.motion(posture, self.offset)
 
 
-_MOST_OF_REACH = 0.25
-"""A length that is wrong by more, as a share of the arm's reach, is of another arm: calibration
-refuses rows that see the arm as far off."""
+ELSEWHERE = 0.25
+"""Share of an arm's reach: where lengths, or the rows that see it, are off by more, it is another
+arm, or one that stands elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class DhError(Effect):
 
     def check(self, arm: Arm, where: str) -> None:
         """No length is wrong by a quarter of the arm's reach."""
-        most = _MOST_OF_REACH * reach(arm)
+        most = ELSEWHERE * reach(arm)
         for p in self.declared():
             value = getattr(self, p.name)
             if p.unit == "m" and abs(value) > most:
