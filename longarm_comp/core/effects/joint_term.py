@@ -19,10 +19,6 @@ from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Drive, Effect, Parameter, Sites, form, place
 from longarm_comp.core.effects.sites import moving_joints
 
-GATES = (0.0, 0.03, 0.075, 0.15, 0.3, 0.75)
-"""Loads below which friction may hold a joint (`RestingTerm.side`), of the arm's typical ones."""
-BLEND = 1 / 6
-"""Share of such a load over which friction and load change over, where it is not known."""
 _POSES = 64
 """Poses over which a typical load is taken."""
 _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
@@ -131,8 +127,8 @@ class RestingTerm(JointTerm):
 
     loaded = True
 
-    gate: float = form(0.0, lower=0.0, upper=1.0, tried=GATES)
-    blend: float = form(BLEND, lower=0.01, upper=0.5)
+    gate: float = form(0.0, lower=0.0, upper=1.0, tried=(0.0, 0.03, 0.075, 0.15, 0.3, 0.75))
+    blend: float = form(1 / 6, lower=0.01, upper=0.5)
 
     def side(self, posture: Posture) -> Scalar:
         """Resting side, -1 to +1.

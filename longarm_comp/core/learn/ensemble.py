@@ -39,7 +39,7 @@ from longarm_comp.core.learn.network import (
     xavier_start,
 )
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
-from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
+from longarm_comp.core.learn.sparrow import SparrowSearch
 from longarm_comp.core.model.uncertainty import LEVEL
 
 Array = NDArray[np.float64]
@@ -159,12 +159,8 @@ def _student_log(square: Array, tail: float, k: int) -> float:
 
 
 Progress = Callable[[int, int], None]
-Start = Callable[[NetworkShape, Fitness, np.random.Generator, SparrowSearch], Array]
 
-_INITS: dict[str, Start] = {
-    "ssa": sparrow_start,
-    "xavier": lambda shape, fitness, rng, search: xavier_start(shape, rng),
-}
+_INITS = ["ssa", "xavier"]
 _HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in order until the evidence falls by _UNLIKELY
 _UNLIKELY = 30.0
 _FOLDS = 4
@@ -205,7 +201,7 @@ def train(
     q, known = check_rows("train", q, context)
     y = _checked_targets(q, residual)
     if init not in _INITS:
-        raise InputError("train", "init", init, f"one of {sorted(_INITS)}")
+        raise InputError("train", "init", init, f"one of {_INITS}")
     if ensemble < 1:
         raise InputError("train", "ensemble", ensemble, "an integer >= 1")
     if hidden is not None and not 1 <= hidden <= 500:
@@ -287,7 +283,10 @@ class _Rows:
         shape = NetworkShape(self.x.shape[1], units, 3)
         rng = np.random.default_rng([self.seed, units, start])
         x, target = self.x[rows], self.target[rows]
-        begun = _INITS[self.init](shape, squared_error(shape, x, target), rng, self.search)
+        if self.init == "ssa":
+            begun = sparrow_start(shape, squared_error(shape, x, target), rng, self.search)
+        else:
+            begun = xavier_start(shape, rng)
         return back_propagate(shape, begun, x, target)
 
     def likeliest(

@@ -26,9 +26,6 @@ from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.core.model.uncertainty import ModelUncertainty, read, triangular, written
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
-MOST_PASSES, MOST_ELEMENTS = 50, 64
-"""More load passes, or more elements a beam, change no digit and take minutes."""
-
 _Three = tuple[float, float, float]
 _Square = tuple[_Three, _Three, _Three]
 
@@ -90,8 +87,8 @@ class StoredModel(Declared):
     schema_: Literal["longarm/model/1"] = Field(alias="schema")
     version: int = Field(ge=0)
     arm: _ArmReference
-    passes: int = Field(ge=1, le=MOST_PASSES)
-    elements_per_beam: int = Field(ge=1, le=MOST_ELEMENTS)
+    passes: int = Field(ge=1, le=50)  # more change no digit and take minutes
+    elements_per_beam: int = Field(ge=1, le=64)  # nor do more of these
     geometry: list[_StoredTerm]
     effects: list[_StoredTerm]
     camera: list[_StoredTerm]

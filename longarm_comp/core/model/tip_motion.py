@@ -121,17 +121,20 @@ class TipMotion:
         return _together(seen, blocks)
 
     def _point_change(self, change: _Moved | Reseen, kind: str, free: bool) -> Vec:
-        tip = self.frame.p
         if isinstance(change, Reseen):
             if kind not in change.sees:
                 return spatial.ZERO
-            ends = [s.seen(tip, self.context, kind) for s in (change.raised, change.lowered)]
+            sensors = change.raised, change.lowered
+            ends = [s.seen(self.frame.p, self.context, kind) for s in sensors]
             return spatial.scale(change.per, spatial.sub(ends[0], ends[1]))
-        if free:
-            return change.shift
-        up = self.sensor.seen(spatial.add(tip, spatial.scale(_H, change.shift)), self.context, kind)
-        down = self.sensor.seen(
-            spatial.sub(tip, spatial.scale(_H, change.shift)), self.context, kind
+        return change.shift if free else self._reported(change.shift, kind)
+
+    def _reported(self, shift: Vec, kind: str) -> Vec:
+        """Derivative of the reported point as the tip moves along a shift."""
+        tip, by = self.frame.p, spatial.scale(_H, shift)
+        up, down = (
+            self.sensor.seen(end, self.context, kind)
+            for end in (spatial.add(tip, by), spatial.sub(tip, by))
         )
         return spatial.scale(0.5 / _H, spatial.sub(up, down))
 
@@ -159,14 +162,7 @@ class TipMotion:
 
     def pull(self, kind: str) -> np.ndarray:
         """(N, 3, 3) derivative of the reported point by the tip's position."""
-        ends = [
-            [self.sensor.seen(spatial.add(self.frame.p, spatial.scale(s, axis)), self.context, kind)
-             for s in (_H, -_H)]
-            for axis in IDENTITY[:3]
-        ]  # fmt: skip
-        return _together(
-            self.frame.p, [spatial.scale(0.5 / _H, spatial.sub(up, down)) for up, down in ends]
-        )[1]
+        return _together(self.frame.p, [self._reported(axis, kind) for axis in IDENTITY[:3]])[1]
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Reported axes of the tip (N, 3, 3) and their turn (rad) by each parameter (N, 3, p).
