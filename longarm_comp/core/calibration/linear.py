@@ -198,8 +198,8 @@ def sized(
 OUTLIER = 4.2
 """Rows beyond this many robust standard deviations (per axis norm) get weight 0."""
 BEFOREHAND = 4.0
-"""Equations that the noise of what is alike is worth: of a sensor's other channels, of arms of a kind;
-among these it differs by about a third, as an estimate from so many does."""
+"""Equations that the noise of what is alike is worth: of a sensor's other channels, of arms of one
+kind.  Among these it differs by about a third, as an estimate from so many does."""
 MAD = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
 

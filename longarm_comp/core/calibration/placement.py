@@ -58,49 +58,47 @@ def placed(model: Model, session: Session) -> Model:
         return model
     if len(seen) < ENOUGH:
         return _lifted(model, session)
-    kept = tuple(e for e in model.effects if not any(e is h for h in held))
     markers = sorted({e.marker for e in held if isinstance(e, TipOffset)}) or [""]
     groups = sorted({e.group for e in held if isinstance(e, BasePose)}) or [""]
-    rows = Sightings.of(dataclasses.replace(model, effects=kept), seen, groups, markers)
+    rows = Sightings.of(model.without({e.key for e in held}), seen, groups, markers)
     found = register(rows, tips)
     now = np.linalg.norm(seen.xyz - model.measured(seen.q, seen.context()), axis=1)
     alike = [rows.group + len(groups) * rows.marker == k for k in range(len(groups) * len(markers))]
     if all(np.median(now[mine]) <= CLEARLY * found.misfit for mine in alike if mine.any()):
         return model
-    effects = list(model.effects)
-    for k, effect in enumerate(effects):
-        if isinstance(effect, TipOffset) and tips and _unknown(model, effect):
-            at = found.tip[markers.index(effect.marker)]
-            effects[k] = effect.with_values(dict(zip("xyz", at, strict=True)))
-        elif isinstance(effect, BasePose):
+    for effect in held:
+        if isinstance(effect, BasePose):
             g = groups.index(effect.group)
             solved = _at(effect, found.rotation[g], found.offset[g], model)
-            if _unknown(model, effect):
-                effects[k] = solved
-            else:
+            if not _unknown(model, effect):
                 _check_tolerance(model, effect, solved, session.source)
-    return dataclasses.replace(model, effects=tuple(effects))
+                continue
+        elif _unknown(model, effect):
+            at = found.tip[markers.index(effect.marker)]
+            solved = effect.with_values(dict(zip("xyz", at, strict=True)))
+        else:
+            continue
+        model = _instead(model, effect, solved)
+    return model
 
 
 def _lifted(model: Model, session: Session) -> Model:
     """Unknown bases put where coordinates, distances, rays and axes say, where that fits better."""
-    effects = list(model.effects)
-    for k, effect in enumerate(effects):
+    for effect in model.effects:
         if not (isinstance(effect, BasePose) and _unknown(model, effect)):
             continue
         rows = session.where("group", effect.group) if effect.group else session
         rows = rows.take(rows.seen)
-        bare = dataclasses.replace(model, effects=tuple(e for e in effects if e is not effect))
-        pose = bare.pose(rows.q, rows.context())
+        pose = model.without({effect.key}).pose(rows.q, rows.context())
         found = lifted_base(model.arm, pose[:, :3, 3], pose[:, :3, :3], rows)
-        put = effects.copy()
-        put[k] = _at(effect, *found, model)
-        there = dataclasses.replace(model, effects=tuple(put))
-        if _misfit(dataclasses.replace(model, effects=tuple(effects)), rows) > CLEARLY * _misfit(
-            there, rows
-        ):
-            effects = put
-    return dataclasses.replace(model, effects=tuple(effects))
+        there = _instead(model, effect, _at(effect, *found, model))
+        if _misfit(model, rows) > CLEARLY * _misfit(there, rows):
+            model = there
+    return model
+
+
+def _instead(model: Model, old: Effect, new: Effect) -> Model:
+    return model.with_terms([new if term is old else term for term in model.terms])
 
 
 def _misfit(model: Model, rows: Session) -> float:
@@ -149,8 +147,7 @@ def _twist(rotation: np.ndarray, shift: np.ndarray) -> dict[str, float]:
 
 def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
     """The terms that a session's measurements need besides base and tip."""
-    made: list[Bias] = []
-    made += [TipOrientation(marker=m, sensor=s) for m, s in _bodies(arm, session)]
+    made: list[Bias] = [TipOrientation(marker=m, sensor=s) for m, s in _bodies(arm, session)]
     for name in session.named(KINDS["distance"]):
         held = arm.anchors.get(name)
         if held is None or held.xyz_m is None:
@@ -223,8 +220,7 @@ def _turned(term: TipOrientation, model: Model, session: Session) -> TipOrientat
         if value:
             mine &= session.labels[label] == value
     rows = session.take(mine)
-    others = tuple(t for t in model.biases if not isinstance(t, TipOrientation))
-    bare = dataclasses.replace(model, biases=others)
+    bare = model.with_terms([t for t in model.terms if not isinstance(t, TipOrientation)])
     axes = bare.motion(posture(bare, rows), (), turns=True).axes()[0]
     seen = matrices(rows.readings["orientation"])
     between = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ seen)
@@ -232,8 +228,7 @@ def _turned(term: TipOrientation, model: Model, session: Session) -> TipOrientat
     for _ in range(ROUNDS):
         mean = between.mean(weights)
         weights = robust_weights((mean.inv() * between).magnitude())
-    rx, ry, rz = mean.as_rotvec()
-    return dataclasses.replace(term, rx=float(rx), ry=float(ry), rz=float(rz))
+    return term.with_values(dict(zip(("rx", "ry", "rz"), mean.as_rotvec(), strict=True)))
 
 
 def _placed(term: AnchorPlace, model: Model, session: Session) -> AnchorPlace:
@@ -244,5 +239,5 @@ def _placed(term: AnchorPlace, model: Model, session: Session) -> AnchorPlace:
         allowed = "at least 4 where the anchor's place is to be solved"
         raise InputError(session.source, f"anchor {term.anchor}", f"{len(rows)} distances", allowed)
     tips = model.tip(rows.q, rows.context())
-    x, y, z = multilaterated(tips, rows.readings["distance"][:, 0])
-    return dataclasses.replace(term, x=float(x), y=float(y), z=float(z))
+    place = multilaterated(tips, rows.readings["distance"][:, 0])
+    return term.with_values(dict(zip("xyz", place, strict=True)))

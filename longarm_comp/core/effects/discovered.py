@@ -21,7 +21,7 @@ from longarm_comp.core.arm.posture import BASE, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
 from longarm_comp.core.effects.joint_term import with_prior
-from longarm_comp.core.effects.link_deflection import bent
+from longarm_comp.core.effects.link_deflection import bent, elements
 from longarm_comp.core.effects.quantities import (
     AXES,
     OfPosture,
@@ -126,10 +126,8 @@ class Wrench(_Component):
         """To first order, every element as a cantilever under what the load makes of its end."""
         pushed, turned = self.loads(posture, at, amount)
         made: dict[int, Twist] = {}
-        for row in posture.chain.rows:
-            for element in row.elements_a + row.elements_d:
-                if element.station > at.station:
-                    continue
+        for element in elements(posture):
+            if element.station <= at.station:
                 end = posture.frames[element.station]
                 lever = spatial.sub(at.frame.p, end.p)
                 moment = spatial.add(turned, spatial.cross(lever, pushed))

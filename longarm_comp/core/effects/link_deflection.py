@@ -32,7 +32,7 @@ class LinkDeflection(Effect):
         return []
 
     def twists(self, posture: Posture) -> Twists:
-        return {e.station: cantilever(posture, e) for e in _elements(posture)}
+        return {e.station: cantilever(posture, e) for e in elements(posture)}
 
 
 def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
@@ -40,12 +40,13 @@ def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
     every element of one beam, or of all."""
     return {
         e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
-        for e in _elements(posture)
+        for e in elements(posture)
         if not beam or e.beam.name == beam
     }
 
 
-def _elements(posture: Posture) -> Iterator[Element]:
+def elements(posture: Posture) -> Iterator[Element]:
+    """Pieces of all declared beams, from the base to the tip."""
     return (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
 
 
@@ -70,7 +71,7 @@ def _cantilevers(posture: Posture) -> dict[int, Twist]:
     """Of all elements, by station; those of one kind at once."""
     kinds: dict[tuple, dict[int, tuple[Scalar, ...]]] = {}
     masses, firsts = posture.carried
-    for e in _elements(posture):
+    for e in elements(posture):
         length, sign, inverse = _beam(posture, e)
         spread = posture.line_loads[e.station]
         frame, at = posture.frames[e.station], e.station

@@ -6,7 +6,6 @@ readings to the commands: then this is the model of the commands.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 from longarm_comp.core.arm.posture import Posture, Twists
@@ -39,11 +38,7 @@ class _Shaft(JointTerm):
 def by_readings(model: Model) -> Model:
     """The model whose joints are readings (rad, m) instead of commands."""
     arm = model.arm
-    behind = [e for e in model.effects if not any(sees(arm, row, e) for row in arm.commanded)]
-    encoders = [b for b in model.biases if isinstance(b, Encoder)]
-    shafts = [_Shaft(e.joint, e.zero, e.scale) for e in encoders]
-    return dataclasses.replace(
-        model,
-        effects=(*behind, *shafts),
-        biases=tuple(b for b in model.biases if not isinstance(b, Encoder)),
+    behind = [t for t in model.terms if not any(sees(arm, row, t) for row in arm.commanded)]
+    return model.with_terms(
+        [_Shaft(t.joint, t.zero, t.scale) if isinstance(t, Encoder) else t for t in behind]
     )

@@ -219,16 +219,13 @@ class Model:
 
     def unsagged(self, q: Sequence[Scalar], context: Context) -> Posture:
         """The arm at q as its base stands, before any other effect: where the load passes begin."""
-        return self.loaded(q, context, self._standing(context))
+        bare = self.unplaced((), context)
+        standing = spatial.summed(e.twists(bare) for e in self.effects if e.seen_only)
+        return self.loaded(q, context, standing)
 
     def unplaced(self, q: Sequence[Scalar], context: Context) -> Posture:
         """The joints at q without frames and loads, for effects that depend on neither."""
         return Posture(self.chain, tuple(q), context, [], [], self.arm.gravity_mps2)
-
-    def _standing(self, context: Context) -> Twists:
-        """Twists of the placement alone."""
-        bare = self.unplaced((), context)
-        return spatial.summed(effect.twists(bare) for effect in self.effects if effect.seen_only)
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """The arm at q with given twists (by station), and its loads."""
@@ -243,8 +240,7 @@ class Model:
         gravity: Vec = self.arm.gravity_mps2
         for effect in self.effects:
             gravity = effect.gravity(gravity)
-        bare = Posture(self.chain, (), context, [], [], gravity)
-        home = self.arm.base.frame()
+        bare, home = self.unplaced((), context), self.arm.base.frame()
         for effect in self.effects:
             if effect.seen_only:
                 turn = spatial.exp_large(effect.twists(bare)[PLACEMENT])

@@ -22,6 +22,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import LineLoads, Lumped, Posture, abs_
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
+from longarm_comp.core.effects.link_deflection import elements
 from longarm_comp.core.ik.kernel import geometric
 from longarm_comp.core.model.model import Model, unstack
 
@@ -129,8 +130,7 @@ class _Pushed(Posture):
 
     @cached_property
     def line_loads(self) -> LineLoads:
-        rows = self.chain.rows
-        return {e.station: [] for row in rows for e in (*row.elements_a, *row.elements_d)}
+        return {e.station: [] for e in elements(self)}
 
 
 def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures: int) -> np.ndarray:
