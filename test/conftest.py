@@ -93,7 +93,6 @@ def catalogue_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
     from longarm_comp.core.effects import catalogue
 
     monkeypatch.setattr(catalogue, "_others", {})
-    monkeypatch.setattr(catalogue, "_origins", {})
 
 
 @pytest.fixture

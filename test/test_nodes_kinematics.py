@@ -96,7 +96,6 @@ def test_an_effect_of_a_file_is_compensated(
     stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(catalogue, "_others", {})  # the node's process knows of the file alone
-    monkeypatch.setattr(catalogue, "_origins", {})
     example = ROOT / "examples" / "custom_effect.py"
     (kind,) = catalogue.load_file(example)
     model = declared_model(arm).plus(kind(joint=5, driver=2, gain=0.03))

@@ -53,7 +53,6 @@ def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
     options = ("--no-network", "--effects", EXAMPLE, "-o", folder / "diagnosis")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(catalogue, "_others", {})
-        patch.setattr(catalogue, "_origins", {})
         assert run([str(word) for word in (*words, *options)]) == 0
     return folder
 
@@ -194,8 +193,7 @@ def longarm(capsys: pytest.CaptureFixture[str]) -> Longarm:
 
     def call(site: Path | None, *words: object) -> subprocess.CompletedProcess[str]:
         with pytest.MonkeyPatch.context() as patch:
-            for name in ("_others", "_origins"):
-                patch.setattr(catalogue, name, {})
+            patch.setattr(catalogue, "_others", {})
             if site is not None:
                 patch.syspath_prepend(site)
             catalogue._load_entry_points.cache_clear()

@@ -104,8 +104,7 @@ class Errors:
 
 def errors_of(model: Model, session: Session) -> Errors:
     """Errors of a model over the rows of a session, of positions and of orientations."""
-    left, turned = errors(model, session), turns(model, session)
-    return Errors.of(left, turned, spread=spreads(model, session))
+    return Errors.of(errors(model, session), turns(model, session), spread=spreads(model, session))
 
 
 @dataclass(frozen=True)
@@ -141,8 +140,7 @@ def stages(
     calibrated.
 
     Args:
-        model: what is known already.
-        session: rows to fit.
+        model, session: what is known already, and the rows to fit.
         progress: called with each name before it is fitted.
         kind: what other arms of the kind say of the full geometry.
 
@@ -208,13 +206,10 @@ def ladder(
     The nominal arm is placed first where the rows see it somewhere else (`standing`).
 
     Args:
-        arm: as declared.
-        train: rows to fit.
-        held_out: rows to judge by; never fitted.
+        train, held_out: rows to fit, and rows to judge by, which are never fitted.
         effects: (name, terms) rungs above the full geometry, cumulative.
-        deflection: declared beams sag (all rungs but none where False).
-        progress: called with each rung's name before it is fitted.
-        kind: as in `stages`.
+        deflection: whether declared beams sag, in all rungs.
+        progress, kind: as in `stages`.
 
     Raises:
         InputError: too few rows, or an input that an effect needs is missing.
@@ -235,11 +230,8 @@ def ladder(
 
 def warm(model: Model, known: Model) -> Model:
     """A model started from another's values, where they share a parameter."""
-    held = {s.identity: v for s, v in zip(known.slots, known.values, strict=True)}
-    keys = [s.identity for s in model.slots]
-    return model.with_values(
-        np.array([held.get(k, v) for k, v in zip(keys, model.values, strict=True)])
-    )
+    held = {s.identity: s.value for s in known.slots}
+    return model.with_values(np.array([held.get(s.identity, s.value) for s in model.slots]))
 
 
 def _rung(

@@ -80,8 +80,7 @@ def library(
     An effect whose input was not recorded, or never changed, is not testable.
 
     Args:
-        arm: decides the places.
-        context: decides which inputs there are.
+        arm, context: decide the places, and which inputs there are.
         kinds: the effects to try; all of the catalogue where None.
         declared: terms that the model holds already; they are never added twice.
     """

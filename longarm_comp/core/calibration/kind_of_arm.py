@@ -53,8 +53,7 @@ class KindOfArm:
 
         Args:
             arm: the further one, as declared.
-            models: of the others.
-            sources: their files, for messages.
+            models, sources: of the others, and their files, for messages.
             noise: as the attribute, where it is known.
 
         Raises:

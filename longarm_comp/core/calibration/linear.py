@@ -36,12 +36,10 @@ class Posterior:
 def solve(
     a: np.ndarray, y: np.ndarray, lower: np.ndarray | None = None, upper: np.ndarray | None = None
 ) -> Posterior:
-    """MAP estimate of ``y = A u + e``, e and u unit normal, u within bounds.
+    """MAP estimate of ``y = A u + e``, e and u unit normal, u within bounds (p,), none by default.
 
     Args:
-        a: (m, p) whitened, prior-scaled design.
-        y: (m,) whitened data.
-        lower, upper: (p,) bounds of u; none by default.
+        a, y: (m, p) whitened, prior-scaled design, and (m,) whitened data.
     """
     return solved(a.T @ a, a.T @ y, lower, upper)
 
@@ -217,10 +215,8 @@ def whiten(
     the inlier before it.  What was not measured must be 0 in the columns and stays so.
 
     Args:
-        columns: of d channels.
         weights: (N,), 0 or how much a row counts.
         sigma: (d,) noise of the channels.
-        rho: correlation of successive rows.
         measured: (N, d) which channels a row holds.
     """
     kept = weights > 0

@@ -49,10 +49,6 @@ def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
     Repeats from different sides differ by hysteresis too, so each side is a group of its own, as
     is each anchor, marker and base.  Deviations beyond 4.2 robust standard deviations are left out.
 
-    Args:
-        model: predicts what is measured.
-        session: rows of any kind.
-
     Returns:
         The noise, infinite in channels of too few repeats; None where all have too few.
     """
@@ -138,9 +134,8 @@ def from_residual(
     y = (fit.residual + fit.columns @ fit.model.values)[..., None]
     channels = np.ascontiguousarray(np.moveaxis(np.concatenate([columns, y], -1), 1, 0))
     weights, used = np.ones(len(fit.weights)), np.zeros(0)
-    uneven = fit.session.uneven(fit.session.claimed)
-    sigma, size = fit.sigma.copy(), 1.0
-    held = fit.session.measured
+    uneven, held = fit.session.uneven(fit.session.claimed), fit.session.measured
+    sigma, size = fit.sigma, 1.0
     added = np.arange(columns.shape[-1]) >= fit.columns.shape[-1]
     few = len(added) > (weights > 0).sum() * len(sigma)
     for _ in range(MOST_STEPS if few else steps):

@@ -42,10 +42,11 @@ BEYOND, ROUGHLY = 10.0, 0.2
 def placed(model: Model, session: Session) -> Model:
     """The model with its unknown bases and markers put where the sightings say.
 
+    Where hardly any row holds a full position, the bases are placed by what else was measured, and
+    the markers are left as they are.
+
     Args:
         model: holds a `base_pose` per group and the markers' `tip_offset`.
-        session: measured rows. Where hardly any holds a full position, the bases are placed by
-            what else was measured, and the markers are left as they are.
 
     Raises:
         InputError: a base is far beyond its declared tolerance.

@@ -32,10 +32,8 @@ def check_worth(
     """A model must not be worse on held-out rows than a plainer one.
 
     Args:
-        held_out: (M, 3) its errors there, m or rad.
-        plain: (M, 3) errors of the plainer model, m or rad.
-        source: file of the rows, for the message.
-        than: the plainer model.
+        held_out, plain: (M, 3) errors of the two there, m or rad.
+        source, than: file of the rows, and the plainer model, for the message.
         unit: of a thousandth of these errors.
 
     Raises:
@@ -56,10 +54,8 @@ def check_carries_over(
     """A model must do on unseen rows what it does on those that it was fitted to.
 
     Args:
-        fitted: (N, 3) its errors on the fitted rows, m or rad.
-        held_out: (M, 3) its errors on the others, m or rad.
-        source: file of the rows, for the message.
-        unit: of a thousandth of these errors.
+        fitted, held_out: (N, 3) and (M, 3) its errors on the fitted and the other rows, m or rad.
+        source, unit: as of `check_worth`.
 
     Raises:
         JobError: its error rises.
@@ -75,21 +71,16 @@ def check_carries_over(
 
 def displaced(model: Model, session: Session) -> str:
     """How far the arm is from where a model puts it, in words; empty where it is there."""
-    off = _off(model, session)
-    return (
-        f"the arm is {1e3 * off:.3g} mm from where the model expects it; "
-        "calibrate first, which finds base and tip, and use that model"
-        if off
-        else ""
-    )
+    if off := _off(model, session):
+        return (
+            f"the arm is {1e3 * off:.3g} mm from where the model expects it; "
+            "calibrate first, which finds base and tip, and use that model"
+        )
+    return ""
 
 
 def check_fits(model: Model, session: Session) -> None:
-    """A fitted arm must be where the rows see it, whatever they measure.
-
-    Args:
-        model: fitted to them.
-        session: the rows.
+    """A fitted arm must be where its rows see it, whatever they measure.
 
     Raises:
         JobError: it is not, so the rows are not this arm's.
@@ -111,11 +102,7 @@ def _off(model: Model, session: Session) -> float:
 
 
 def check_noise(sigma: np.ndarray, session: Session) -> None:
-    """What is left is not called noise where no instrument is that bad.
-
-    Args:
-        sigma: (d,) noise per channel; that of positions is looked at, m.
-        session: the rows, with what was seen.
+    """What is left is not called noise (d,) where no instrument is that bad in its positions (m).
 
     Raises:
         JobError: the noise is too large for this arm.

@@ -46,10 +46,6 @@ def standing(model: Model, session: Session) -> tuple[Model, bool]:
 
     The axes of a tracked body are never declared, so how they sit on the tip is always solved.
 
-    Args:
-        model: the arm as declared, or a model of it.
-        session: measured rows.
-
     Returns:
         The model, and whether it was placed.
     """

@@ -92,14 +92,14 @@ LIBRARY: tuple[Kind, ...] = tuple(k for k in _OURS if k.searched and not k.geome
 """The effects of this package that a diagnosis tries; used by studies and benchmarks."""
 
 _STORED = (int, float, str, "int", "float", "str")
-_origins: dict[str, str] = {}
-_others: dict[str, Kind] = {}
+_others: dict[str, tuple[Kind, str]] = {}
+"""Effects from outside the package, each with its origin in words."""
 
 
 def registered() -> dict[str, Kind]:
     """All effects by name: of this package, of other packages and of loaded files."""
     _load_entry_points()
-    return {**BUILT_IN, **_others}
+    return BUILT_IN | {name: kind for name, (kind, _) in _others.items()}
 
 
 def searched() -> tuple[Kind, ...]:
@@ -128,18 +128,17 @@ def effect_class(name: str, where: str, known_from: str = "") -> Kind:
 
 def origin(kind: Kind) -> str:
     """Origin of an effect from outside the package, in words; empty for one of this package."""
-    return _origins.get(kind.name, "")
+    return _others[kind.name][1] if kind.name in _others else ""
 
 
 def register(kind: _K, source: str = "") -> _K:
     """Register an effect. It can be used as a decorator."""
     source = source or f"module {getattr(kind, '__module__', '?')}"
     _check(kind, source)
-    known = BUILT_IN.get(kind.name) or _others.get(kind.name)
+    known, taken = _others.get(kind.name) or (BUILT_IN.get(kind.name), "longarm_comp")
     if known is not None and _file(known) != _file(kind):
-        taken = origin(known) or "longarm_comp"
         raise InputError(source, "name", kind.name, f"a name that {taken} does not have already")
-    _others[kind.name], _origins[kind.name] = kind, source
+    _others[kind.name] = kind, source
     return kind
 
 

@@ -41,11 +41,7 @@ Found = Discovered | DiscoveredView
 
 @dataclass(frozen=True)
 class Traits:
-    """What readings are chosen by.
-
-    Attributes:
-        terms: its members.
-    """
+    """What readings are chosen by."""
 
     terms: Sequence[Found]
 
@@ -137,9 +133,7 @@ def reading(terms: Sequence[Found]) -> str:
 def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> str:
     """``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``, one part a member.
 
-    Args:
-        terms: what was found.
-        amounts: value, standard error and unit of each member.
+    `amounts`: value, standard error and unit of each member.
     """
     by_place: dict[str, list[str]] = {}
     for term, amount in zip(terms, amounts, strict=True):
@@ -173,7 +167,7 @@ def _rounded(value: float, error: float) -> str:
     """``24.2 +- 0.3``: the value to the digits that its error leaves."""
     if not error > 0:
         return f"{value:.3g}"
-    digits = -floor(log10(error)) + (1 if f"{error:.0e}"[0] == "1" else 0)
     if abs(value) >= 1e5 or abs(value) < 1e-3:
         return f"{value:.3g} +- {error:.1g}"
-    return f"{value:.{max(digits, 0)}f} +- {error:.{max(digits, 0)}f}"
+    digits = max(-floor(log10(error)) + (f"{error:.0e}"[0] == "1"), 0)
+    return f"{value:.{digits}f} +- {error:.{digits}f}"

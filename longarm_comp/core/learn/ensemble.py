@@ -116,9 +116,8 @@ def back_propagate(
             break
     prior = alpha[group]
     factor, inverse = _laplace(matrix, prior, beta)
-    square = beta * np.sum(residual**2, axis=1)
     evidence = (
-        _student_log(square, tail, shape.outputs)
+        _student_log(beta * np.sum(residual**2, axis=1), tail, shape.outputs)
         + 0.5 * used * np.log(beta)
         - 0.5 * np.sum(prior * weights**2)
         + 0.5 * np.sum(np.log(prior))
@@ -126,10 +125,9 @@ def back_propagate(
         + gammaln(shape.hidden + 1)
         + shape.hidden * np.log(2.0)  # equal optima: hidden units permuted, signs flipped
     )
-    relevance = alpha[: shape.inputs]
     return Fit(
-        shape, weights, inverse, float(beta**-0.5), robust, relevance, float(gamma.sum()),
-        float(evidence),
+        shape, weights, inverse, float(beta**-0.5), robust, alpha[: shape.inputs],
+        float(gamma.sum()), float(evidence),
     )  # fmt: skip
 
 
@@ -230,11 +228,11 @@ def train(
         "ensemble": ensemble, "samples": len(q),
     }  # fmt: skip
     origin = provenance or Provenance()
-    lower, upper = _ranges(raw)
+    known = np.where(np.isnan(raw).all(axis=0), 0.0, raw)
     draft = Predictor(
         encoding=encoding,
-        lower=lower,
-        upper=upper,
+        lower=np.nanmin(known, axis=0),
+        upper=np.nanmax(known, axis=0),
         weights=np.array([_padded(shape, each.shape, each.weights) for each in fits]),
         hidden=shape.hidden,
         posterior=_padded(shape, fits[0].shape, _leading(fits[0], probe)),
@@ -358,11 +356,6 @@ def _leading(fit: Fit, probe: Array) -> NDArray[np.float32]:
     count = int(np.searchsorted(carried, 0.995)) + 1
     leading = vectors[:, ::-1][:, :count].T @ fit.posterior
     return np.ascontiguousarray(leading, dtype=np.float32)
-
-
-def _ranges(raw: Array) -> tuple[Array, Array]:
-    known = np.where(np.isnan(raw).all(axis=0), 0.0, raw)
-    return np.nanmin(known, axis=0), np.nanmax(known, axis=0)
 
 
 def _checked_targets(q: Array, residual: Array) -> Array:

@@ -152,6 +152,7 @@ def squared_error(
     hidden = np.empty((block * h, n), dtype=np.float32)
     output = np.empty((block, k, n), dtype=np.float32)
 
+    @np.errstate(over="ignore")  # exp 2a = inf is s = 0, as it should be
     def fitness(population: Weights) -> NDArray[np.float32]:
         v, w, b = shape.split(np.asarray(population, dtype=np.float32))
         vt = v.transpose(0, 2, 1).reshape(-1, shape.inputs + 1)
@@ -173,11 +174,7 @@ def squared_error(
         error /= n * k
         return error
 
-    def guarded(population: Weights) -> NDArray[np.float32]:
-        with np.errstate(over="ignore"):  # exp 2a = inf is s = 0, as it should be
-            return fitness(population)
-
-    return guarded
+    return fitness
 
 
 def xavier_start(shape: NetworkShape, rng: np.random.Generator) -> Array:

@@ -129,9 +129,8 @@ def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str,
     """Check that a predictor was trained on the residual of this physics.
 
     Args:
-        path: file of the predictor, for the error message.
+        path, to: file of the predictor, and the expected model, for the error message.
         model_hash: SHA-256 of model.yaml; empty for the declared arm.
-        to: the expected model, for the error message.
     """
     found = predictor.provenance.settings.get("model_hash", model_hash)
     if found != model_hash:

@@ -322,9 +322,7 @@ class Model:
     ) -> TipMotion:
         """The tip at N postures and its motion per unit of every parameter, as `columns`.
 
-        Args:
-            posture, slots: as in `columns`.
-            turns: whether the turns of the tip's axes are wanted.
+        `turns`: whether the turns of the tip's axes are wanted.
         """
         slots = self.slots if slots is None else slots
         ends: list[TwistChange | Reseen] = []

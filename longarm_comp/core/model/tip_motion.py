@@ -68,9 +68,7 @@ class SeenJoints:
     """What the joints' encoders see at N postures.
 
     Attributes:
-        posture: the arm there.
-        effects: all of the arm's side.
-        ends: a change of these a parameter.
+        effects, ends: all of the arm's side, and a change of these a parameter.
     """
 
     posture: Posture
@@ -142,8 +140,7 @@ class TipMotion:
         """Reading (N, 1) of a joint's encoder, rad or m, and its derivative (N, 1, p).
 
         Args:
-            joint: position among the commanded joints.
-            row: its row in the arm.
+            joint, row: its number among the commanded joints, and its row in the arm.
         """
         at, sensor = self.joints.now[joint], self.sensor
         gain = (sensor.read(at + _H, row) - sensor.read(at - _H, row)) * (0.5 / _H)

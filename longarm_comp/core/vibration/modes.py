@@ -54,12 +54,9 @@ class Modes:
 
 
 def modes(model: Model, q: np.ndarray, context: Context | None = None) -> Modes:
-    """Modes of a model's arm at joints (n,); none of an arm that does not bend.
+    """Modes of a model's arm at joints (n,) (rad, m); none of an arm that does not bend.
 
-    Args:
-        model: calibrated, or the arm as declared.
-        q: (n,) rad and m.
-        context: circumstances; the payload above all.
+    Of the circumstances the payload matters above all.
     """
     return modes_along(model, np.asarray(q, float)[None], 1, context)[0]
 

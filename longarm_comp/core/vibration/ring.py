@@ -160,9 +160,9 @@ def rest_s(model: Model, joints: np.ndarray, move_s: float, given: float | None)
     Args:
         joints: (N, n) one after the other. move_s: time of a move, s.
     """
-    damping = model.arm.damping
     if given is not None:
         return given
+    damping = model.arm.damping
     if damping is None or not len(joints) or not move_s > 0.0:
         return REST_S
     rings = ring_of_moves(model, joints[:_LOOKED_AT], move_s, damping)
