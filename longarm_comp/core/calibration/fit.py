@@ -24,8 +24,6 @@ CLOSE = 0.01
 """A fit has converged when its last step was below so many standard errors."""
 SHORTEST = 1e-3
 """Share of a Gauss-Newton step below which no shorter one is tried."""
-NEAR = 1.0
-"""After a step below so many standard errors the design is kept: it hardly changes."""
 STALLED = 3
 """Steps without gain after which a fit ends with the best values it had: where loads and what they
 bend are fitted together, steps may go around the solution for ever."""
@@ -148,7 +146,8 @@ def _fit_parts(
             raise JobError(text, session=parts[0].seen.source) from None
         goal = centre + posterior.u * scale
         step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
-        near = bool((step_size <= NEAR).all())
+        # Within a standard error the design hardly changes, and is kept
+        near = bool((step_size <= 1.0).all())
         now, cost = _stepped(parts, maps, now, goal, centre, scale, near)
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)

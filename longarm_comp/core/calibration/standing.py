@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.spatial import ZERO, tangent
+from longarm_comp.core.arm.spatial import ZERO, scale, tangent
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.placement import placed, reference, sensor_frames, started
 from longarm_comp.core.data.measurement import equations, errors, posture, turns
@@ -143,17 +143,16 @@ def _larger(model: Model, times: float) -> Model:
 
 
 def _grown(arm: Arm, times: float) -> Arm:
-    def by(xyz: tuple[float, float, float]) -> tuple[float, float, float]:
-        return (times * xyz[0], times * xyz[1], times * xyz[2])
-
     joints = []
     for joint in arm.joints:
-        pose = joint.pose and joint.pose.model_copy(update={"xyz_m": by(joint.pose.xyz_m)})
+        pose = joint.pose and joint.pose.model_copy(
+            update={"xyz_m": scale(times, joint.pose.xyz_m)}
+        )
         sizes = {"a_m": times * joint.a_m, "d_m": times * joint.d_m, "pose": pose}
         joints.append(joint.model_copy(update=sizes))
-    tip = arm.tip.model_copy(update={"position_m": by(arm.tip.position_m)})
+    tip = arm.tip.model_copy(update={"position_m": scale(times, arm.tip.position_m)})
     markers = {
-        name: marker.model_copy(update={"position_m": by(marker.position_m)})
+        name: marker.model_copy(update={"position_m": scale(times, marker.position_m)})
         for name, marker in arm.markers.items()
     }
     return arm.model_copy(update={"joints": tuple(joints), "tip": tip, "markers": markers})
