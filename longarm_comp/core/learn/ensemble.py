@@ -228,11 +228,11 @@ def train(
         "ensemble": ensemble, "samples": len(q),
     }  # fmt: skip
     origin = provenance or Provenance()
-    known = np.where(np.isnan(raw).all(axis=0), 0.0, raw)
+    ranged = np.where(np.isnan(raw).all(axis=0), 0.0, raw)
     draft = Predictor(
         encoding=encoding,
-        lower=np.nanmin(known, axis=0),
-        upper=np.nanmax(known, axis=0),
+        lower=np.nanmin(ranged, axis=0),
+        upper=np.nanmax(ranged, axis=0),
         weights=np.array([_padded(shape, each.shape, each.weights) for each in fits]),
         hidden=shape.hidden,
         posterior=_padded(shape, fits[0].shape, _leading(fits[0], probe)),
