@@ -18,7 +18,7 @@ from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.ik import solver as ik
-from longarm_comp.core.ik.kernel import Layout, kernel_of
+from longarm_comp.core.ik.kernel import kernel_of
 from longarm_comp.core.model.model import Model, unstack
 
 COUNT = 4096
@@ -29,7 +29,7 @@ Work = tuple[Callable[[], Any], int]  # what is timed, and how many poses it mak
 
 def machine_forward(model: Model, q: np.ndarray) -> Callable[[], None]:
     """Deflected tip pose and Jacobian at joints (N, n), in machine code; N a multiple of 8."""
-    kernel = kernel_of(model, Layout.of(ik.Context.empty()))
+    kernel = kernel_of(model, ik.Context.empty().layout)
     width = kernel.code.width
     blocks = np.zeros((len(q) // width, kernel.size, width))
     blocks[:, kernel.slice("trial")] = q.reshape(-1, width, q.shape[1]).swapaxes(1, 2)

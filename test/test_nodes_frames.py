@@ -15,6 +15,7 @@ pytest.importorskip("tf2_msgs", reason="tf2_msgs is not installed: run make setu
 from geometry_msgs.msg import PoseStamped
 from nodes_bench import Bench, bench, own_graph
 from rclpy.time import Time
+from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
@@ -117,7 +118,7 @@ def test_a_target_is_carried_over_at_its_stamp(scene: Scene) -> None:
     """The cell moves under the arm; the target was true half a second ago."""
     target = scene.model.pose(scene.arm.mid + 0.02)
     now = scene.stage.node.get_clock().now().nanoseconds
-    turn = quaternion.from_rotation_vector(np.array([0.1, -0.2, 0.4]))
+    turn = Rotation.from_rotvec([0.1, -0.2, 0.4]).as_quat()
     for seconds, x in ((-1.0, 0.3), (0.0, 0.5)):
         cell = Placed("cell", BASE, np.array([x, 1.0, 0.2]), turn)
         scene.teller.tell([cell], Time(nanoseconds=now + round(1e9 * seconds)).to_msg())

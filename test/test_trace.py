@@ -24,7 +24,6 @@ from longarm_comp.core.ik.codegen.symbolic import Graph, Symbol
 from longarm_comp.core.ik.kernel import (
     MOST_KERNELS,
     Kernel,
-    Layout,
     kernel_of,
     tip_and_jacobian,
     works,
@@ -121,21 +120,21 @@ def test_each_effect_traced_is_the_effect(arm, name):
         assert not any(isinstance(t, Effect) for t in BUILT_IN[name].for_arm(arm))
         return
     load = (LinkDeflection(),) if name != "link_deflection" else ()
-    model, layout = Model(arm, own + load), Layout.of(context)
+    model, layout = Model(arm, own + load), context.layout
     agree(model, layout, q, context)
 
 
 def test_machine_code_gives_the_same_numbers(arm):
     """All effects at once, through LLVM, in lanes."""
     q, context = situation(arm)
-    agree(everything(arm), Layout.of(context), q, context)
+    agree(everything(arm), context.layout, q, context)
 
 
 def test_every_program_of_the_search_in_machine_code(arm):
     """From states in the midst of a search."""
     model = Model(arm, (LinkDeflection(),))
     context = Context.empty()
-    kernel = Kernel(model, Layout.of(context))
+    kernel = Kernel(model, context.layout)
     own = works(model, lambda s: context, kernel.row)
     rng = np.random.default_rng(5)
     q = rng.uniform(arm.lower, arm.upper, (N, arm.n))
@@ -171,14 +170,14 @@ def test_every_program_of_the_search_in_machine_code(arm):
 def test_context_is_an_input_not_a_constant(arm):
     q, context = situation(arm)
     model = everything(arm)
-    kernel = kernel_of(model, Layout.of(context))
+    kernel = kernel_of(model, context.layout)
     other = dataclasses.replace(
         context,
         approach=tuple(-a for a in context.approach),
         columns={**context.columns, "payload_kg": context.columns["payload_kg"] + 0.3},
     )
-    assert kernel_of(model, Layout.of(other)) is kernel
-    assert kernel_of(model, Layout.of(Context.empty().take(slice(None)))) is not kernel
+    assert kernel_of(model, other.layout) is kernel
+    assert kernel_of(model, Context.empty().take(slice(None)).layout) is not kernel
     for some in (context, other):
         rows = kernel.layout.pack(some, N)
         made = evaluated(kernel, q, rows)
@@ -186,7 +185,7 @@ def test_context_is_an_input_not_a_constant(arm):
 
 
 def test_a_kernel_is_kept_by_content(arm):
-    layout = Layout.of(Context.empty())
+    layout = Context.empty().layout
     one, same = Model(arm, (LinkDeflection(),)), Model(arm, (LinkDeflection(),))
     assert kernel_of(one, layout) is kernel_of(same, layout)
     assert kernel_of(one.plus(JointZero(1)), layout) is not kernel_of(one, layout)
@@ -197,7 +196,7 @@ def test_a_kernel_is_kept_by_content(arm):
 def test_few_kernels_are_kept_and_a_compiled_one_holds_no_graphs(arm):
     """A node that learns serves a new model every few minutes: memory must not grow with them."""
     q, context = situation(arm)
-    layout = Layout.of(context)
+    layout = context.layout
     model = everything(arm)
     kernel = kernel_of(model, layout)
     old = weakref.ref(kernel)

@@ -11,9 +11,11 @@ import math
 
 from longarm_comp.core.arm.spatial import Scalar, absolute, floor, maximum, minimum, where
 
-# pi / 2 in pieces of 33 bits, so that their products with whole numbers are exact
-_PARTS = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21)
-_REST = 8.47842766036889956997e-32
+# pi / 2 in pieces of 33 bits, so that their products with whole numbers are exact, and the rest
+_PARTS = (
+    1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21,
+    8.47842766036889956997e-32,
+)  # fmt: skip
 _SINE = (
     -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04,
     2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10,
@@ -37,7 +39,7 @@ def cosine(x: Scalar) -> Scalar:
 def _quadrant(x: Scalar, ahead: float) -> Scalar:
     quarters = floor(x * (2 / math.pi) + 0.5)
     r = x
-    for part in (*_PARTS, _REST):
+    for part in _PARTS:
         r = r - quarters * part
     z = r * r
     s = r + r * z * _horner(_SINE, z)

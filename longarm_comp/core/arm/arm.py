@@ -1,8 +1,7 @@
-"""The declared arm: what the user writes in `arm.yaml`, checked once at the door.
+"""The declared arm: what the user writes in `arm.yaml`, checked once.
 
-Modified DH rows (Craig): ``T_i = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i)``;
-a row lists ``alpha_{i-1}, a_{i-1}``.  Keys carry their unit; everything an `Arm`
-hands out is SI and radians.
+Modified DH rows (Craig): ``T_i = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i)``; a row lists
+``alpha_{i-1}, a_{i-1}``.  Keys carry their unit; properties of an `Arm` are in SI units and rad.
 """
 
 from __future__ import annotations
@@ -189,9 +188,8 @@ class Arm(Declared):
 
     @model_validator(mode="after")
     def _chain(self) -> Arm:
-        rows = len(self.joints)
-        if [j.id for j in self.joints] != list(range(1, rows + 1)):
-            ids = [j.id for j in self.joints]
+        rows, ids = len(self.joints), [j.id for j in self.joints]
+        if ids != list(range(1, rows + 1)):
             raise Misdeclared("joints.id", ids, f"1..{rows} in order, base to tip")
         carried = [("tip", self.tip.frame)]
         carried += [(f"point_masses.{k}", m.frame) for k, m in enumerate(self.point_masses)]
@@ -233,9 +231,8 @@ class Arm(Declared):
                 beams = [b for b in self.links if b.row == row and b.role == role]
                 fixed = math.fsum(b.length_m for b in beams if b.length_m != "rest")
                 rests = sum(b.length_m == "rest" for b in beams)
-                lowest = size
-                if role == "d" and joint.type == "prismatic" and joint.commanded:
-                    lowest += joint.limits[0]
+                slides = role == "d" and joint.type == "prismatic" and joint.commanded
+                lowest = size + joint.limits[0] if slides else size
                 field = f"links ({', '.join(b.name for b in beams)}).length_m"
                 if rests > 1:
                     raise Misdeclared(field, f"{rests} times rest", f"one rest in row {row} {role}")

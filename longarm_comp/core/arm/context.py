@@ -1,10 +1,8 @@
 """The record of circumstances: all that an effect may need besides the joints.
 
-Side of arrival, legs of the way there, time, temperature, payload, inclination, marker: each is
-declared here once, with its kind.  Sessions, targets, the running arm, every engine of the inverse
-kinematics and the learned inputs go over the declared fields (`PER_JOINT`, `Layout`), so a field
-that is added here is carried everywhere.  History is part of the record (`core/arm/history.py`);
-an effect stays a pure function of a posture.
+Sessions, targets, the running arm, every engine of the inverse kinematics and the learned inputs
+go over the declared fields (`PER_JOINT`, `Layout`), so a field that is added here is carried
+everywhere.  History is part of the record, so an effect stays a pure function of a posture.
 """
 
 from __future__ import annotations
@@ -21,8 +19,6 @@ import numpy as np
 from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.errors import InputError
 
-_KIND = "kind"
-
 INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
 """Names of the columns of an inclinometer; NaN where it gave no reading."""
 ORDER = "pose_number"
@@ -38,15 +34,12 @@ def is_told(name: str) -> bool:
 
 LEGS = 7
 """Places for the legs of a joint's way; the last stays free for what may have been before."""
+_WIDTH = "scalars a joint"
 
 
 def _per_joint(width: int = 1) -> Any:
     """A field of `width` scalars a commanded joint, joint by joint; 0 or empty when unknown."""
-    return field(default=(), metadata={_KIND: "joint", "width": width})
-
-
-def _by_name(kind: str) -> Any:
-    return field(default_factory=dict, metadata={_KIND: kind})
+    return field(default=(), metadata={_WIDTH: width})
 
 
 @dataclass(frozen=True)
@@ -64,8 +57,8 @@ class Context:
     """
 
     approach: tuple[Scalar, ...] = _per_joint()
-    columns: Mapping[str, Scalar] = _by_name("number")
-    labels: Mapping[str, object] = _by_name("text")
+    columns: Mapping[str, Scalar] = field(default_factory=dict)
+    labels: Mapping[str, object] = field(default_factory=dict)
     legs: tuple[Scalar, ...] = _per_joint(width=LEGS)
 
     def has(self, name: str) -> bool:
@@ -73,7 +66,6 @@ class Context:
         return bool(getattr(self, name)) if name in PER_JOINT else name in self.columns
 
     def column(self, name: str, default: float | None = None) -> Scalar:
-        """A recorded quantity."""
         if name in self.columns:
             return self.columns[name]
         if default is None:
@@ -82,7 +74,7 @@ class Context:
         return default
 
     def payload_kg(self, declared: float) -> Scalar:
-        """Carried mass: recorded, else as declared."""
+        """Recorded, else as declared."""
         return self.column("payload_kg", declared)
 
     def of_joint(self, name: str, joint: int) -> tuple[Scalar, ...]:
@@ -110,15 +102,12 @@ class Context:
         def of(value: Any) -> Any:
             return np.asarray(value)[rows] if _of_each(value) else value
 
-        taken: dict[str, Any] = {}
-        for f in dataclasses.fields(self):
-            held = getattr(self, f.name)
-            taken[f.name] = (
-                tuple([of(v) for v in held])
-                if f.name in PER_JOINT
-                else {name: of(v) for name, v in held.items()}
-            )
-        return Context(**taken)
+        history: dict[str, Any] = {
+            name: tuple([of(v) for v in getattr(self, name)]) for name in PER_JOINT
+        }
+        columns = {name: of(v) for name, v in self.columns.items()}
+        labels = {name: of(v) for name, v in self.labels.items()}
+        return Context(**history, columns=columns, labels=labels)
 
     def each(self, count: int) -> list[Context]:
         """The contexts of all of N postures, as `take` gives them one by one.
@@ -152,11 +141,11 @@ class Context:
     @cached_property
     def layout(self) -> Layout:
         """Which numbers the record holds."""
-        return Layout.of(self)
+        joints = tuple([len(getattr(self, name)) for name in PER_JOINT])
+        return Layout(joints, tuple(sorted(self.columns)), tuple(sorted(self.labels.items())))
 
     @classmethod
     def empty(cls) -> Context:
-        """Nothing recorded."""
         return cls()
 
 
@@ -174,17 +163,11 @@ def _of_each(value: Any) -> bool:
     return not isinstance(value, (float, str)) and np.ndim(value) > 0
 
 
-def _of_kind(kind: str) -> tuple[str, ...]:
-    return tuple(f.name for f in dataclasses.fields(Context) if f.metadata[_KIND] == kind)
-
-
-PER_JOINT = _of_kind("joint")
-"""Fields of `Context` with scalars a commanded joint: the history of the joints."""
-
 WIDTH: Mapping[str, int] = {
-    f.name: f.metadata["width"] for f in dataclasses.fields(Context) if f.name in PER_JOINT
+    f.name: f.metadata[_WIDTH] for f in dataclasses.fields(Context) if _WIDTH in f.metadata
 }
-"""How many scalars a joint each of them holds."""
+"""How many scalars a commanded joint the fields of its history in a `Context` hold."""
+PER_JOINT = tuple(WIDTH)
 
 
 @dataclass(frozen=True)
@@ -200,12 +183,6 @@ class Layout:
     joints: tuple[int, ...]
     columns: tuple[str, ...]
     labels: tuple[tuple[str, object], ...]
-
-    @classmethod
-    def of(cls, context: Context) -> Layout:
-        """The layout that fits a context."""
-        joints = tuple([len(getattr(context, name)) for name in PER_JOINT])
-        return cls(joints, tuple(sorted(context.columns)), tuple(sorted(context.labels.items())))
 
     @property
     def traceable(self) -> bool:

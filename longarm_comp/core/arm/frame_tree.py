@@ -20,7 +20,7 @@ class UnknownPlace(LongarmError):  # noqa: N818
 
 
 class NotYet(UnknownPlace):
-    """It is not known yet: what was last published is older than the time asked for."""
+    """What was last published is older than the time asked for."""
 
 
 @dataclass

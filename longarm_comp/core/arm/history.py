@@ -3,7 +3,6 @@
 A joint's way is kept as its *legs*, from turn to turn, as far as friction and play of any size can
 remember them: a leg as long as the one before swallows the loop that it closes (the wiping-out
 rule of the Preisach model), so what is left alternates in sign and grows towards the past.
-One step serves recorded sessions and the running arm alike.
 """
 
 from __future__ import annotations

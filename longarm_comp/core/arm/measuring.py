@@ -68,8 +68,7 @@ Sensors = dict[str, Annotated[CameraSensor | Inclinometer, Field(discriminator="
 
 
 VISIBLE_M = 1e-4
-"""What a good camera sees of one picture, m.  A ring below it is over, and the tip may leave a path
-by so much where a joint turns."""
+"""What a good camera sees of one picture, m."""
 PRINTED = 1e-4
 """Tolerance (m) of a known distance where none is given: of a printed or drilled part."""
 KnownDistance = tuple[str, str, float, float]

@@ -26,7 +26,6 @@ class Pose(Declared):
     rpy_deg: Vec3 = (0.0, 0.0, 0.0)
 
     def frame(self) -> Frame:
-        """As a frame in its parent."""
         return rpy_frame(self.xyz_m, tuple(map(math.radians, self.rpy_deg)))  # type: ignore[arg-type]
 
 
@@ -38,7 +37,6 @@ class Tip(Declared):
     rpy_deg: Vec3 = (0.0, 0.0, 0.0)
 
     def pose(self) -> Frame:
-        """The tip in its frame."""
         return rpy_frame(self.position_m, tuple(map(math.radians, self.rpy_deg)))  # type: ignore[arg-type]
 
 

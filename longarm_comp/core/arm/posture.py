@@ -2,8 +2,7 @@
 
 An arm is a chain of *stations*: where the base is placed, the base, a bearing and a frame per
 row, one at the far end of every beam element, and one for the tip and each marker.  `Chain`
-knows their order; `Posture` holds where they are (deflected) and what hangs on them.  Whoever
-holds a `Posture` knows that the geometry is current.
+knows their order; `Posture` holds where they are (deflected) and what hangs on them.
 
 Only weight loads the arm, so all a station has to carry is the mass beyond it and
 its first moment: ``force = m g`` and ``moment about p = (S - m p) x g``.
@@ -178,9 +177,7 @@ class Posture:
     """The arm at one q (or at N: scalars are then (N,) arrays).
 
     Attributes:
-        chain: the arm's stations.
         q: commanded joints, n scalars (rad, m).
-        context: approach, temperature, payload and what else was recorded.
         frames: every station's frame in the base frame (m).
         lengths: element length by station (m).
         gravity: in the base frame (m/s^2).
@@ -202,7 +199,6 @@ class Posture:
 
     @property
     def arm(self) -> Arm:
-        """The declared arm."""
         return self.chain.arm
 
     @property
@@ -222,13 +218,11 @@ class Posture:
         for m in arm.point_masses:
             at: Vec = m.position_m
             if m.position_columns is not None:
-                x, y, z = (context.column(name) for name in m.position_columns)
-                at = (x, y, z)
+                at = tuple(map(context.column, m.position_columns))  # type: ignore[assignment]
             masses.setdefault(chain.frame_station(m.frame), []).append((m.mass_kg, at))
         if arm.payload is not None:
-            mass = context.payload_kg(arm.payload.mass_kg)
-            at_station = chain.frame_station(arm.payload.frame)
-            masses.setdefault(at_station, []).append((mass, arm.payload.position_m))
+            payload = context.payload_kg(arm.payload.mass_kg), arm.payload.position_m
+            masses.setdefault(chain.frame_station(arm.payload.frame), []).append(payload)
         for station, behind, centre in self._overhangs():
             masses.setdefault(station, []).append((behind, centre))
         for lump in self.extra:
@@ -250,13 +244,14 @@ class Posture:
 
     def _spread(self, elements: tuple[Element, ...], loads: LineLoads) -> None:
         for k, e in enumerate(elements):
-            length = abs_(self.lengths[e.station])
+            length = spatial.absolute(self.lengths[e.station])
             own = loads.setdefault(e.station, [])
             if e.beam.mass_kg > 0 and e.beam.body_length_m is None:
                 own.append((e.beam.mass_kg / float(e.beam.length_m), length))
             for beam in (e.beam, *e.covers):
                 if beam.mass_kg > 0 and beam.body_length_m is not None:
-                    reach = clip(beam.body_length_m - self._beyond(elements, k, beam), length)
+                    reach = beam.body_length_m - self._beyond(elements, k, beam)
+                    reach = spatial.minimum(spatial.maximum(reach, 0.0), length)
                     own.append((beam.mass_kg / beam.body_length_m, reach))
 
     def _overhangs(self) -> Iterator[tuple[int, Scalar, Vec]]:
@@ -267,8 +262,8 @@ class Posture:
                 for beam in {e.beam.name: e.beam for e in elements}.values():
                     if beam.mass_kg == 0 or beam.body_length_m is None:
                         continue
-                    inside = self._beyond(elements, -1, beam)
-                    behind = clip(beam.body_length_m - inside, beam.body_length_m)
+                    behind = beam.body_length_m - self._beyond(elements, -1, beam)
+                    behind = spatial.maximum(behind, 0.0)
                     if type(behind) is float and behind == 0.0:
                         continue
                     at = [0.0, 0.0, 0.0]
@@ -281,7 +276,7 @@ class Posture:
         last = max(j for j, e in enumerate(elements) if e.beam is beam)
         beyond: Scalar = 0.0
         for e in elements[k + 1 : last + 1]:
-            beyond = beyond + abs_(self.lengths[e.station])
+            beyond = beyond + spatial.absolute(self.lengths[e.station])
         return beyond
 
     @cached_property
@@ -337,7 +332,6 @@ class Posture:
         )
 
     def bearing(self, row: int) -> int:
-        """Station of a row's bearing."""
         return self.chain.rows[row - 1].bearing
 
     def frame(self, row: int) -> int:
@@ -359,15 +353,3 @@ def loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Ve
     felt = frame.unrotate(gravity)
     lever = spatial.sub(first, spatial.scale(mass, frame.p))
     return felt, spatial.scale(mass, felt), frame.unrotate(spatial.cross(lever, gravity))
-
-
-def abs_(x: Scalar) -> Scalar:
-    """Absolute value of an element's length; a sliding one (an array) is positive by its limits."""
-    return abs(x) if type(x) is float else x
-
-
-def clip(x: Scalar, upper: Scalar) -> Scalar:
-    """x within [0, upper]."""
-    if type(x) is float and type(upper) is float:
-        return min(max(x, 0.0), upper)
-    return np.minimum(np.maximum(x, 0.0), upper)

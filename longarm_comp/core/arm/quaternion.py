@@ -58,13 +58,6 @@ def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
     return np.array([x, y, z]) * (2 * math.atan2(sine, w) / sine if sine else 2.0)
 
 
-def from_rotation_vector(vector: np.ndarray) -> np.ndarray:
-    """x, y, z, w of an axis times an angle (3,), rad."""
-    angle = float(np.linalg.norm(vector))
-    half = math.sin(angle / 2) / angle if angle else 0.5
-    return np.array([*(half * np.asarray(vector)), math.cos(angle / 2)])
-
-
 def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     """Homogeneous matrix (4, 4) of a position (m) and x, y, z, w."""
     matrix = np.eye(4)

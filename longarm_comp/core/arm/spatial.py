@@ -1,12 +1,9 @@
 """Rigid motions in components: vectors, frames, twists.
 
-Every scalar may be a Python float (one posture), a NumPy array of shape (N,)
-(a whole session) or any other number that knows ``+ - * /`` and the NumPy
-ufuncs; all functions here are written in components, so the same lines serve
-all of them.  A *twist* is ordered ``[d; delta]`` as in the paper's Eq. (3):
-translation first (m), rotation second (rad), both seen in the frame it acts in.
-
-``frames[i]`` is always the pose of frame *i* in the base frame.
+Every scalar may be a Python float (one posture), a NumPy array of shape (N,) (a whole session) or
+any other number that knows ``+ - * /`` and the NumPy ufuncs.  A *twist* is ordered ``[d; delta]``
+as in the paper's Eq. (3): translation first (m), rotation second (rad), both seen in the frame it
+acts in.
 """
 
 from __future__ import annotations
@@ -57,27 +54,22 @@ def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
 
 
 def add(a: Vec, b: Vec) -> Vec:
-    """a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 def sub(a: Vec, b: Vec) -> Vec:
-    """a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def scale(s: Scalar, a: Vec) -> Vec:
-    """s a."""
     return (s * a[0], s * a[1], s * a[2])
 
 
 def dot(a: Vec, b: Vec) -> Scalar:
-    """a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vec, b: Vec) -> Vec:
-    """a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
@@ -151,11 +143,7 @@ def _exact_cos_sin(angle: float) -> tuple[float, float]:
 
 
 def exp(twist: Twist) -> Frame:
-    """The finite motion exp(twist) of a small twist.
-
-    Series in ``|delta|^2`` (five terms: below 1e-12 up to 0.3 rad), which needs
-    no branch at zero.  Large motions: `exp_large`.
-    """
+    """The finite motion exp(twist) of a small twist: a series, below 1e-12 up to 0.3 rad."""
     d, w = twist[:3], twist[3:]
     t = dot(w, w)
     a = 1.0 - t * (1 / 6 - t * (1 / 120 - t * (1 / 5040 - t / 362880)))
@@ -188,9 +176,8 @@ def _any(t: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 def tangent(twist: Twist, at: Vec, large: bool = False) -> tuple[list[Vec], list[Vec]]:
     """How ``exp(twist)`` moves what it carries, per unit of each component of the twist.
 
-    This is the right Jacobian of the motion: ``exp(x + c) = exp(x) exp(J c)``.  With ``-x`` for
-    x its blocks are ``A = 1 + b w^ + c w^w^`` and the derivative of ``p = A d`` by w, less the
-    turn of p.
+    The right Jacobian of the motion, ``exp(x + c) = exp(x) exp(J c)``.  With ``-x`` for x its
+    blocks are ``A = 1 + b w^ + c w^w^`` and the derivative of ``p = A d`` by w, less the turn of p.
 
     Args:
         twist: x.
@@ -257,7 +244,6 @@ def turned(a: Frame, b: Frame) -> Vec:
 
 
 def add_twists(a: Twist, b: Twist) -> Twist:
-    """Sum of two small twists in one frame."""
     return tuple([_plus(x, y) for x, y in zip(a, b, strict=True)])  # type: ignore[return-value]
 
 

@@ -13,8 +13,8 @@ from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, exp
 def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], tuple]]:
     """Items of the same kind, stacked, so that one computation serves all of them.
 
-    An item is some scalars.  Items of arrays (N,) come together where the same scalars are 0: every
-    scalar is then (k, N), (k, 1) or 0.  Others come alone, as they are.
+    Items of arrays (N,) come together where the same scalars are 0: every scalar is then (k, N),
+    (k, 1) or 0.  Others come alone, as they are.
     """
     kinds: dict[tuple[bool, ...], list[Any]] = {}
     for key, item in items.items():
@@ -67,7 +67,6 @@ def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
 
 
 def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:
-    """`exp` of many twists."""
     made = {}
     for keys, twist in alike(twists):
         n, o, a, p = exp(twist)

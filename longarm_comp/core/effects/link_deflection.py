@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from longarm_comp.core.arm import stacked
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Element, Posture, Twists, abs_, loads
-from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
+from longarm_comp.core.arm.posture import Element, Posture, Twists, loads
+from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec, absolute
 from longarm_comp.core.effects.effect import Effect, Sites
 
 
@@ -149,8 +149,8 @@ def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
 def _beam(posture: Posture, element: Element) -> tuple[Scalar, float, tuple[float, float, float]]:
     """Length (m), sign along its axis and compliances about x, y, z (1/(N m^2)) of an element."""
     signed = posture.lengths[element.station]
-    length = abs_(signed)
-    sign = -1.0 if signed is not length and signed != length else 1.0
+    length = absolute(signed)
+    sign = -1.0 if type(signed) is float and signed < 0 else 1.0
     first, second, torsion = element.beam.stiffness
     across = 1 / first, 1 / second
     along = 1 / torsion

@@ -20,7 +20,7 @@ import numpy as np
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.posture import LineLoads, Lumped, Posture, abs_
+from longarm_comp.core.arm.posture import LineLoads, Lumped, Posture
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.link_deflection import elements
 from longarm_comp.core.ik.kernel import geometric
@@ -108,7 +108,7 @@ def _masses_of(posture: Posture) -> list[Lumped]:
              for mass, at in held]  # fmt: skip
     ends: dict[int, Scalar] = {}
     for station, spread in posture.line_loads.items():
-        length = abs_(posture.lengths[station])
+        length = spatial.absolute(posture.lengths[station])
         for density, loaded in spread:
             near = 0.5 * loaded / length * density * loaded  # share with the same centre
             ends[station] = ends.get(station, 0.0) + density * loaded - near
