@@ -1,13 +1,12 @@
 """Engines of the search: machine code, and the model's own code on floats and on arrays.
 
-Both take a `Problem` and return joints (N, n) and a report (N, 4): position residual (m), angle
-residual (rad), iterations, starts.
+Both return joints (N, n) and a report (N, 4): position residual (m), angle residual (rad),
+iterations, starts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from typing import Any
@@ -16,39 +15,18 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context, Layout
 from longarm_comp.core.ik import newton
-from longarm_comp.core.ik.kernel import Kernel, TwistRow, kernel_of, works
+from longarm_comp.core.ik.kernel import (
+    Kernel,
+    TwistRow,
+    characteristic_length,
+    kernel_of,
+    works,
+)
 from longarm_comp.core.model.model import Model
 
 _FEW = 6  # number of targets up to which floats are faster than arrays
 _CHUNK = 4096  # targets at a time: a compromise between calls and cache
 NOTHING = Context.empty().layout
-
-
-@dataclass(frozen=True)
-class Problem:
-    """N searches.
-
-    Attributes:
-        targets: position (m) and axes n, o, a, (N, 12).
-        m: 3 for position tasks, 6 for poses.
-        starts, lower, upper: (N, n); a locked joint has both limits at its start.
-        points: restarts (S, n + 1): a point in the unit box and the share of the way to it.
-        length: weight of a radian of tool angle, m.
-        tol: tolerance of the search on position (m) and angle (rad).
-        reached: tolerance of success on both. Targets with larger residuals are restarted.
-        max_iterations: per start.
-    """
-
-    targets: np.ndarray
-    m: int
-    starts: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    points: np.ndarray
-    length: float
-    tol: float
-    reached: float
-    max_iterations: int
 
 
 class Engine(Enum):
@@ -60,17 +38,13 @@ class Engine(Enum):
 
 
 class _LongLived:
-    """Whether `warm_up` was called. Then every model is compiled on its first use."""
+    """Whether `warm_up` was called."""
 
     now = False
 
 
 def warm_up(model: Model | None = None, context: Context | None = None) -> None:
-    """Compile models on their first use from now on.
-
-    This is for long-lived processes, since a model takes about a second.  A model given here is
-    compiled now.
-    """
+    """Compile models on their first use from now on, which takes a second each; a given one now."""
     _LongLived.now = True
     if model is not None:
         kernel_of(model, (context or Context.empty()).layout).code  # noqa: B018 - is kept
@@ -82,19 +56,37 @@ def is_compiled(kernel: Kernel, engine: Engine) -> bool:
 
 
 def run(
-    model: Model, context: Context, problem: Problem, engine: Engine
+    model: Model,
+    context: Context,
+    engine: Engine,
+    m: int,
+    targets: np.ndarray,
+    starts: np.ndarray,
+    box: tuple[np.ndarray, np.ndarray],
+    points: np.ndarray,
+    tol: float,
+    max_iterations: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Search from the starts, then from the restarts for the targets that failed."""
-    p, count = problem, len(problem.targets)
-    q, report = np.empty_like(p.starts), np.zeros((count, 4))
-    report[:, :2] = 1e300
+    """N searches: from the starts, then from the restarts for the targets that failed.
+
+    Args:
+        m: 3 for position tasks, 6 for poses.
+        targets: position (m) and axes n, o, a, (N, 12).
+        starts, box: (N, n), and lower and upper limits alike; those of a locked joint are at its
+            start.
+        points: restarts (S, n + 1): a point in the unit box and the share of the way to it.
+        tol: tolerance on position (m) and angle (rad); what fails `REACHED` too is restarted.
+        max_iterations: per start.
+    """
+    count, weights = len(targets), (1.0, characteristic_length(model))
+    q, report = np.empty_like(starts), np.zeros((count, 4))
+    report[:, :2] = newton.UNKNOWN
     for first in range(0, count, _CHUNK):
         ids = np.arange(first, min(first + _CHUNK, count))
-        for s in range(1 + len(p.points)):
-            start = p.starts[ids]
+        for s in range(1 + len(points)):
+            start, low, high = starts[ids], box[0][ids], box[1][ids]
             if s > 0:
-                low, high = p.lower[ids], p.upper[ids]
-                point, radius = p.points[s - 1, :-1], p.points[s - 1, -1]
+                point, radius = points[s - 1, :-1], points[s - 1, -1]
                 start = start + radius * (low + point * (high - low) - start)
                 start = np.clip(start, low, high)
             here = context if ids.size == count else context.take(ids)
@@ -102,20 +94,20 @@ def run(
                 engine is Engine.AUTO and _worth_compiling(model, context.layout, ids.size)
             )
             given = {  # by name: (K, k), or one row for all
-                "target": p.targets[ids],
-                "lower": p.lower[ids],
-                "upper": p.upper[ids],
+                "target": targets[ids],
+                "lower": low,
+                "upper": high,
                 "q": start,
                 "live": np.ones((ids.size, 1)),
-                "tol": np.array([p.tol]),
-                "permitted": np.array([p.max_iterations]),
+                "tol": np.array([tol]),
+                "permitted": np.array([max_iterations]),
             }
-            found, left, used = (_compiled if compiled else _own)(model, here, p, given, ids.size)
+            found, left, used = (_compiled if compiled else _own)(model, here, m, given, ids.size)
             report[ids, 2] += used
             report[ids, 3] += 1
-            won = left @ (1.0, p.length) < report[ids, :2] @ (1.0, p.length)
+            won = left @ weights < report[ids, :2] @ weights
             q[ids[won]], report[ids[won], :2] = found[won], left[won]
-            ids = ids[~(left <= p.reached).all(axis=1)]
+            ids = ids[~(left <= max(tol, newton.REACHED)).all(axis=1)]
             if not ids.size:
                 break
     return q, report
@@ -143,7 +135,6 @@ class _Search:
         self._works = works(model, lambda s: context, TwistRow.whole(model, context))
 
     def run(self, flow: newton.Flow) -> None:
-        """Run programs in their order."""
         for step in flow:
             if isinstance(step, str):
                 self.state |= self._works[step](self.state)
@@ -176,8 +167,8 @@ class _Search:
         return np.stack([np.broadcast_to(v, count) for v in self.state[name]], axis=1)
 
 
-def _own(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
-    flow = newton.flow(model.load_passes, p.m)
+def _own(model: Model, context: Context, m: int, given: _Given, count: int) -> _Found:
+    flow = newton.flow(model.load_passes, m)
     searches = []
     try:
         for k, single in enumerate(context.each(count) if count <= _FEW else ()):
@@ -198,20 +189,17 @@ def _own(model: Model, context: Context, p: Problem, given: _Given, count: int) 
     return q, size, used[:, 0]
 
 
-def _compiled(model: Model, context: Context, p: Problem, given: _Given, count: int) -> _Found:
+def _compiled(model: Model, context: Context, m: int, given: _Given, count: int) -> _Found:
     kernel = kernel_of(model, context.layout)
     packed = {"c": kernel.layout.pack(context, count)}
     blocks = filled_blocks(kernel, given | packed, count)
-    kernel.code.function(f"many_search{p.m}")(blocks.ctypes.data, len(blocks))
+    kernel.code.function(f"many_search{m}")(blocks.ctypes.data, len(blocks))
     q, size, used = (rows_of(blocks, kernel, name, count) for name in ("q", "size", "used"))
     return q, size, used[:, 0]
 
 
 def filled_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
-    """States of K searches for machine code, (number, size, width): lanes of `width` columns.
-
-    The last block may be partly used; its other columns are 0.
-    """
+    """States of K searches for machine code, (number, size, width); unused columns are 0."""
     width = kernel.code.width
     full, rest = divmod(count, width)
     blocks = np.zeros((full + (rest > 0), kernel.size, width))
@@ -238,8 +226,7 @@ def restart_points(n: int, count: int) -> np.ndarray:
     """(count, n + 1): points of the unit box, and the share of the way from the seed to each.
 
     A fixed additive recurrence on the generalised plastic number (M. Roberts' R_d).  The first
-    points stay near the seed.  Every other one is stretched, so that many joints start at a limit,
-    as taught poses often are.
+    stay near the seed.  Every other one is stretched, so that many joints start at a limit.
     """
     g = 2.0
     for _ in range(40):

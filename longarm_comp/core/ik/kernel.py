@@ -2,9 +2,8 @@
 
 At the trial joints, `first` computes the twists under the rigid arm's loads, `again` the twists
 under the loads of the arm with given twists, and `tip` the tip and Jacobian of that arm.  The other
-programs are the search of `newton`.  They run on floats and on arrays.  A `Kernel` traces them and
-compiles them to machine code in about a second; parameters are constants there, joints and context
-are inputs.
+programs are the search of `newton`.  A `Kernel` traces them and compiles them to machine code:
+parameters are constants there, joints and context are inputs.
 """
 
 from __future__ import annotations
@@ -32,8 +31,6 @@ def geometric(posture: Posture, tip: Vec, station: float = math.inf) -> list[tup
 
     Of another point ``station`` is the one that carries it: rows after it are left out.
 
-    A revolute row turns all that follows about the z axis of its bearing; a prismatic row
-    pushes it along the z axis of its frame.  Passive rows follow through the arm's mixing.
     The sag is kept constant, so on a soft arm the Jacobian is a few percent off.
     """
     chain = posture.chain
@@ -70,7 +67,6 @@ class TwistRow:
 
     @classmethod
     def whole(cls, model: Model, context: Context) -> TwistRow:
-        """A row of all components."""
         stations = model.twists(model.unsagged(tuple(model.arm.mid.tolist()), context))
         return cls({(s, i): 6 * k + i for k, s in enumerate(stations) for i in range(6)}, {})
 
@@ -93,7 +89,6 @@ class TwistRow:
         return row
 
     def twists(self, x: Sequence[Any] | np.ndarray) -> Twists:
-        """The twists by station of a row."""
         fixed, slot = self.fixed, self.slot
         made: dict[int, Any] = {
             station: tuple(
@@ -142,7 +137,6 @@ class Kernel:
     """The programs of a model for one layout of the context, as machine code when asked for.
 
     Attributes:
-        layout: layout of the context.
         lower, upper, mid: the joint box.
         passes: load passes of the model.
         workload: work done before it is compiled, in single targets.
@@ -222,8 +216,8 @@ def characteristic_length(model: Model) -> float:
 
 
 MOST_KERNELS = 8
-"""Kernels kept, the last used: of the model at work, the rigid one, the one before and the one that
-is learned, each with what is known of two kinds of targets.  A compiled one takes some 2 MB."""
+"""Kernels kept, the last used: of four models, each for two kinds of targets.  A compiled one takes
+some 2 MB."""
 _kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()
 
 

@@ -66,7 +66,6 @@ class _Tree:
 
     def search(self) -> None:
         """Fill the list of the best, within a wider radius while it has gaps."""
-        # doublings of the squared radius
         for _ in range(8):
             self._visit(self.n - 1, 0.0, -self.W @ self.R[:, self.n])
             if len(self.best) == self.kept or self.nodes >= self.max_nodes:
@@ -118,7 +117,6 @@ def _reduced(R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             R[:, b] -= times * R[:, a]
             U[:, b] -= times * U[:, a]
         a = b - 1
-        # as in the literature: short columns, and an end after few swaps
         if R[a, b] ** 2 + R[b, b] ** 2 >= 0.99 * R[a, a] ** 2:
             b += 1
             continue

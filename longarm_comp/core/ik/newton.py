@@ -1,9 +1,8 @@
 """Newton-Raphson search in the joint box, written once for every engine.
 
 The state of a search is a column of numbers (`rows`).  The functions here read and write it without
-a branch on data, so that they can be traced like the model itself.  They run on floats for one
-target, on arrays for many, and traced as machine code for the lanes of a processor.  `flow` is the
-order in which they run.
+a branch on data: they run on floats for one target, on arrays for many, and traced as machine code
+for the lanes of a processor.  `flow` is the order in which they run.
 
 The tip is evaluated at three levels: while it is far, by the arm with the twists of the start,
 kept; then with the twists carried from one iterate to the next, one load pass per step; near the
@@ -69,8 +68,7 @@ def _solve_damped(J: _Scalars, e: _Scalars, free: _Scalars, damping: Any, m: int
 def rotation_error(R: _Scalars, target: _Scalars) -> tuple[list[Any], Any]:
     """Rotation vector (rad, base frame) from R to the target, and its angle (rad), 0 to pi.
 
-    Both hold axes n, o, a one after the other, 9 numbers each.  At pi the vector is 0, as its
-    direction is undefined.
+    Both hold axes n, o, a one after the other, 9 numbers each.  At pi the vector is 0.
     """
     x = y = z = trace = 0.0  # sum of the cross products of the axes, and of their scalar products
     for k in (0, 3, 6):
@@ -180,7 +178,6 @@ def accept(s: State, m: int) -> Outcome:
 
 
 def begin(n: int) -> Outcome:
-    """Initial state of a search."""
     return {
         "e": [0.0] * 6, "J": [0.0] * (6 * n), "sag": [0.0] * (6 * n), "used": [0.0],
         "mu": [0.05], "size": [UNKNOWN, UNKNOWN],
@@ -301,19 +298,18 @@ Flow = tuple["str | Repeat", ...]
 def flow(passes: int, m: int) -> Flow:
     """Programs of the search from q in their order; q becomes the answer."""
     steps: list[str | Repeat] = ["begin"]
+    step = f"round{m}", Repeat("more", (f"round{m}",))
     for level in LEVELS:
-        again: Flow = (f"round{m}", Repeat("more", (f"round{m}",)))
         judged = f"judge{m}_{level.evaluate}"
-        again += (*evaluation(level, passes, False), judged)
-        steps += ["open", *evaluation(level, passes, True), judged]
-        steps.append(Repeat("open", again))
+        again = Repeat("open", (*step, *evaluation(level, passes, False), judged))
+        steps += ["open", *evaluation(level, passes, True), judged, again]
     return tuple(steps)
 
 
 def evaluation(level: Level, passes: int, anew: bool) -> tuple[str, ...]:
     """Programs that evaluate the trial; `anew`: no twists are carried yet."""
-    if level.evaluate == "kept":
-        return ("first", "tip") if anew else ("tip",)
-    if level.evaluate == "carried":
-        return ("first", "tip") if anew else ("again", "tip")
-    return ("first", *["again"] * (passes - 1), "tip") if passes else ("tip",)
+    if level.evaluate == "full":
+        return ("first", *["again"] * (passes - 1), "tip") if passes else ("tip",)
+    if anew:
+        return ("first", "tip")
+    return ("again", "tip") if level.evaluate == "carried" else ("tip",)

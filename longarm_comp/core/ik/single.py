@@ -1,7 +1,4 @@
-"""Single targets by machine code with minimal overhead.
-
-Everything that does not change from target to target is prepared once per model and task.
-"""
+"""Single targets by machine code: what does not change from target to target is prepared once."""
 
 from __future__ import annotations
 

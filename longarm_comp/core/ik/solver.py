@@ -1,9 +1,8 @@
 """Inverse kinematics of the deflected arm: Newton-Raphson on any model, inside the joint box.
 
-It is solved for the *true* tip, so errors of the camera are never compensated.  The seed comes
-first.  Restarts follow only if it fails, so that a tracked path does not jump to another branch.
-Limits hold exactly.  Success is evaluated at the returned joints with all load passes of the
-model.  A failure is returned with the best joints and the reason.
+It is solved for the *true* tip, so errors of the camera are never compensated.  Restarts follow
+only if the seed fails, so that a tracked path does not jump to another branch.  Success is
+evaluated at the returned joints with all load passes of the model.
 """
 
 from __future__ import annotations
@@ -18,8 +17,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik.engines import Engine, Problem, restart_points, run, warm_up
-from longarm_comp.core.ik.kernel import characteristic_length
+from longarm_comp.core.ik.engines import Engine, restart_points, run, warm_up
 from longarm_comp.core.ik.newton import REACHED, skewness
 from longarm_comp.core.ik.single import solve_compiled
 from longarm_comp.core.model.model import Model
@@ -39,9 +37,6 @@ class Reason(Enum):
     AT_LIMITS = "joint limits keep the tip from the target"
     OUT_OF_REACH = "no joints bring the tip nearer to the target"
     ITERATIONS = "the search did not end within the permitted iterations"
-
-
-_CONVERGED = Reason.CONVERGED
 
 
 class Solution(NamedTuple):
@@ -112,7 +107,7 @@ def solve(
             q, (position, angle, iterations, _) = found
             reached = max(tol, REACHED)
             if position <= reached and angle <= reached:
-                return Solution(q, True, _CONVERGED, position, angle, int(iterations), 1)
+                return Solution(q, True, Reason.CONVERGED, position, angle, int(iterations), 1)
     return solve_many(
         model, target[None], seed=seed, context=context, position_only=position_only,
         locked=locked, tol=tol, max_starts=max_starts, engine=engine,
@@ -153,19 +148,17 @@ def solve_many(
     upper = np.repeat(arm.upper[None], len(position), axis=0)
     for k in locked_joints(model, locked):
         lower[:, k] = upper[:, k] = start[:, k]
-    points = restart_points(arm.n, max(max_starts - 1, 0))
     targets = np.zeros((len(position), 12))
     targets[:, :3] = position
     if axes is not None:
         targets[:, 3:] = axes
-    problem = Problem(
-        targets, 3 if axes is None else 6, start, lower, upper, points,
-        characteristic_length(model), float(tol), max(float(tol), REACHED), _MAX_ITERATIONS,
+    q, report = run(
+        model, context or Context.empty(), engine, 3 if axes is None else 6, targets, start,
+        (lower, upper), restart_points(arm.n, max(max_starts - 1, 0)), float(tol), _MAX_ITERATIONS,
     )  # fmt: skip
-    q, report = run(model, context or Context.empty(), problem, engine)
     position, angle = report[:, 0], report[:, 1]
     iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
-    ok = (position <= problem.reached) & (angle <= problem.reached)
+    ok = np.maximum(position, angle) <= max(tol, REACHED)
     reasons = [Reason.CONVERGED] * len(q)
     for i in np.flatnonzero(~ok):
         if iterations[i] >= starts[i] * _MAX_ITERATIONS:

@@ -3,8 +3,7 @@
 Every program is ``void name(ptr s)`` over a block of columns: number k of lane l is
 ``s[k * width + l]``.  A flow of programs becomes a function of loops around calls, and for
 each ``many_name(blocks, count)`` runs it on blocks that follow each other in memory.
-A product and a sum may be fused, but nothing is reordered.  The results differ from those of Python
-only in the last digits.
+A product and a sum may be fused: results differ from those of Python in the last digits.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ _INTRINSIC = ("fabs", "sqrt", "floor")
 _LIBRARY = {"tan": 1, "tanh": 1, "exp": 1, "log": 1, "pow": 2}
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _COMPARE = {"lt": "olt", "le": "ole"}
+_CHOICE = {"minimum": "olt", "maximum": "ogt"}
 
 
 def module(
@@ -74,7 +74,6 @@ class _Writer:
         return lines
 
     def program(self, graph: Graph, outputs: Outputs) -> list[str]:
-        """Straight-line code."""
         lines = []
         for node in graph.needed(list(outputs.values())):
             lines += self._instructions(node, *graph.nodes[node])
@@ -123,10 +122,9 @@ class _Writer:
                 f"%c{node} = fcmp une {kind} {a[0]}, zeroinitializer",
                 f"{v} = select {flag} %c{node}, {kind} {a[1]}, {kind} {a[2]}",
             ]
-        if op in ("minimum", "maximum"):
-            order = "olt" if op == "minimum" else "ogt"
+        if op in _CHOICE:
             return [
-                f"%c{node} = fcmp {order} {kind} {a[1]}, {a[0]}",
+                f"%c{node} = fcmp {_CHOICE[op]} {kind} {a[1]}, {a[0]}",
                 f"{v} = select {flag} %c{node}, {kind} {a[1]}, {kind} {a[0]}",
             ]
         if op == "sign":
