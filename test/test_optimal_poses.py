@@ -109,7 +109,7 @@ def test_rows_measured_so_far_count(unknown: Uncertainty) -> None:
     first, next_ = optimal_poses(unknown, 10, rng=0), optimal_poses(after, 10, rng=0)
     assert next_.expected_m < 0.7 * first.expected_m
     wide = Uncertainty.of(Model(ARM), session, "position", known=False, sigma=NOISE)
-    assert len(wide.slots) > len(after.slots) + 5
+    assert len(wide.model.slots) > len(after.model.slots) + 5
     assert optimal_poses(wide, 10, rng=0).expected_m > next_.expected_m
 
 

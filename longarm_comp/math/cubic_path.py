@@ -57,8 +57,6 @@ class CubicPath:
 
     def extremes(self) -> tuple[Array, Array]:
         """Lowest and highest position on the path, (n,) each."""
-        if len(self.times) == 1:
-            return self.joints[0], self.joints[0]
         h = np.diff(self.times)[:, None]
         b, c = self._velocity_terms()
         m = self.velocities[:-1]
@@ -76,24 +74,19 @@ class CubicPath:
 
     def peak_velocity(self) -> Array:
         """(n,) highest speed on the path."""
-        if len(self.times) == 1:
-            return np.zeros(self.joints.shape[1])
         b, c = self._velocity_terms()
         m = self.velocities[:-1]
         with np.errstate(divide="ignore", invalid="ignore"):
             u = -b / (2 * c)
-        inside = (u > 0.0) & (u < 1.0)
-        u = np.where(inside, u, 0.0)
-        return np.maximum(
-            np.abs(self.velocities).max(axis=0), np.abs(m + b * u + c * u**2).max(axis=0)
-        )
+        u = np.where((u > 0.0) & (u < 1.0), u, 0.0)
+        inner = m + b * u + c * u**2
+        return np.abs(np.concatenate((self.velocities, inner))).max(axis=0)
 
     def peak_acceleration(self) -> Array:
         """(n,) highest on the path: at an end of a segment, within which it is linear."""
-        if len(self.times) == 1:
-            return np.zeros(self.joints.shape[1])
         (b, c), h = self._velocity_terms(), np.diff(self.times)[:, None]
-        return np.asarray(np.maximum(np.abs(b), np.abs(b + 2.0 * c)) / h).max(axis=0)
+        ends = np.maximum(np.abs(b), np.abs(b + 2.0 * c)) / h
+        return np.asarray(ends.max(axis=0, initial=0.0))
 
     @property
     def jerk(self) -> Array:

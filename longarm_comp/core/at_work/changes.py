@@ -25,7 +25,6 @@ class Parameters:
     """The numbers of a model and of all effects that may come to it, in one order.
 
     Attributes:
-        model: as it was given.
         absent: effects that it does not hold, at none.
         slots: of the model, then of these.
         keys: (C,) effect and place of every possible change.

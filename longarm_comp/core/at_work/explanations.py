@@ -22,11 +22,10 @@ from longarm_comp.core.identify.posterior.found import CREDIBLE
 MOST = 4
 """Explanations that are carried along: each costs as much time as the first."""
 DOUBT = 0.01
-"""Probability that a sighting is wrong: of another point, or of an arm that still moves.  With as
-much, explanations may be forgotten."""
+"""Probability that a sighting is wrong, and with which explanations may be forgotten."""
 _FEWEST, _LATEST = 2, 15
-"""Sightings of a change after which posteriors part: at least, as one alone may be wrong, and
-whatever is left out, as its jump is then known four times better than by one."""
+"""Sightings of a change after which posteriors part: at least, as one alone may be wrong; at last,
+as its jump is then known four times better than by one."""
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,6 @@ class _StoredVersion(Declared):
 
 
 class _StoredLearner(Declared):
-    """The whole file."""
-
     schema_: Literal["longarm/at_work/1"] = Field(alias="schema")
     given: str = Field(description="SHA-256 of the model.yaml that it began with")
     frozen: bool

@@ -1,9 +1,8 @@
 """The model at work learns from sightings of ordinary moves.
 
 Each sighting is an equation of the model's parameters and of all that may have changed
-(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is
-said: which effect moved, since when, how much.  Where the moves of the work do not tell two
-explanations apart, it asks for the pose that would.
+(`posterior.py`).  The mean over all explanations is served, and what is sure is said.  Where the
+moves of the work do not tell two explanations apart, it asks for the pose that would.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import LEGS, Context
+from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.explanations import DOUBT, Branch, Explanations
@@ -48,12 +48,8 @@ class Asked:
 def asked(known: Explanations, context: Context, noise: np.ndarray) -> Asked | None:
     """The pose where the likeliest explanation and a rival disagree most.
 
-    None where there is no rival, or none that a single sighting would decide against.
-
-    Args:
-        known: all explanations.
-        context: circumstances now.
-        noise: (3, 3) m^2 of a sighting.
+    None where there is no rival, or none that a single sighting of a noise (3, 3), m^2, would
+    decide against.
     """
     first, *others = known.branches
     rivals = [b for b in others if b.weight > 1.0 - CREDIBLE and _new(b, first)]
@@ -65,8 +61,7 @@ def asked(known: Explanations, context: Context, noise: np.ndarray) -> Asked | N
     legs[..., 0] = side * run_up_lengths(arm)
     there = dataclasses.replace(
         context,
-        approach=tuple(side.T),
-        legs=tuple(legs.reshape(len(q), -1).T),
+        **History(side, legs).fields(),
         columns={name: np.full(len(q), value) for name, value in context.columns.items()},
     )
     tips = [space.at(b.known.expected).tip(q, there) for b in (first, *rivals)]
@@ -95,8 +90,7 @@ def _pool(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 STEP_M = 2e-3
-"""Largest step of the tip by one sighting's learning, m: a wrong one moves no command by
-more."""
+"""Largest step of the tip by one sighting's learning, m."""
 WORTH = 0.1
 """Step, in standard deviations of a sighting, from which on another model is served: less is
 lost in what scatters."""
@@ -106,7 +100,6 @@ class Named(Declared):
     """What changed: a place, and the effect there that is the most probable.
 
     Attributes:
-        effect, where: what and where.
         since_s: time of the first sighting that shows it.
         by: (parameter, unit, how much), of those that moved.
         probability: of the effect, given that something changed there.
@@ -211,23 +204,18 @@ class Learner:
         for branch, change in here:
             name = change.key[0]
             chances[name] = chances.get(name, 0.0) + branch.weight / whole
-        order = sorted(chances, key=lambda name: -chances[name])
-        branch, change = next((b, c) for b, c in here if c.key[0] == order[0])
+        first, *others = sorted(chances, key=lambda name: -chances[name])
+        branch, change = next((b, c) for b, c in here if c.key[0] == first)
         space = branch.known.space
         places = space.own(space.keys.index(change.key))
         moved = branch.known.expected[places] - np.array(change.before)
         parameters = (space.slots[k].parameter for k in places)
         by = ((p.name, p.unit, float(v)) for p, v in zip(parameters, moved, strict=True) if v)
-        rivals = tuple((name, chances[name]) for name in order[1:])
         return Named(
-            effect=order[0],
-            where=where,
-            since_s=change.since_s,
-            by=tuple(by),
-            probability=chances[order[0]],
-            rivals=rivals,
+            effect=first, where=where, since_s=change.since_s, by=tuple(by),
+            probability=chances[first], rivals=tuple((name, chances[name]) for name in others),
             sightings=change.sightings,
-        )
+        )  # fmt: skip
 
     def _served(self, columns: np.ndarray, at: np.ndarray) -> Learner:
         """Serve the mean over all explanations, in a bounded step."""
@@ -245,8 +233,7 @@ class Learner:
         model = known.space.at(values)
         active, covariance = known.covariance()
         slots = tuple(known.space.identities[k] for k in active)
-        factor = factor_of(covariance)
-        record = dataclasses.replace(self.record, slots=slots, factor=factor)
+        record = dataclasses.replace(self.record, slots=slots, factor=factor_of(covariance))
         made = dataclasses.replace(model, uncertainty=record)
         made.__dict__["chain"] = model.chain
         return made

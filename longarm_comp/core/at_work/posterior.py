@@ -27,14 +27,11 @@ SIZES = np.array([0.1, 0.3, 1.0, 3.0])
 """Of a change, in ordinary sizes of the parameter, equally likely: from what begins to
 show to what breaks."""
 _GROWN = 3.0
-"""Growth of the errors that stands for a change of no known effect: beyond what one
-sighting scatters."""
+"""Growth of the errors that stands for a change of no known effect."""
 _ONSETS = 16
-"""Times of a change that are carried along; the old ones lie further apart.  Over a thousand
-sightings sixteen lie by a factor of 1.6 apart."""
+"""Times of a change that are carried along: over a thousand sightings by a factor of 1.6 apart."""
 NEGLIGIBLE = 1e-3
-"""Probability below which a hypothesis moves no parameter: a thousandth of its jump, less than any
-sighting sees."""
+"""Probability below which a hypothesis moves no parameter: less than any sighting sees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +119,7 @@ class RecursivePosterior:
     def total(self) -> float:
         """Log of the sum of all weights; that of "nothing changed" is 1."""
         h = self.hypotheses
-        top = max(0.0, float(h.log_weight.max(initial=0.0)), float(h.unnamed.max(initial=0.0)))
+        top = max(float(h.log_weight.max(initial=0.0)), float(h.unnamed.max(initial=0.0)))
         whole = math.exp(-top) + np.exp(h.log_weight - top).sum() + np.exp(h.unnamed - top).sum()
         return top + math.log(whole)
 

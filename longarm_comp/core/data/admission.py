@@ -1,8 +1,7 @@
 """Admission: checks a session against the arm that it claims to show.  Nothing is repaired.
 
-An invalid session (millimetres, degrees, mirrored axes, rows out of order, no measurement) is
-refused with an `InputError` that names the likely mistake.  A limitation of a valid session (a
-joint that never moved, lost markers, gross outliers) is reported as a finding.
+An invalid session (millimetres, degrees, rows out of order) is refused with an `InputError` that
+names the likely mistake.  A limitation of a valid one (a joint that never moved) is a finding.
 """
 
 from __future__ import annotations
@@ -86,9 +85,8 @@ def admit(
     if len(located):
         predicted = physics.measured(located.q, located.context())
         case = _Case(session, arm, located, predicted, physics)
-        for check in _AFTER:
-            findings += check(case) or ()
-        findings += _belongs(case, judge)
+        _lengths(case)
+        findings += (*_frame(case), *_belongs(case, judge))
     return Admission(session, tuple(findings))
 
 
@@ -96,8 +94,7 @@ def _with_readings(session: Session, findings: list[AdmissionFinding]) -> Sessio
     """The rows in which every inclinometer was read; one that mostly was not is left out."""
     for name, values in session.columns.items():
         blank = np.isnan(values)
-        # of its rows blank: an inclinometer that is left out instead of the rows
-        if blank.mean() > 0.5:
+        if blank.mean() > 0.5:  # the inclinometer is left out instead of the rows
             rest = {k: v for k, v in session.columns.items() if k != name}
             session = dataclasses.replace(session, columns=rest)
             findings.append(AdmissionFinding("blanks", name, f"left out, {blank.mean():.0%} blank"))
@@ -119,7 +116,7 @@ def _same_arm(case: _Case) -> None:
         raise case.refuse("joints", case.session.n, allowed)
     markers, anchors = list(case.arm.markers), [*case.arm.anchors, ""]
     for label, declared in (("marker", markers), ("anchor", anchors)):
-        for name in np.unique(case.session.labels.get(label, np.array([], dtype=str))):
+        for name in np.unique(case.session.labels.get(label, np.zeros(0, dtype=str))):
             if any(declared) and name not in declared:
                 raise case.refuse(label, str(name), f"one of {', '.join(filter(None, declared))}")
     if "ray" in case.session.readings:
@@ -182,20 +179,19 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
         (turning, np.pi / 180, "radians (this looks like degrees)"),
         (~turning, 1e-3, "metres (this looks like millimetres)"),
     ):
-        # of a joint's range beyond its limits
-        far = (beyond > 0.5 * reach) & kind
+        far = (beyond > 0.5 * reach) & kind  # beyond the limits by half a range
         if not far.any():
             continue
         row, j = np.unravel_index(np.argmax(np.where(far, beyond / reach, 0)), q.shape)
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} of {arm.joint_names[j]}"
         scaled, slack = q[:, j] * factor, 0.05 * reach[j]
         within = (scaled > arm.lower[j] - slack) & (scaled < arm.upper[j] + slack)
-        # times a joint's largest value, and more, are another unit
+        # five times a joint's largest value, and more, are another unit
         many = abs(q[row, j]) > 5.0 * max(abs(arm.lower[j]), abs(arm.upper[j]))
         if other := _exchanged(arm, case.session):
             limits = f"{limits} ({other})"
         elif many and within.mean() > 0.95:
-            # Joints that all stay within it may well be in radians
+            # joints that all stay within a turn may well be in radians
             small = factor == np.pi / 180 and np.abs(q[:, kind]).max() < (2 * np.pi)
             limits = f"{limits}; degrees, or limits that are too narrow?" if small else (
                 f"{hint}: {limits}"
@@ -251,9 +247,8 @@ def _copies(case: _Case) -> Iterator[AdmissionFinding]:
     first: dict[bytes, int] = {}
     copies = frozen = 0
     marker = seen.labels.get("marker", np.full(len(seen), ""))
-    for i in range(len(seen)):
-        key = seen.xyz[i].tobytes()
-        before = first.setdefault(key, i)
+    for i, xyz in enumerate(seen.xyz):
+        before = first.setdefault(xyz.tobytes(), i)
         if before == i or marker[before] != marker[i]:
             continue
         if seen.pose_id[before] == seen.pose_id[i]:
@@ -325,8 +320,7 @@ def _frame_of(
     elif away > 0.3 * median_spread(predicted):
         yield AdmissionFinding("frame", field, f"{away:.3f} m away from where the declared arm is")
     distance = np.linalg.norm(residual, axis=1)
-    # robust standard deviations, before any fit
-    far = distance > max(8.0 * 1.4826 * misfit, 1e-9)
+    far = distance > max(8.0 * 1.4826 * misfit, 1e-9)  # eight robust standard deviations
     if far.any():
         worst = 1e3 * distance.max()
         text = f"{far.sum()} gross outliers ({far.mean():.1%}), the worst {worst:.0f} mm"
@@ -377,4 +371,3 @@ _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
     *(_same_arm, _inclinometers, _plausible_context, _joint_units, _order, _touches),
     *(_measured_at_all, _constant, _copies),
 )
-_AFTER: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (_lengths, _frame)

@@ -15,10 +15,9 @@ def blocked_split(
 ) -> tuple[Session, Session]:
     """Training set and hold-out in whole blocks of time.
 
-    The poses, in the order of their first visit, are divided into about 25 blocks. All visits of
-    a pose belong to the block of its first visit, so repeats and equal poses are never divided.
-    Blocks are drawn until the hold-out has `fraction` of the rows and `min_poses` poses with a
-    marker, but never more than a third of the poses.
+    The poses are divided into about 25 blocks, each pose with all of its visits. Blocks are drawn
+    until the hold-out has `fraction` of the rows and `min_poses` poses with a marker, but never
+    more than a third of the poses.
     """
     if not 0 < fraction < 1:
         raise InputError("split", "fraction", fraction, "between 0 and 1")
@@ -91,7 +90,6 @@ class Sealed:
         return self._session
 
     def __getattr__(self, name: str) -> NoReturn:
-        """Refuse every other attribute."""
         if name.startswith("__"):
             raise AttributeError(name)
         raise SealedError(f"the held-out rows can be read through open(reason) only, not by {name}")

@@ -1,6 +1,6 @@
 """Kinds of measurement: what a sensor's reading says of the tip, as scalar equations.
 
-Fit, diagnosis and report know channels and equations only, so a further kind is one class here.
+Fit, diagnosis and report know channels and equations only: a further kind is one class here.
 """
 
 from __future__ import annotations

@@ -29,7 +29,8 @@ _FAR_MEDIANS = 6.0
 _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.05, 2.8
 """Turns between two rows that tell the axis of the turn: noise tilts that of smaller ones, and near
 pi its sign is not known."""
-_RANK, _EXACT = 1e-6, 1e-9
+_RANK, EXACT = 1e-6, 1e-9
+"""Share of the largest singular value, and length (m), below which there is rounding only."""
 
 
 class _LinearEquations(NamedTuple):
@@ -44,15 +45,15 @@ class _LinearEquations(NamedTuple):
 def lifted_base(
     arm: Arm, points: np.ndarray, axes: np.ndarray, rows: Session
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and place (3,) m of the base that agree with what rows measured.
+    """Rotation (3, 3) and place (3,) m of the base that agree with what N rows of it measured.
 
     What they do not determine is left as declared: the base unturned and at the origin.
 
     Args:
         points, axes: of N predicted tips in the base: (N, 3) m; (N, 3, 3) in columns.
-        rows: N rows of one placement.
     """
-    found = _linear(arm, points, rows)
+    parts = (*_coordinates(points, rows), *_rays(arm, points, rows), *_anchors(arm, points, rows))
+    found = _LinearEquations(*map(np.concatenate, zip(*parts, strict=True)))
     turn = _by_axes(axes, rows)
     if turn is None:
         turn = _rotation(found) if len(found.value) >= _MIN_EQUATIONS else np.eye(3)
@@ -66,7 +67,7 @@ def multilaterated(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     for _ in range(ROUNDS):
         place = _anchor(points[kept], length[kept])
         miss = np.abs(np.linalg.norm(points - place, axis=1) - length)
-        closer = miss <= max(_FAR_MEDIANS * float(np.median(miss)), _EXACT)
+        closer = miss <= max(_FAR_MEDIANS * float(np.median(miss)), EXACT)
         if closer.sum() < _MIN_EQUATIONS or (closer == kept).all():
             break
         kept = closer
@@ -91,13 +92,6 @@ def _anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
 
 
 # ------------------------------------------------------------------ equations
-
-
-def _linear(arm: Arm, points: np.ndarray, rows: Session) -> _LinearEquations:
-    parts = [
-        *_coordinates(points, rows), *_rays(arm, points, rows), *_anchors(arm, points, rows)
-    ]  # fmt: skip
-    return _LinearEquations(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _coordinates(points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
@@ -164,13 +158,13 @@ def _rotation(found: _LinearEquations) -> np.ndarray:
     )
     origin = np.linalg.lstsq(found.direction, found.value, rcond=_RANK)[0]
     value = found.value - found.direction @ origin
-    if np.abs(value).max() > _EXACT:
+    if np.abs(value).max() > EXACT:
         free = _robust(design, found.value)[:9].reshape(3, 3)
     else:  # one camera: its rays fit at any scale
         free = np.linalg.svd(design)[2][-1][:9].reshape(3, 3)
         free = free * np.sign(np.linalg.det(free))
     u, s, _ = np.linalg.svd(free)
-    if s[0] < _EXACT:
+    if s[0] < EXACT:
         return np.eye(3)
     turn = nearest_rotation(free)
     return turn if s[1] > _SEEN_SHARE * s[0] else _least_turned(turn, u[:, 0])

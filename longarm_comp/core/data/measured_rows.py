@@ -54,9 +54,7 @@ class MeasuredRows:
     @cached_property
     def turned(self) -> np.ndarray:
         """(N,) whether the tip's orientation was measured."""
-        if "orientation" not in self.readings:
-            return np.zeros(len(self.xyz), dtype=bool)
-        return np.isfinite(self.readings["orientation"]).all(axis=1)
+        return np.isfinite(self.reading(KINDS["orientation"])).all(axis=1)
 
     @cached_property
     def placed(self) -> np.ndarray:
@@ -73,14 +71,10 @@ class MeasuredRows:
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
-        """The kinds of measurement of its blocks."""
         return tuple(KINDS[name] for name in dict.fromkeys(b.kind for b in self.blocks))
 
     def framed(self, arm: Arm) -> bool:
-        """Whether the rows measure in a frame of their own, in which the base is to be placed.
-
-        Touches do not, nor distances to anchors that are all to be solved: their frame is the base.
-        """
+        """Whether the rows measure in a frame of their own, in which the base is to be placed."""
         return any(kind.framed(arm) for kind in self.kinds)
 
     @property
@@ -151,10 +145,8 @@ class MeasuredRows:
         return {name: float(np.median(values)) for name, values in held if len(values)}
 
     def uneven(self, usual: Mapping[str, float]) -> np.ndarray:
-        """(N,) noise that each row states over the usual one by channel; 1 where it states none.
-
-        The geometric mean over its channels.
-        """
+        """(N,) noise that each row states over the usual one by channel, the geometric mean over
+        its channels; 1 where it states none."""
         share = self.stated / np.array([usual.get(name, np.nan) for name in self.channels])
         known = np.isfinite(share)
         logs = np.log(share, where=known, out=np.zeros(share.shape))

@@ -70,8 +70,7 @@ def errors(model: Model, session: Session, near: Posture | None = None) -> np.nd
     """(M, 3) measured - predicted of the M rows that say where the tip is, m.
 
     Where fewer than three coordinates were measured it is the smallest displacement of the tip
-    that explains the row: along a measured axis, along the line to an anchor.  A similar model's
-    posture at the M rows (`near`) saves time.
+    that explains the row.  A similar model's posture at the M rows (`near`) saves time.
     """
     placed = session.take(session.placed)
     if not len(placed):

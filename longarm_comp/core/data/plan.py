@@ -134,11 +134,7 @@ def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
 
 
 def with_random_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
-    """The same poses, each joint from a side drawn for it alone where both have room.
-
-    So every effect that depends on the side is seen in every joint by itself, and a predictor
-    learns from every combination of sides that a command may bring about.
-    """
+    """The same poses, each joint from a side drawn for it alone where both have room."""
     drawn = np.random.default_rng(rng).choice(np.array([-1, 1]), size=plan.q.shape)
     return dataclasses.replace(plan, approach=with_room(arm, plan.q, drawn))
 

@@ -35,8 +35,6 @@ _MIN_ROWS = 3
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """What is registered."""
-
     point: np.ndarray  # (N, 3) declared place of the row's marker, m, in the base frame
     axes: np.ndarray  # (N, 3, 3) axes of the frame that carries it, in columns, in the base frame
     seen: np.ndarray  # (N, 3) m
@@ -83,8 +81,6 @@ def _numbers(labels: np.ndarray, names: Sequence[str]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where everything is."""
-
     rotation: np.ndarray  # (G, 3, 3) of each base in the frame of the measurements
     offset: np.ndarray  # (G, 3) m
     tip: np.ndarray  # (K, 3) m beyond each marker's declared place, in the frame that carries it
@@ -100,11 +96,8 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
     """Bases and markers that bring the arm's points closest to the sightings, outliers apart.
 
     The better of two starts is refined by Gauss-Newton on the distances: the marker where it is
-    declared, and the linear solution with rotation, marker and their product as unknowns of
-    their own.  Directions that the rows do not determine are left as declared.
-
-    Args:
-        tips: whether the markers are unknown as well.
+    declared, and (with `tips`, where markers are unknown as well) the linear solution.  Directions
+    that the rows do not determine are left as declared.
     """
     still = np.zeros((int(rows.marker.max()) + 1, 3))
     best = _refined(rows, still, tips)
@@ -137,10 +130,8 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
         following = _step(rows, made)
         if following.misfit > made.misfit:
             break
-        # Share of the misfit that a step must take off for another to follow
-        settled = following.misfit > (1.0 - 1e-3) * made.misfit
-        made = following
-        if settled:
+        before, made = made.misfit, following
+        if made.misfit > (1.0 - 1e-3) * before:  # too little for another step
             break
     return made
 

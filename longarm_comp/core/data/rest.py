@@ -17,8 +17,6 @@ from longarm_comp.core.errors import InputError
 JOINT_REST = 2e-3
 """Largest distance (rad, m) of a resting joint from its goal or its final position: a tick of
 its encoder, and what its controller leaves."""
-SETTLE_S = 0.5
-"""Time (s) for which the joints have rested before a sighting counts: the arm swings no more."""
 TIP_REST_M = 3e-3
 """Largest distance (m) of a settled sighting from the final position of the sightings."""
 REST_S = 0.1
@@ -42,7 +40,7 @@ class RestPose:
 class RestWatch:
     """Returns each rest pose once: the mean of `sightings` once joints rested for `settle_s`."""
 
-    settle_s: float = SETTLE_S
+    settle_s: float = 0.5
     sightings: int = 3
     _goal: tuple[np.ndarray, History] | None = None
     _there_since: float | None = None
@@ -116,9 +114,9 @@ def settled(
     """The mean of the settled sightings between a command at `begin` (s) and the next one.
 
     The arm is at rest once the measured joints stay at their final values (`JOINT_REST`) and the
-    sightings at their final position (`TIP_REST_M` about the median of the last five).  Where there
-    are sightings of the time after the joints stood still (`_still`), only these count: within
-    `JOINT_REST` of its end a joint that still moves is millimetres off at the tip.
+    sightings at their final position (`TIP_REST_M` about the median of the last five).  Sightings
+    after the joints stood still (`_still`) come first: a joint that still moves within `JOINT_REST`
+    of its end is millimetres off at the tip.
 
     Args:
         sightings: in the order of time.

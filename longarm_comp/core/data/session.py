@@ -1,7 +1,7 @@
 """A session: commanded joints, measured tips and their circumstances.
 
-Quantities that depend on the order of recording (the side from which a joint arrived) are derived
-once, here, so that any subset may be taken afterwards.
+What depends on the order of recording (how a joint arrived) is derived once, here, so that any
+subset may be taken afterwards.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.context import INCLINATION, LEGS, PER_JOINT, Context
+from longarm_comp.core.arm.context import INCLINATION, LEGS, Context
 from longarm_comp.core.arm.history import SAME_POSE, History, recorded, sides_told
 from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, check_shape
@@ -165,13 +166,9 @@ class Session(MeasuredRows):
 
     def _repr_html_(self) -> str:
         """The first rows; repr says how many there are."""
-        # Rows of a session in a notebook
-        numbers = range(min(8, len(self)))
-        rows = [
-            {"index": int(self.index[k]), **{f"q{j}": float(v) for j, v in enumerate(self.q[k], 1)},
-             **{axis: float(v) for axis, v in zip("xyz", self.xyz[k], strict=True)}}
-            for k in numbers
-        ]  # fmt: skip
+        names = ("index", *(f"q{j}" for j in range(1, self.n + 1)), "x", "y", "z")
+        numbers = zip(self.index.tolist(), self.q.tolist(), self.xyz.tolist(), strict=True)
+        rows = [dict(zip(names, (k, *q, *xyz), strict=True)) for k, q, xyz in islice(numbers, 8)]
         return html_table(repr(self), rows)
 
     @property
@@ -242,11 +239,9 @@ class Session(MeasuredRows):
         The history of the joints is absent when no side of arrival is known in the whole session.
         """
         at: _Rows = slice(None) if rows is None else rows
-        names = PER_JOINT if self.approach.any() else ()
-        held = {name: getattr(self, name)[at].astype(float) for name in names}
-        history = {name: tuple(v.reshape(len(v), -1).T) for name, v in held.items()}
+        history = History(self.approach[at].astype(float), self.legs[at])
         return Context(
-            **history,
+            **(history.fields() if self.approach.any() else {}),
             columns={name: values[at] for name, values in self.columns.items()},
             labels={name: values[at] for name, values in self.labels.items()},
         )

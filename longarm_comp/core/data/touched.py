@@ -15,6 +15,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import KnownDistance, known_distances
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.kinds import KINDS
+from longarm_comp.core.data.lifted_base import EXACT
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside, TouchPlace
@@ -22,17 +23,12 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
-_EXACT = 1e-9
-
 _Misfit = Callable[[np.ndarray], np.ndarray]
 """Distances of points (N, 3) from a solution, (N,)."""
 
 
 def unknowns(arm: Arm, session: Session) -> tuple[Bias, ...]:
-    """The terms that hold the points and planes that a session touched.
-
-    Distances of points that it did not touch count for nothing.
-    """
+    """The terms that hold the points and planes that a session touched."""
     distances = (*known_distances(arm.touch_distances), *session.touch_distances)
     points = _ordered(session.named(KINDS["touch"]), distances, session.source)
     made: list[Bias] = [
@@ -117,10 +113,7 @@ def started(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[
 
 
 def completed(model: Model, session: Session, at: Posture) -> Model:
-    """The model with the touched points that it lacks, where its tips touched them.
-
-    A model of other rows lacks them: those of a hold-out, of another day.
-    """
+    """The model, perhaps of other rows, with the touched points that it lacks."""
     if all(kind.cells for kind in session.kinds):
         return model
     points = {t.touch for t in model.biases if isinstance(t, TouchPlace | TouchBeside)}
@@ -149,14 +142,13 @@ def _put(
         return term.with_values(dict(zip("xyz", middle, strict=True))), middle
     way = middle - beside
     length = float(np.linalg.norm(way))
-    along = way / length if length > _EXACT else np.array([1.0, 0.0, 0.0])
+    along = way / length if length > EXACT else np.array([1.0, 0.0, 0.0])
     turn = Rotation.align_vectors(along[None], np.array([[1.0, 0.0, 0.0]]))[0].as_rotvec()
     values = dict(zip(("rx", "ry", "rz"), turn, strict=True))
     return term.with_values({**values, "stretch": 0.0}), beside + term.distance * along
 
 
 def _laid(term: PlanePlace, tips: np.ndarray) -> PlanePlace:
-
     def solved(kept: np.ndarray) -> tuple[np.ndarray, _Misfit]:
         middle = kept.mean(axis=0)
         normal = np.linalg.svd(kept - middle, full_matrices=True)[2][-1]
@@ -166,7 +158,7 @@ def _laid(term: PlanePlace, tips: np.ndarray) -> PlanePlace:
     *normal, height = _robust(tips, solved)
     turn = np.cross(normal, [0.0, 0.0, 1.0])
     sine = float(np.linalg.norm(turn))
-    angle = np.arctan2(sine, normal[2]) / sine if sine > _EXACT else 1.0
+    angle = np.arctan2(sine, normal[2]) / sine if sine > EXACT else 1.0
     return term.with_values({"z": height, "rx": angle * turn[0], "ry": angle * turn[1]})
 
 
@@ -176,8 +168,6 @@ def _robust(
     """A closed-form solution without the tips that are far from it."""
     answer, misfit = solved(tips)
     for _ in range(4):
-        away = misfit(tips)
-        # Misfit of a touch, in their median, from which a start leaves it out: 4 standard
-        # deviations
-        answer, misfit = solved(tips[away <= max(6.0 * float(np.median(away)), _EXACT)])
+        away = misfit(tips)  # four standard deviations are six medians
+        answer, misfit = solved(tips[away <= max(6.0 * float(np.median(away)), EXACT)])
     return answer

@@ -1,10 +1,9 @@
 """Which poses to measure so that the tip is known best afterwards: linear Bayesian design.
 
-Geometry and effects have priors, or the posterior of the rows measured so far.  A pose adds the
-information of what it measures.  I-optimal poses leave the least variance of the seen tip, averaged
-over the joint box; D-optimal poses leave the least volume of all parameters (Chaloner and
-Verdinelli 1995).  Poses are chosen one by one from a pool and then exchanged while that helps
-(Fedorov 1972).
+Geometry and effects have priors, or the posterior of the rows measured so far.  I-optimal poses
+leave the least variance of the seen tip, averaged over the joint box; D-optimal poses leave the
+least volume of all parameters (Chaloner and Verdinelli 1995).  Poses are chosen one by one from a
+pool and then exchanged while that helps (Fedorov 1972).
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from longarm_comp.core.data.plan import Plan, at_levels, random_joints, uniform
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.model import Model, Slot
+from longarm_comp.core.model.model import Model
 
 Criterion = Literal["i-optimal", "d-optimal"]
 Measure = Literal["position", "pose", "distance", "touch"]
@@ -101,10 +100,8 @@ class Uncertainty:
         Effects of circumstances that no plan tells, as of a recorded column, count as known.
 
         Args:
-            model: the arm as declared or calibrated.
             measured: rows that were measured so far; they give the noise too, and joints that were
                 read will be read again.
-            measure: what the next poses measure.
             known: whether the model holds every effect that the arm has; else all of the library
                 may be there.
             sigma: noise where nothing was measured.
@@ -132,8 +129,8 @@ class Uncertainty:
             sigma = (float(np.median(held)) if held else sigma[0], sigma[1])
         whole = whole.told_by(asked[0].context())
         if not known:
-            sides = np.array([1.0, -1.0])
-            at = Session.record(np.tile(model.arm.mid, (2, 1)), np.zeros((2, 3)), approach=sides)
+            both = np.tile(model.arm.mid, (2, 1))
+            at = Session.record(both, np.zeros((2, 3)), approach=sides(2))
             whole = whole.with_missing(_library(model.arm, at, whole))
         scale = np.array([min(s.parameter.width, WIDEST) for s in whole.slots])
         information = np.eye(len(scale))
@@ -144,11 +141,6 @@ class Uncertainty:
             information = information + white.T @ white
         framed = any(rows.framed(model.arm) for rows in (*asked, measured) if rows)
         return cls(whole, scale, information, sigma, framed, read)
-
-    @property
-    def slots(self) -> tuple[Slot, ...]:
-        """Its parameters."""
-        return self.model.slots
 
     def measures(self, plan: Plan, measure: Measure) -> np.ndarray:
         """(M, d, p) what the poses measure, in units of the noise, by every parameter."""
@@ -163,11 +155,10 @@ class Uncertainty:
     def tips(self, q: np.ndarray) -> np.ndarray:
         """(p, p) mean square of the error of the seen tip (m^2), per parameter, over poses.
 
-        As it is seen: the scale of the camera and that of the arm are one, whatever is measured.
         Where nothing shows how the base stands, errors that move all tips as one body count for
         nothing.
         """
-        rows = Session.record(q, np.zeros((len(q), 3)), approach=_sides(len(q)))
+        rows = Session.record(q, np.zeros((len(q), 3)), approach=sides(len(q)))
         seen, columns = self.model.columns(posture(self.model, rows))
         columns = columns * self.scale
         if not self.framed:
@@ -193,17 +184,12 @@ def optimal_poses(
 ) -> OptimalPlan:
     """n poses of a pool within the limits, each joint with room for its run-up.
 
-    Half of the pool fills the joint box, half has every joint at a limit or in its middle, where
-    the same errors move the tip farthest.
-
     Args:
-        uncertain: what is not known.
-        n: number of poses.
         criterion: what shall become small.
         measure: what each pose measures.
         allowed: (M,) which poses of a plan may be driven and are seen; all where absent.
-        rng: draws pool and sides.
-        pool: the poses to choose from; drawn where absent.
+        pool: the poses to choose from; by default half of them fill the joint box, half have every
+            joint at a limit or in its middle, where the same errors move the tip farthest.
 
     Raises:
         InputError: n is below 1, or fewer poses are allowed.
@@ -232,9 +218,7 @@ def optimal_poses(
 
 def _first_touches(pool: Plan) -> list[int]:
     """A pose at every point.  The first touch of a point tells nothing, only further ones do."""
-    if pool.touch is None:
-        return []
-    return [int(k) for k in np.unique(pool.touch, return_index=True)[1]]
+    return [] if pool.touch is None else np.unique(pool.touch, return_index=True)[1].tolist()
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,5 +372,6 @@ def _library(arm: Arm, rows: Session, model: Model) -> list[Effect | Bias]:
     return list(made.values())
 
 
-def _sides(n: int) -> np.ndarray:
+def sides(n: int) -> np.ndarray:
+    """(n,) from below and from above in turn."""
     return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)

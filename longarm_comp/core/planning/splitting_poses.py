@@ -12,7 +12,7 @@ from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.model.model import Slot, unstack
-from longarm_comp.core.planning.optimal_poses import POOL, Choice
+from longarm_comp.core.planning.optimal_poses import POOL, Choice, sides
 
 
 @dataclass(frozen=True)
@@ -39,22 +39,19 @@ def splitting_poses(
 ) -> SplittingPoses:
     """Greedy choice of the poses that tell best how much of the found effect there is.
 
-    Geometry and the other effect are free beside it: what they cannot explain of it is what speaks
-    for it.
+    Geometry and the other effect are free beside it.
 
     Args:
         fit: that holds the terms of the found effect.
-        found: the effect in the model.
-        other: what may stand in its place.
+        found, other: the effect in the model, and what may stand in its place.
         count: of poses, M.
-        seed: of the pool.
     """
     arm = fit.model.arm
     from scipy.stats import qmc  # takes a quarter of a second
 
     unit = qmc.Sobol(arm.n, seed=seed).random(POOL)
     q = arm.lower + (arm.upper - arm.lower) * unit
-    side = np.where(np.arange(POOL) % 2 == 0, 1.0, -1.0)
+    side = sides(POOL)
     recorded = fit.session.columns
     typical = {k: np.full(POOL, float(np.median(v))) for k, v in recorded.items()}
     heaviest = float(np.max(recorded["payload_kg"], initial=0.0)) if "payload_kg" in recorded else 0

@@ -20,10 +20,8 @@ def touch_pool(
     """Poses whose tip is at points, by the model, from starts all over the joint box.
 
     Args:
-        model: the arm.
         points: by name, about where each is, m, base frame.
         count: poses to try, all points together.
-        rng: draws the starts.
 
     Raises:
         InputError: no point, or one that the arm does not reach.
