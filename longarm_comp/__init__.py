@@ -1,7 +1,6 @@
 """Kinematics and error compensation of long, compliant robot arms.
 
-One idea: every error of the arm is a small twist at one frame, and a model is a declared arm plus
-a list of such effects::
+A model is a declared arm plus a list of effects, each a small twist at one frame::
 
     import longarm_comp as la
 

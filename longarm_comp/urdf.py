@@ -1,9 +1,8 @@
 """An arm declared from a URDF: limits, masses, centres of mass, mimic joints.
 
-The joints between a base link and a tip link become rows: a fixed row that turns, where it is
-needed, then the joint's, with all lengths along its own a and d, where beams can be.  A joint
-beside the chain that joints of the chain mimic becomes a row that does not move.  A URDF
-knows no beams; add `links` to the arm.yaml where the arm bends.
+A joint between the base link and the tip link becomes a row with all lengths along its own a and d,
+where beams can be, after a fixed row that turns where one is needed.  A joint beside the chain that
+joints of it mimic becomes a row that does not move.  A URDF knows no beams.
 """
 
 from __future__ import annotations
@@ -26,8 +25,7 @@ def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
 
     Continuous joints get +-180 deg; a joint whose limits coincide is fixed there.  Every link's
     mass is lumped at its centre of mass; what hangs beside the chain (a gripper, another arm) is
-    carried with its own joints at zero.  The tip's frame holds the fixed joints behind the last
-    axis.
+    carried with its own joints at zero.
     """
     robot = UrdfRobot(path)
     way = robot.path(base, tip)
@@ -82,7 +80,6 @@ def chain_ends(path: str | Path, base: str, tip: str) -> tuple[str, str]:
 def _beside(robot: UrdfRobot, moving: list[UrdfJoint]) -> list[UrdfJoint]:
     """Joints off the chain that joints of it mimic."""
     made: dict[str, UrdfJoint] = {}
-    on_chain = {joint.name: joint for joint in moving}
     for joint in moving:
         if joint.mimic is None:
             continue
@@ -91,21 +88,14 @@ def _beside(robot: UrdfRobot, moving: list[UrdfJoint]) -> list[UrdfJoint]:
         if leader is None or not leader.moves or leader.mimic is not None:
             free = [j.name for j in robot.joints.values() if j.moves and j.mimic is None]
             raise robot.error(f"joint {joint.name} mimic", name, f"a joint: {', '.join(free)}")
-        if name not in on_chain:
+        if name not in (other.name for other in moving):
             made[name] = leader
     return list(made.values())
 
 
 def _along_own_axes(before: np.ndarray) -> tuple[np.ndarray | None, dict[str, float]]:
-    """What lies before an axis as a turn, and a DH row: all lengths are along a row's x or z,
-    where beams can be.
-
-    Args:
-        before: (4, 4) from the frame before to the joint's at rest.
-
-    Returns:
-        (4, 4) the turn, None where the row's alpha is all of it; the row's keys that are not 0.
-    """
+    """What lies before an axis, (4, 4) from the frame before to the joint's at rest: a turn (4, 4),
+    None where the row's alpha is all of it, and the DH row's keys that are not 0."""
     z, way = before[:3, 2], before[:3, 3]
     d = float(way @ z)
     across = way - d * z

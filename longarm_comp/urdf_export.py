@@ -1,8 +1,8 @@
 """A calibrated arm as a URDF: the joint origins of the model's rigid part, exactly.
 
-Every row's motion is read off the model itself: where its frame stands at two joint values gives
-the screw axis, so that whatever the geometry effects do to a row is in its joint's origin and axis.
-A URDF is rigid: deflection, play and the like stay in model.yaml.
+Where a row's frame stands at two joint values gives the screw axis, so that whatever the geometry
+effects do to a row is in its joint's origin and axis.  A URDF is rigid: deflection, play and the
+like stay in model.yaml.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import BASE_LINK, TIP, joint_name, link_name
 from longarm_comp.core.model.model import Model, unstack
-
-_EFFORT, _VELOCITY = "0", "0"
 
 
 @dataclass(frozen=True)
@@ -62,13 +60,12 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
     parent = BASE_LINK
     for row in placed:
         joint = row.joint
-        name, link = joint_name(joint), link_name(joint)
-        node = ET.SubElement(root, "link", {"name": link})
+        node = ET.SubElement(root, "link", {"name": link_name(joint)})
         held = [m for m in arm.point_masses if m.frame == joint.id and not m.position_columns]
         points = [(m.mass_kg, inner[joint.id] @ np.append(m.position_m, 1.0)) for m in held]
         _inertial(node, [(m, p[:3]) for m, p in (*points, *bodies.get(joint.id, ())) if m > 0])
-        _joint(root, arm, row, name, parent if joint.moves else BASE_LINK, link)
-        parent = link if joint.moves else parent
+        _joint(root, arm, row, parent if joint.moves else BASE_LINK)
+        parent = link_name(joint) if joint.moves else parent
     ET.SubElement(root, "link", {"name": TIP})
     node = ET.SubElement(root, "joint", {"name": "to_tip", "type": "fixed"})
     _ends(node, last, parent, TIP)
@@ -202,12 +199,10 @@ def _screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np
 # ------------------------------------------------------------------ XML
 
 
-def _joint(
-    root: ET.Element, arm: Arm, row: _Placed, name: str, parent: str, child: str
-) -> None:  # fmt: skip
+def _joint(root: ET.Element, arm: Arm, row: _Placed, parent: str) -> None:
     joint = row.joint
-    node = ET.SubElement(root, "joint", {"name": name, "type": joint.type})
-    _ends(node, row.origin, parent, child)
+    node = ET.SubElement(root, "joint", {"name": joint_name(joint), "type": joint.type})
+    _ends(node, row.origin, parent, link_name(joint))
     if joint.type == "fixed":
         return
     ET.SubElement(node, "axis", {"xyz": _text(row.axis)})
@@ -218,14 +213,16 @@ def _joint(
         leaders = np.flatnonzero(weights)
         if len(leaders) != 1:
             followed = ", ".join(arm.joint_names[k] for k in leaders) or "none"
-            raise InputError("export-urdf", f"joint {name}", followed, "a mimic of one joint")
+            raise InputError(
+                "export-urdf", f"joint {joint_name(joint)}", followed, "a mimic of one joint"
+            )
         k = int(leaders[0])
         ends = weights[k] * np.array([arm.lower[k], arm.upper[k]]) + offset
         lower, upper = ends.min(), ends.max()
         follow = {"joint": arm.joint_names[k], "multiplier": repr(float(weights[k]))}
         ET.SubElement(node, "mimic", {**follow, "offset": repr(float(offset))})
     ends_text = {"lower": repr(float(lower)), "upper": repr(float(upper))}
-    ET.SubElement(node, "limit", {**ends_text, "effort": _EFFORT, "velocity": _VELOCITY})
+    ET.SubElement(node, "limit", {**ends_text, "effort": "0", "velocity": "0"})  # not known
 
 
 def _ends(node: ET.Element, origin: np.ndarray, parent: str, child: str) -> None:

@@ -90,14 +90,12 @@ class UrdfRobot:
         )  # fmt: skip
         for name, link in self.links.items():
             far = float(np.linalg.norm(link.com))
-            # Times the robot's length: from there on millimetres taken for metres (1000) are the
-            # nearer
+            # From 30 times the robot's length on millimetres taken for metres (1000) are the nearer
             if link.mass > 0 and extent > 0 and far > 30.0 * extent:
                 allowed = f"metres; all joints together are {extent:.3g} m long"
                 raise self.error(f"link {name} inertial origin", f"{far:.6g} m", allowed)
 
     def error(self, field: str, value: object, allowed: str) -> InputError:
-        """An error about this file."""
         return InputError(self.where, field, value, allowed)
 
     def path(self, base: str, tip: str) -> list[UrdfJoint]:

@@ -40,9 +40,8 @@ def check_unpacked(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> No
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; on a clean exit it replaces ``path`` in one step.
 
-    The temporary file keeps the suffix of ``path``, for writers that go by it, and is synced
-    first. When the block raises, ``path`` is left as it was. Missing parent folders are made. What
-    a writer of ``path`` left that was killed meanwhile is removed.
+    It keeps the suffix of ``path``, for writers that go by it. When the block raises, ``path`` is
+    left as it was. Missing parent folders are made. What a killed writer left is removed.
     """
     target = Path(path)
     try:

@@ -34,7 +34,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "_c": (-273.15, 2000.0),
 }
 """What any machine's quantity of a unit lies within, by the end of its key. Beyond it the unit is
-wrong (gravity in mm/s^2), and powers of it leave the range of numbers."""
+wrong (gravity in mm/s^2)."""
 
 
 class Closed(BaseModel):

@@ -1,8 +1,4 @@
-"""One target as a move: joints, and how they arrive there, found together.
-
-Where the model depends on how the joints arrive, the side of arrival is chosen, a run-up makes it
-so, and the joints are found for that side.
-"""
+"""One target as a move: joints, and the side that they arrive from, found together."""
 
 from __future__ import annotations
 
@@ -56,7 +52,6 @@ def compensate_move(
 ) -> Arrival:
     """Compensate one target as a move from where the arm is.
 
-    What the model and the predictor are told of the joints' history is what the move leaves.
     The move follows from a first solution and is checked against the command.  Where no move
     arrives as its command assumes (a joint that would hardly move, and has no run-up), the side
     of that joint counts as unknown.  Joints chosen among the servos' steps need no such agreement:

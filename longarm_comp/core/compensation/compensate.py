@@ -2,9 +2,9 @@
 
 One sign: ``error = measured - predicted`` and ``pseudo-target = target - expected error``
 (the paper adds "the predicted error" and leaves its sign open; only this one corrects).
-The physics (sag and the declared effects) sits in the inverse kinematics; the predictor
-gives what the physics leaves.  The paper corrects once (`single_pass`); here the pass is
-repeated until the expected error at the new joints is the one that was corrected.
+The physics sits in the inverse kinematics; the predictor gives what the physics leaves.  The paper
+corrects once (`single_pass`); here the pass is repeated until the expected error at the new joints
+is the one that was corrected.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def compensate(
 ) -> Compensation:
     """Joints that bring the *real* tip to one target, (3,) m, (4, 4) or `Frame`, base frame.
 
-    As `compensate_many`; ``context_at`` may give the circumstances at joints (M, n), where the way
-    there depends on the joints: the choice among the steps judges each command in its own.
+    As `compensate_many`; ``context_at`` may give the circumstances at joints (M, n), in which the
+    choice among the steps judges each command.
     """
     one = target.matrix() if isinstance(target, Frame) else np.asarray(target, dtype=float)
     if one.shape not in ((3,), (4, 4)):
@@ -118,10 +118,8 @@ def compensate_many(
         options: of `CompensationOptions`.
 
     Returns:
-        Invalid or unreachable targets are reported in `status`, not raised.  So is a recorded
-        quantity that an effect of the model needs and the context lacks.  `expected_m` says how
-        good the command is.  Where the history of the joints is not known and the tip depends on
-        it, `reason` says how much that is of it.
+        Invalid or unreachable targets, and a recorded quantity that an effect of the model needs
+        and the context lacks, are reported in `status`, not raised.
     """
     return _Targets(
         model, predictor, targets, context or Context.empty(),
@@ -264,7 +262,6 @@ class _Targets:
         return {int(ids[i]): found[i] for i in np.flatnonzero(~found.ok).tolist()}
 
     def _at(self, ids: Sequence[int] | np.ndarray) -> Context:
-        """The circumstances of some of the targets."""
         return self.context.take(np.asarray(ids) if len(ids) > 1 else int(ids[0]))
 
     def _ended(self) -> list[Compensation]:

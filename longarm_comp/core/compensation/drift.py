@@ -3,9 +3,8 @@
 Every rest pose gives one standardised residual ``z = (measured - predicted) / sigma`` (3,), which
 under the promise is standard normal. Seven Page tests (cumulative sums of log-likelihood ratios,
 restarted at zero) watch for a shift along each axis in each direction, and for errors that have
-grown. Lorden (1971, Ann. Math. Stat. 42) bounds each: the mean number of samples to a false alarm
-is at least ``exp(h)``, so with ``h = ln(7 * run_length)`` false alarms are rarer than one in
-``run_length`` samples on average. No threshold on a single residual is involved.
+grown. The mean number of samples to a false alarm of each is at least ``exp(h)`` (Lorden 1971, Ann.
+Math. Stat. 42), so with ``h = ln(7 * run_length)`` it is at least ``run_length`` of all together.
 """
 
 from __future__ import annotations
@@ -18,8 +17,6 @@ from numpy.typing import ArrayLike
 
 from longarm_comp.core.errors import InputError
 
-_SHIFT = 1.0
-"""Shift along an axis that is looked for, standard deviations."""
 _GROWTH = 1.6
 """Growth of the standard deviation that is looked for."""
 _TESTS = ("+x", "-x", "+y", "-y", "+z", "-z", "growth")
@@ -76,7 +73,7 @@ class Monitor:
             raise InputError("monitor", "sigma", sigma, "three numbers above 0, m")
         z = r / s
         square = float(z @ z)
-        shifts = np.stack([_SHIFT * z - _SHIFT**2 / 2, -_SHIFT * z - _SHIFT**2 / 2], axis=1).ravel()
+        shifts = np.stack([z, -z], axis=1).ravel() - 0.5  # by one standard deviation
         growth = 0.5 * square * (1 - _GROWTH**-2) - 3 * math.log(_GROWTH)
         raised = self.sums + np.append(shifts, growth)
         alive = raised > 0
@@ -89,7 +86,6 @@ class Monitor:
         )  # fmt: skip
 
     def verdict(self) -> Verdict:
-        """The verdict at present."""
         k = int(np.argmax(self.sums))
         evidence = float(self.sums[k] / self.threshold)
         if evidence < 1.0:

@@ -1,9 +1,8 @@
 """The error that a command is expected to leave at the tip, noise of no measurement in it.
 
 It has a part that is known (what was left out of the command on purpose, rounding of the servos)
-and one that is not: the parameters, what no parameter explains, the history of the joints.  A
-model's record says it (`core/model/uncertainty.py`); of an arm as declared the tolerances do; where
-a predictor is used, its own sigma does.
+and one that is not.  A model's record says that one (`core/model/uncertainty.py`); of an arm as
+declared the tolerances do; where a predictor is used, its own sigma does.
 """
 
 from __future__ import annotations

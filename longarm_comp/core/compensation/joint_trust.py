@@ -25,9 +25,8 @@ def check_inside(q: np.ndarray, arm: Arm, where: str) -> None:
 class JointTrust:
     """Follows the readings of an arm's joints.
 
-    A jump means that the numbers are wrong, or that two arms publish in turn. The joints are
-    doubtful then until three readings in a row agree.  What moves faster than so many ranges per
-    second (`rate`) is a jump.
+    After a jump (the numbers are wrong, or two arms publish in turn) they are doubtful until three
+    readings in a row agree.  What moves faster than so many ranges per second (`rate`) is a jump.
     """
 
     def __init__(self, arm: Arm, rate: float) -> None:

@@ -1,7 +1,4 @@
-"""What is known of the running arm right now, as the circumstances of a target.
-
-Pure: time and readings are handed in.
-"""
+"""What is known of the running arm right now, as the circumstances of a target."""
 
 from __future__ import annotations
 

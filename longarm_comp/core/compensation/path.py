@@ -1,8 +1,8 @@
 """A planned path: joints that bring the real tip where the plan meant it, way-points all at once.
 
 Each way-point is solved from its planned joints, without restarts, run-ups and choice among servo
-steps, so joints do not jump where the plan does not.  What the path itself does to the joints'
-history, and what is learned, is looked up where they were found, until both settle.
+steps, so joints do not jump where the plan does not.  The history of the joints on the path, and
+what is learned, is looked up where they were found, until both settle.
 """
 
 from __future__ import annotations
@@ -87,13 +87,8 @@ class CompensatedPath:
     notes: tuple[str, ...]
 
     def each(self, model: Model, method: Method, targets: np.ndarray) -> list[Compensation]:
-        """The answers at way-points, with how good each is expected to be.
-
-        Nothing of it holds at a way-point where the arm stood already.
-
-        Args:
-            targets: (k, 3) or (k, 4, 4) of the plan.
-        """
+        """The answers at the way-points of the plan, (k, 3) or (k, 4, 4), with how good each is
+        expected to be.  Nothing of it holds at a way-point where the arm stood already."""
         pseudo, command = shifted(targets, self.error), self.timed.joints
         place = ik.position_of(pseudo)
         learned = np.isfinite(self.sigma).all(axis=1)
@@ -115,8 +110,8 @@ class CompensatedPath:
 
 
 MAX_LONGER = 1.0
-"""A path may take so much longer, as a share.  In two halves, with the jerk of one way, it takes
-4^(1/3) = 1.6 times as long, and its play at the start and in the middle a fifth each."""
+"""A path may take so much longer, as a share: in two halves, with the jerk of one way, it takes 1.6
+times as long, and its play at the start and in the middle a fifth each."""
 
 
 def compensate_path(
@@ -142,8 +137,7 @@ def compensate_path(
     Args:
         start: (n,) where the joints stand; None: not known. A plan that has begun begins there.
         history: of the joints at ``start``.
-        context_at: the circumstances at all way-points, given the histories (k, n) there,
-            or one (n,) for all.
+        context_at: the circumstances at all way-points, given the histories there.
         seed: (n,) start of the first search, where no joints were planned; ``start`` by default.
         max_correction_m: most that the declared arm's tip may be moved, m.
         turn_m: how far the tip may leave the path where a joint turns, so that its play is taken
@@ -202,7 +196,6 @@ class _Way:
         return physics_of(self.model, self.options.method)
 
     def solved(self, seed: np.ndarray | None) -> CompensatedPath:
-        """Joints at all way-points, with their times, and what they are for."""
         options = self.options
         learned = self.predictor is not None and options.method.learned
         take, seeds = TakeUp(self.physics, self.turn_m), self._seeds(seed)
@@ -265,7 +258,6 @@ class _Way:
         return moved
 
     def _keep_out(self, timed: CubicPath) -> None:
-        """Refuse a path that enters a box."""
         if not self.model.arm.keep_out:
             return
         model = declared_model(self.model.arm)
@@ -358,9 +350,8 @@ class _Way:
             error[row], sigma[row] = found.error[0], found.sigma[0]
             size = float(np.linalg.norm(error[row]))
             if not found.in_domain[0] or not np.isfinite(size):
-                raise _Unanswered(
-                    f"physics only, as way-point {row} is {outside(*found.reason[:1])}"
-                )
+                why = outside(*found.reason[:1])
+                raise _Unanswered(f"physics only, as way-point {row} is {why}")
             if size > self.options.max_correction_m:
                 why = self.options.too_large(size)
                 raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)

@@ -1,17 +1,13 @@
 """Joints that the servos can stand at, chosen together so that the tip is nearest to its target.
 
-A servo stands at ``offset + step k`` for whole k.  Rounding each joint by itself wastes what the
-joints can do together: near the ideal joints q* there are commands whose tip is far nearer.  With
-e0 the tip's error at q* and J its derivative, those k are looked for (`lattice`) that minimise
+A servo stands at ``offset + step k`` for whole k.  With q* the ideal joints, e0 the tip's error
+there and J its derivative, those k are looked for (`lattice`) that minimise
 
     |J (offset + step k - q*) + e0|^2 + |price (offset + step k - q*)|^2,   inside the limits;
 
-the best of them, and plain rounding, are judged by the model itself, and the model is linearised
-again at the best.  Joints without a step are solved for beside them.  The price of movement keeps
-the command near q*; rounding moves least, so what is chosen is never further from the target.
-
-For moves from point to point: neighbouring targets get joints up to a degree apart, so a path of
-close targets is smoother with rounding (docs/realisable.md).
+the best of them, and plain rounding, are judged by the model itself, which is linearised again at
+the best.  Joints without a step are solved for beside them.  Neighbouring targets get joints up to
+a degree apart, so a path of close targets is smoother with rounding (docs/realisable.md).
 """
 
 from __future__ import annotations
@@ -166,15 +162,14 @@ def choose(
         search.price_m / np.where(slides, search.length_m, 1.0), predict, target,
         np.clip(ideal, arm.lower, arm.upper), search,
     )  # fmt: skip
-    joints, errors, nodes = problem.solved()
-    why = "no choice was better than rounding"
-    if not len(problem.stepped):
-        why = "no joint's steps are known"
-    better = (joints != problem.rounded).any()
+    joints, (ideal_error, rounded_error, error), nodes = problem.solved()
+    why = "" if stepped.any() else "no joint's steps are known"
+    if not why and (joints == problem.rounded).all():
+        why = "no choice was better than rounding"
     note = _note(arm, declared & ~lattice.known, declared & lattice.known & (low > high))
     return Realisable(
-        joints, problem.ideal, problem.rounded, errors[0], errors[1], errors[2], nodes, stepped,
-        "" if better else why, note,
+        joints, problem.ideal, problem.rounded, ideal_error, rounded_error, error, nodes, stepped,
+        why, note,
     )  # fmt: skip
 
 
@@ -307,8 +302,7 @@ class _Problem:
         count = len(self.moving)
         q = np.repeat(at[None], 1 + 2 * count, axis=0)
         up, down = self._aside(at)
-        q[1 + np.arange(count), self.moving] = up
-        q[1 + count + np.arange(count), self.moving] = down
+        q[np.arange(1, 1 + 2 * count), np.tile(self.moving, 2)] = np.append(up, down)
         return q
 
     def slope(self, at: np.ndarray, local: np.ndarray) -> np.ndarray:

@@ -1,15 +1,14 @@
 """Play along a path: what joints stand behind their commands by, and when it is taken up.
 
-Where a joint turns, its command has to cross its play while the joint stands still.  In one step
-that is a kick.  As long as the joint as planned stays near its turn, though, it may as well stand:
-the play is taken up smoothly over that time, and the path is slowed down for it.
+Where a joint turns, its command has to cross its play while the joint stands still.  The play is
+taken up smoothly while the joint as planned is near its turn, and the path is slowed down for it.
 
-The price of time is the plan's own.  A plan of a duration D and a mean squared jerk j^2 would lose
-5 D j^2 / D of its squared jerk by a second more.  Each take-up, and each slowing down for it, lasts
-until a second more would save as little:
+The price of time is the plan's own.  A plan of a mean squared jerk j^2 would lose 5 j^2 of its
+squared jerk by a second more.  Each take-up, and each slowing down for it, lasts until a second
+more would save as little:
 
 - A play w that is taken up in a time T by a quintic has a squared jerk of 720 w^2 / T^5, so
-  T^6 = 720 w^2 / j^2.  Its mean squared jerk is the plan's.
+  T^6 = 720 w^2 / j^2.
 - Slowing down from a speed v by a share c of it and up again, each in a time t by a cubic speed,
   has 24 (c v)^2 / t^3 and takes c t longer, so t^4 = 14.4 c v^2 / j^2.
 

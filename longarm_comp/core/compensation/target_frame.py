@@ -1,8 +1,8 @@
 """The frame of targets: the arm's own base, or the frame in which the rows were measured.
 
-A calibrated model says where the base stands in the frame of the measurements, and computes there.
-A target given in the base is carried over.  Where nobody said the frame, both have to mean the same
-place, to within an ordinary error of setting up; else the targets are refused.
+A calibrated model computes in the frame of the measurements, and carries a target given in the base
+over.  Where nobody said the frame, both have to mean the same place, to within an ordinary error of
+setting up; else the targets are refused.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ class Placement:
 
     @property
     def text(self) -> str:
-        """Frame and placement in one line."""
         turned = (f"{np.degrees(v):.2f}" for v in roll_pitch_yaw(self.base[:3, :3]))
         at = ", ".join(f"{v:.4f}" for v in self.base[:3, 3])
         how = "by calibration" if self.solved else "as arm.yaml declares"
@@ -106,10 +105,7 @@ def placement(
 
 
 def _usual(arm: Arm) -> float:
-    """How far off a declared base, and the tip on it, usually are (90 of 100), m.
-
-    It is the size of an ordinary error of every declared placement and row.
-    """
+    """How far off a declared base, and the tip on it, usually are (90 of 100), m."""
     if arm.hash not in _usual_of:
         model, slots = Model(arm), slots_of(arm, geometry_of(arm))
         columns = model.columns(model.posture(tuple(arm.mid.tolist())), slots)[1].reshape(3, -1)

@@ -27,10 +27,7 @@ def missing_column(model: Model, context: Context) -> str:
 
 
 def outside_data(model: Model, q: np.ndarray, context: Context) -> list[str]:
-    """Which effects stand outside the data that they were found in at joints (M, n), in words.
-
-    They count there as at the end of the data.
-    """
+    """Which effects stand outside the data that they were found in at joints (M, n), in words."""
     beyond: list[set[str]] = [set() for _ in q]
     if bounded := [e for e in model.effects if e.bounded]:
         posture = model.posture(unstack(q), context)
@@ -86,12 +83,11 @@ def unknown_history(
     trials = {name: np.repeat(rows[None], times, axis=0) for name, rows in held.items()}
     for k, (name, joint, extremes) in enumerate(open_):
         trials[name][2 * k : 2 * k + 2, :, joint] = extremes
-    fields: dict[str, Any] = {
+    history: dict[str, Any] = {
         name: tuple(rows.reshape(times * m, -1).T) for name, rows in trials.items()
     }
-    for name in ("columns", "labels"):
-        fields[name] = {k: _repeated(v, times) for k, v in getattr(context, name).items()}
-    tip = tip_poses(model, np.tile(q, (times, 1)), Context(**fields))[:, :3, 3].reshape(-1, 2, m, 3)
+    there = dataclasses.replace(context.take(np.tile(np.arange(m), times)), **history)
+    tip = tip_poses(model, np.tile(q, (times, 1)), there)[:, :3, 3].reshape(-1, 2, m, 3)
     half = 0.5 * (tip[:, 0] - tip[:, 1])
     size = np.linalg.norm(half, axis=2)
     spread = np.where((size > _LEAST_M).any(axis=0)[:, None], np.sqrt((half**2).sum(axis=0)), 0.0)
@@ -136,11 +132,6 @@ def left_out(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray,
     half = np.abs(last - first) / 2.0
     text = "what happened between poses of the session is left out"
     return half, [f"{text} (sigma {mm:.2f} mm)" for mm in 1e3 * np.linalg.norm(half, axis=1)]
-
-
-def _repeated(value: Any, times: int) -> Any:
-    """What is one value for all postures stays so."""
-    return np.tile(value, times) if np.ndim(value) else value
 
 
 def _either_side(side: np.ndarray, unsure: bool) -> np.ndarray | None:

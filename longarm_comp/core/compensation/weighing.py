@@ -1,11 +1,10 @@
 """The payload, by what drives or a wrist sensor feel of it while the arm rests.
 
-A drive holds what gravity asks of its joint (`joint_load`), and friction hides a part: it keeps
-what the joint's motion left, more coming from below, less from above.  Payload, friction of every
-channel and one scale of the arm's own weight are solved together over the rests (least squares
-with priors).  How large friction is against its data sheet, and which part of it is alike from
-rest to rest, is weighed by the evidence of the rests (restricted likelihood; Patterson and
-Thompson 1971, Biometrika 58).
+A drive holds what gravity asks of its joint (`joint_load`), and friction hides a part: more coming
+from below, less from above.  Payload, friction of every channel and one scale of the arm's own
+weight are solved together over the rests (least squares with priors).  How large friction is, and
+which part of it is alike from rest to rest, is weighed by the evidence of the rests (restricted
+likelihood; Patterson and Thompson 1971, Biometrika 58).
 """
 
 from __future__ import annotations
