@@ -98,11 +98,7 @@ class Parameters:
         for slot, value in zip(self.slots[count:], values[count:].tolist(), strict=True):
             if value != 0.0:
                 given.setdefault(slot.term, {})[slot.parameter.name] = value
-        if not given:
-            return model
-        made = model.plus(*(self.absent[k].with_values(v) for k, v in given.items()))
-        made.__dict__["chain"] = self.model.chain
-        return made
+        return model.plus(*(self.absent[k].with_values(v) for k, v in given.items()))
 
     def columns(self, at: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
         """Predicted sighting (3,) m at joints (n,), and its derivative by every number, (3, q)."""

@@ -291,8 +291,7 @@ def _begun(model: Model, context: Context) -> Explanations:
 def _values(space: Parameters, model: Model) -> np.ndarray:
     """(q,) numbers of a model; 0 of what it does not hold."""
     made = np.zeros(len(space))
-    for slot, value in zip(model.slots, model.values, strict=True):
-        made[space.position[slot.identity]] = value
+    made[[space.position[slot.identity] for slot in model.slots]] = model.values
     return made
 
 
