@@ -207,7 +207,7 @@ def test_poses_to_measure_ask_for_nothing_that_readings_tell() -> None:
         model = Model(ARM, (ServoDroop(3), JointCompliance(3)))
         known = Uncertainty.of(model, rows, "position", known=True, sigma=(1.0, 1.0))
         assert known.sigma[0] == pytest.approx(SIGMA, rel=0.4)
-        sag = next(k for k, s in enumerate(known.slots) if s.parameter.name == "sag")
+        sag = next(k for k, s in enumerate(known.model.slots) if s.parameter.name == "sag")
         x = known.measures(sobol(ARM, 10, 0), "position")
         assert x.shape[1] == (7 if encoders else 3)
         flat = x.reshape(-1, x.shape[2])
