@@ -8,6 +8,7 @@ everywhere.  History is part of the record, so an effect stays a pure function o
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,8 +23,9 @@ from longarm_comp.core.errors import InputError
 INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
 """Names of the columns of an inclinometer; NaN where it gave no reading."""
 ORDER = "pose_number"
-"""Column of the number of each pose, where a session does not tell its time."""
-_TOLD = ("t_s", "temperature_c", "payload_kg")
+"""Column of the number of each pose, where a session does not tell its time.  A command comes after
+all poses: without the column the number is infinite."""
+_TOLD = ("t_s", "temperature_c", "payload_kg", ORDER)
 NEVER_TOLD = "(a circumstance that no command knows)"
 
 
@@ -63,11 +65,13 @@ class Context:
 
     def has(self, name: str) -> bool:
         """Whether an input was recorded: a per-joint field or a column."""
-        return bool(getattr(self, name)) if name in PER_JOINT else name in self.columns
+        return bool(getattr(self, name)) if name in PER_JOINT else name in {ORDER, *self.columns}
 
     def column(self, name: str, default: float | None = None) -> Scalar:
         if name in self.columns:
             return self.columns[name]
+        if name == ORDER:
+            return math.inf
         if default is None:
             known = ", ".join(sorted(self.columns)) or "none"
             raise InputError("context", name, "missing", f"a recorded column (there are: {known})")

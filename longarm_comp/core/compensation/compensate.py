@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.context import ORDER, Context
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.compensation.expected import ExpectedMiss, expected_miss
 from longarm_comp.core.compensation.realisable import Lattice, Realisable, Search, choose
@@ -33,7 +33,6 @@ from longarm_comp.core.compensation.result import (
     shifted,
 )
 from longarm_comp.core.compensation.unknown import (
-    left_out,
     missing_column,
     outside_data,
     uncertain_payload,
@@ -56,9 +55,8 @@ def rigid(model: Model) -> Model:
 
 
 def commandable(model: Model) -> Model:
-    """The model without what no command can undo: a servo's rounding (it stays in the residual),
-    and what happened while a session was measured."""
-    return _part(model, "_commandable", lambda e: e.continuous and ORDER not in e.inputs)
+    """The model without what no command can undo: a servo's rounding (it stays in the residual)."""
+    return _part(model, "_commandable", lambda effect: effect.continuous)
 
 
 def physics_of(model: Model, method: Method) -> Model:
@@ -154,9 +152,8 @@ def judged(
     rows = np.atleast_2d(command)
     spread, why = unknown_history(physics, rows, context, doubtful)
     sag, doubt = uncertain_payload(physics, rows, context)
-    past, happened = left_out(model, rows, context)
-    further = (spread**2 + sag**2 + past**2).reshape(miss.mean.shape)
-    said = zip(why, doubt, happened, outside_data(physics, rows, context), strict=True)
+    further = (spread**2 + sag**2).reshape(miss.mean.shape)
+    said = zip(why, doubt, outside_data(physics, rows, context), strict=True)
     doubts = ["; ".join(filter(None, each)) for each in said]
     known = -np.inf if model.uncertainty is None else model.uncertainty.largest_m
     return miss.beside(further), miss.sizes[0] <= known, doubts

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.context import ORDER, PER_JOINT, Context
+from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.model.model import Model, unstack
@@ -119,21 +119,6 @@ def uncertain_payload(
     ]
 
 
-def left_out(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, list[str]]:
-    """How far the tip depends on what happened while the session was measured: as
-    `unknown_history`."""
-    if not any(ORDER in effect.inputs for effect in model.effects):
-        return np.zeros((len(q), 3)), [""] * len(q)
-    first, last = (
-        model.told_by(there).tip(q, there)
-        for pose in (-_FAR, _FAR)
-        for there in [dataclasses.replace(context, columns={**context.columns, ORDER: pose})]
-    )
-    half = np.abs(last - first) / 2.0
-    text = "what happened between poses of the session is left out"
-    return half, [f"{text} (sigma {mm:.2f} mm)" for mm in 1e3 * np.linalg.norm(half, axis=1)]
-
-
 def _either_side(side: np.ndarray, unsure: bool) -> np.ndarray | None:
     """Both sides (2, M, 1) where the side (M, 1) is not known, the side where it is."""
     unknown = (side == 0.0) | unsure
@@ -153,7 +138,7 @@ def _any_way_before(legs: np.ndarray, unsure: bool) -> np.ndarray:
 
 
 _WORDS = {"approach": "approach", "legs": "earlier moves"}
-_FAR = 1e6  # rad, m, poses: farther than any play, and any session
+_FAR = 1e6  # rad, m: farther than any play
 _EXTREMES: Mapping[str, Callable[[np.ndarray, bool], np.ndarray | None]] = {
     "approach": _either_side,
     "legs": _any_way_before,

@@ -16,7 +16,7 @@ import numpy as np
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import ORDER, Context
 from longarm_comp.core.arm.posture import BASE, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
@@ -284,7 +284,7 @@ class Discovered(_OfFunction, Effect):
     def outside(self, posture: Posture) -> list[tuple[str, ...]]:
         """Which quantities of N postures lie outside the data, and so count as at their end."""
         made: list[tuple[str, ...]] = [()] * posture.count
-        for factor in {f.of: f for f in self.of.factors}.values():
+        for factor in {f.of: f for f in self.of.factors if f.of != ORDER}.values():
             read = factor.quantity.read(posture)  # type: ignore[attr-defined]
             slack = _SLACK * (factor.high - factor.low)
             for row, x in enumerate(np.broadcast_to(read, posture.count).tolist()):

@@ -88,8 +88,11 @@ def diagnose(
         return _split(with_run_ups(session, arm, length), held, seed)
 
     nominal = model or declared_model(arm)
-    session = _in_order(as_fitted(session, nominal))
-    test = None if test is None else _in_order(as_fitted(test, nominal), len(session))
+    session = as_fitted(session, nominal)
+    test = None if test is None else as_fitted(test, nominal)
+    if not any(ORDER in e.inputs for e in nominal.effects):  # what the model holds has happened
+        test = None if test is None else _in_order(test, len(session))
+        session = _in_order(session)
     train, rest = _split(session, test, seed)
     staged = dict(stages(nominal, train, say, kind))
     calibrated = staged["geometry"].model
