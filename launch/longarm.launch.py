@@ -24,6 +24,7 @@ from launch.events.process import SignalProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from longarm_comp.core.errors import InputError
 from longarm_comp.nodes.bringup import GUARD, BringUp
 from longarm_comp.share import folder
 
@@ -55,13 +56,10 @@ def true(text):
     return text.lower() in ("true", "1")
 
 
-BAD_INPUT = 2
-"""Exit code of a node whose files or parameters are wrong: a second start would not help."""
-
-
 def end_on_bad_input(event, context):
-    """End the whole launch, which otherwise starts a node again that has ended."""
-    return [Shutdown(reason=event.process_name)] if event.returncode == BAD_INPUT else None
+    """End the launch with a node whose input is wrong: a second start of it would not help."""
+    wrong = event.returncode == InputError.exit_code
+    return [Shutdown(reason=event.process_name)] if wrong else None
 
 
 def interrupt(made):
@@ -117,10 +115,5 @@ def nodes(context):
 
 def generate_launch_description():
     """Arguments first; the nodes are made once their values are known."""
-    arguments = [
-        DeclareLaunchArgument(name, description=text)
-        if default is None
-        else DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, default, text in ARGUMENTS
-    ]
+    arguments = [DeclareLaunchArgument(n, default_value=d, description=t) for n, d, t in ARGUMENTS]
     return LaunchDescription([*arguments, OpaqueFunction(function=nodes)])

@@ -29,12 +29,12 @@ SHARED = (
 
 def view(context):
     """RViz, and where the arms stand in its world."""
-    given = {name: LaunchConfiguration(name).perform(context) for name in ("rviz", *places())}
-    if given.pop("rviz").lower() not in ("true", "1"):
+    if LaunchConfiguration("rviz").perform(context).lower() not in ("true", "1"):
         return []
     made = [Node(package="rviz2", executable="rviz2",
                  arguments=["-d", str(folder("config") / "two_arms.rviz")])]  # fmt: skip
-    for side, place in zip(STANDS, given.values(), strict=True):
+    for side in STANDS:
+        place = LaunchConfiguration(f"{side}_at").perform(context)
         words = ["--frame-id", "world", "--child-frame-id", f"{side}/base"]
         names = ("x", "y", "z", "yaw", "pitch", "roll")
         for name, value in zip(names, place.split(), strict=True):
@@ -44,11 +44,6 @@ def view(context):
                  arguments=words)
         )  # fmt: skip
     return made
-
-
-def places():
-    """Names of the arguments that say where the arms stand."""
-    return [f"{side}_at" for side in STANDS]
 
 
 def generate_launch_description():
@@ -63,8 +58,6 @@ def generate_launch_description():
         for name, default, text in own:
             made.append(
                 DeclareLaunchArgument(f"{side}_{name}", default_value=default, description=text)
-                if default is not None
-                else DeclareLaunchArgument(f"{side}_{name}", description=text)
             )
         text = "where its base stands in RViz's world: x y z yaw pitch roll, m and rad"
         made.append(DeclareLaunchArgument(f"{side}_at", default_value=place, description=text))

@@ -77,10 +77,11 @@ def placed_cameras(model: Model, session: Session, assumed: np.ndarray) -> HeadP
     every = np.arange(len(rows))
     fit = fitted(every)
     good = np.setdiff1d(every, fit.outliers)
-    left_out = []
-    for fold in range(5):
-        out = good[fold::5]
-        left_out.append(_off(fitted(np.setdiff1d(good, out)), tips[out], seen[out]))
+    squares = np.zeros(len(rows))  # m^2, of the distance from a fit without the row
+    for out in (good[fold::5] for fold in range(5)):
+        camera = fitted(np.setdiff1d(good, out)).camera_in_base
+        off = seen[out] @ camera[:3, :3].T + camera[:3, 3] - tips[out]
+        squares[out] = np.sum(off**2, axis=1)
     sd = np.sqrt(np.diag(fit.covariance))
     moved = np.linalg.inv(assumed) @ fit.camera_in_base
     angle = np.arccos(np.clip((np.trace(moved[:3, :3]) - 1) / 2, -1.0, 1.0))
@@ -89,15 +90,9 @@ def placed_cameras(model: Model, session: Session, assumed: np.ndarray) -> HeadP
         position_sd_mm=1e3 * sd[:3],
         rotation_sd_deg=np.degrees(sd[3:6]),
         residual_mm=1e3 * fit.rms_m,
-        held_out_mm=1e3 * float(np.sqrt(np.mean(np.concatenate(left_out)))),
+        held_out_mm=1e3 * float(np.sqrt(np.mean(squares[good]))),
         moved_mm=1e3 * float(np.linalg.norm(moved[:3, 3])),
         turned_deg=float(np.degrees(angle)),
         rows=len(good),
         outliers=len(fit.outliers),
     )
-
-
-def _off(fit: HandEye, tips: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Squared distances (N,) m^2 of sightings from predicted tips."""
-    found = seen @ fit.camera_in_base[:3, :3].T + fit.camera_in_base[:3, 3]
-    return np.sum((found - tips) ** 2, axis=1)

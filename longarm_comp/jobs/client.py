@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,8 +79,8 @@ class ArmClient(GraphClient):
         super().__init__(namespace, stop, name)
         self.arm = arm
         self.joints: np.ndarray | None = None
-        self.sightings: list[tuple[int, np.ndarray, np.ndarray]] = []
-        """(stamp ns, tip (3,) m or NaN, variance (3,)), newest last."""
+        self.sightings: list[tuple[int, np.ndarray]] = []
+        """(stamp ns, tip (3,) m or NaN), newest last."""
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         self._tips = tips
@@ -93,15 +94,12 @@ class ArmClient(GraphClient):
         self._states = graph.DRIVER_STATE.subscription(self.node, self._on_state)
 
     def _on_joints(self, message: JointState) -> None:
-        try:
-            q = joints_of(message, self.arm, "joint_states")
-        except InputError:
-            return
-        self.joints = q
+        with suppress(InputError):
+            self.joints = joints_of(message, self.arm, "joint_states")
 
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
-        xyz, variance = sighting_of(message)
-        self.sightings.append((stamp_ns(message.header.stamp), xyz, variance))
+        tip, _ = sighting_of(message)
+        self.sightings.append((stamp_ns(message.header.stamp), tip))
         del self.sightings[:-200]
 
     def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
@@ -220,17 +218,14 @@ class ArmClient(GraphClient):
         # A sighting counts if it was taken 50 ms after the joints came to rest
         after_ns = self.arrive(path, pace, start) + 50_000_000
 
-        def taken() -> list[np.ndarray]:
-            return [xyz for xyz in told() if np.isfinite(xyz).all()]
-
-        def told() -> list[np.ndarray]:
-            return [xyz for ns, xyz, _ in self.sightings if ns > after_ns]
+        seen: list[np.ndarray] = []
 
         def over() -> bool:
-            good = len(taken())
-            lost = not good and len(told()) >= 2 * pace.sightings
-            return good >= pace.sightings or lost or time.monotonic() > end
+            told = [xyz for ns, xyz in self.sightings if ns > after_ns]
+            seen[:] = [xyz for xyz in told if np.isfinite(xyz).all()]
+            lost = not seen and len(told) >= 2 * pace.sightings
+            return len(seen) >= pace.sightings or lost or time.monotonic() > end
 
         end = time.monotonic() + pace.look_s
         self.until(over, pace.look_s + 60.0, "sightings")
-        return after_ns, taken()
+        return after_ns, seen

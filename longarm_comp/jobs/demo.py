@@ -65,8 +65,7 @@ NAMESPACE = "longarm_demo"
 """Its own namespace: apart from any real arm on the same network."""
 
 PACE = Pace(sightings=3, dwell_s=0.08, move_s=0.05, look_s=30.0, tolerance=2e-4)
-_PATIENCE_S = 30.0
-"""Age of an order: on a busy machine one waits for seconds, and no simulated arm does harm."""
+"""Orders may be as old as a look takes: a busy machine is slow, and no simulated arm does harm."""
 
 
 @dataclass(frozen=True)
@@ -97,11 +96,11 @@ class DemoSettings:
     def graph(self) -> BringUp:
         """The graph; model and predictor are taken up once they are there."""
         given: dict[str, dict[str, Any]] = {
-            "servo_driver": {"follower.blend_s": 0.05, "order_max_age_s": _PATIENCE_S},
+            "servo_driver": {"follower.blend_s": 0.05, "order_max_age_s": PACE.look_s},
             "simulated_arm": {
                 "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 10.0,
             },
-            "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": _PATIENCE_S},
+            "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": PACE.look_s},
         }  # fmt: skip
         return BringUp(
             arm=self.arm, model=self.out / MODEL, predictor=self.out / PREDICTOR, sim=True,
@@ -186,9 +185,9 @@ def prepare(settings: DemoSettings) -> None:
     if out.exists() and (not out.is_dir() or {p.name for p in out.iterdir()} - {_LOGS}):
         raise InputError("demo", "--out", out, "a new or empty folder")
     try:
-        settings.out.mkdir(parents=True, exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         why = error.strerror or str(error)
-        raise InputError(settings.out, "--out", why, "a folder to write in") from error
-    os.environ.setdefault("ROS_LOG_DIR", str(settings.out.absolute() / _LOGS))
+        raise InputError(out, "--out", why, "a folder to write in") from error
+    os.environ.setdefault("ROS_LOG_DIR", str(out.absolute() / _LOGS))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -352,10 +352,8 @@ class Loop:
 
 def _rows(trials: list[Trial]) -> list[dict[str, Any]]:
     """A row a run; ``refused``, and the gain against the first run with its interval."""
-    rows = []
-    for trial in trials:
-        low, high = (1e3 * g for g in trial.against(trials[0]).gain_ci95_m)
-        against = [None, None] if trial is trials[0] else [low, high]
-        row = {**error_row(trial.name, trial.error), "gain_ci95_mm": against}
-        rows.append({**row, "refused": trial.refused})
-    return rows
+    gains = [[1e3 * g for g in trial.against(trials[0]).gain_ci95_m] for trial in trials[1:]]
+    return [
+        {**error_row(trial.name, trial.error), "gain_ci95_mm": gain, "refused": trial.refused}
+        for trial, gain in zip(trials, [[None, None], *gains], strict=True)
+    ]

@@ -155,10 +155,6 @@ class ArmState:
         old = f"the last joint_states is {age_s:.1f} s old"
         return self._trust.doubt or (old if age_s > self._max_age_s else "")
 
-    def untimely(self, stamp: int, max_age_s: float) -> str:
-        """Why a message of that stamp (ns) is too old, or of the future; empty if it is not."""
-        return untimely(self.node.get_clock(), stamp, max_age_s)
-
     def _on_joints(self, message: JointState) -> None:
         try:
             q = joints_of(message, self.arm, "joint_states")
@@ -166,7 +162,7 @@ class ArmState:
             self.node.tally.count("bad joint_states", str(error))
             return
         stamp, now = stamp_ns(message.header.stamp), time.monotonic()
-        if stamp and (why := self.untimely(stamp, self._max_age_s)):
+        if stamp and (why := untimely(self.node.get_clock(), stamp, self._max_age_s)):
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
             self._joints, self.effort = (q, now), efforts_of(message, self.arm)

@@ -81,8 +81,7 @@ class Supervisor:
             code = child.process.poll()
             if code is None:
                 continue
-            # 2: bad input
-            if code == 2 or not self.respawn:
+            if code == InputError.exit_code or not self.respawn:
                 raise JobError(f"{name} ended", exit_code=code)
             if time.monotonic() - child.started < 1.0:
                 continue

@@ -52,7 +52,7 @@ class Twins:
         for status in message.status:
             if status.name == self._part:
                 told = {pair.key: pair.value for pair in status.values}
-                own = told.get(INSTANCE) == _THIS_INSTANCE
+                own = told.get(INSTANCE) == THIS_INSTANCE
                 self._alone = self._alone + 1 if own else 0
 
 
@@ -74,7 +74,7 @@ OK, WARN, ERROR, STALE = (
 INSTANCE = "instance"
 """Value of the part `process`: which process reports, as a restarted one has the same name."""
 
-_THIS_INSTANCE = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
+THIS_INSTANCE = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,13 @@ class Report:
     level: bytes
     message: str
     facts: Mapping[str, object] = field(default_factory=dict)
+
+    def status(self, name: str, namespace: str) -> DiagnosticStatus:
+        """As it is published."""
+        values = [KeyValue(key=key, value=str(value)) for key, value in self.facts.items()]
+        return DiagnosticStatus(
+            level=self.level, name=name, message=self.message, hardware_id=namespace, values=values
+        )
 
 
 class Tally:
@@ -138,23 +145,13 @@ class Health:
         name = self._node.get_fully_qualified_name()
         array = DiagnosticArray()
         array.header.stamp = self._node.get_clock().now().to_msg()
-        for part, ask in self.parts.items():
-            report = ask()
-            values = [KeyValue(key=k, value=str(v)) for k, v in report.facts.items()]
-            array.status.append(
-                DiagnosticStatus(
-                    level=report.level,
-                    name=f"{name}: {part}",
-                    message=report.message,
-                    hardware_id=self._node.get_namespace(),
-                    values=values,
-                )
-            )
+        where = self._node.get_namespace()
+        array.status = [ask().status(f"{name}: {part}", where) for part, ask in self.parts.items()]
         self._publisher.publish(array)
 
     def _process(self) -> Report:
         facts: dict[str, object] = {
-            INSTANCE: _THIS_INSTANCE,
+            INSTANCE: THIS_INSTANCE,
             "faults": self.faults,
             "last fault": self.last_fault,
         }

@@ -31,7 +31,7 @@ from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.devices import joint_path as devices
 from longarm_comp.devices.servo_arm import ServoReading
 from longarm_comp.devices.servo_follower import Accepted
-from longarm_interfaces.msg import Compensation, DriverState, Motion
+from longarm_interfaces.msg import Compensation, DriverState
 from longarm_interfaces.srv import Compensate
 
 
@@ -53,25 +53,23 @@ def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
     p, o = message.pose.position, message.pose.orientation
     xyz = np.array([p.x, p.y, p.z])
     if not np.isfinite(xyz).all():
-        text = f"position {xyz.tolist()} is not finite"
-        raise Refusal(Status.BAD_TARGET, text)
+        raise Refusal(Status.BAD_TARGET, f"position {xyz.tolist()} is not finite")
     if position_only:
         return xyz
     turn = np.array([o.x, o.y, o.z, o.w])
     if not quaternion.is_unit(turn):
-        text = f"orientation {turn.tolist()} is not a unit quaternion"
-        raise Refusal(Status.BAD_TARGET, text)
+        wrong = f"orientation {turn.tolist()} is not a unit quaternion"
+        raise Refusal(Status.BAD_TARGET, wrong)
     return quaternion.pose(xyz, turn)
 
 
 def pose_message(target: np.ndarray) -> Pose:
     """A (4, 4) pose, or a (3,) position with the identity as orientation."""
-    if target.ndim == 1:
-        x, y, z = target.tolist()
-        return Pose(position=Point(x=x, y=y, z=z))
-    x, y, z = target[:3, 3].tolist()
-    turn = quaternion.from_rotation(target[:3, :3])
-    return Pose(position=Point(x=x, y=y, z=z), orientation=quaternion_message(turn))
+    x, y, z = (target if target.ndim == 1 else target[:3, 3]).tolist()
+    message = Pose(position=Point(x=x, y=y, z=z))
+    if target.ndim == 2:
+        message.orientation = quaternion_message(quaternion.from_rotation(target[:3, :3]))
+    return message
 
 
 def quaternion_message(turn: np.ndarray) -> Quaternion:
@@ -87,10 +85,8 @@ def vector_message(values: Sequence[float] | np.ndarray) -> Vector3:
 
 def joints_message(arm: Arm, q: np.ndarray, stamp: Time | None = None) -> JointState:
     """Joints (n,) by name."""
-    message = JointState(name=list(arm.joint_names), position=[float(v) for v in q])
-    if stamp is not None:
-        message.header.stamp = stamp
-    return message
+    header = Header() if stamp is None else Header(stamp=stamp)
+    return JointState(header=header, name=list(arm.joint_names), position=[float(v) for v in q])
 
 
 def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
@@ -328,41 +324,21 @@ def driver_words(state: int) -> str:
 
 
 def readings_message(readings: Mapping[str, ServoReading], stamp: Time) -> JointState:
-    """The last read-back; empty where a servo was silent."""
-    message = JointState(
+    """Read-back of joints, by name; efforts where any is known."""
+    joints = readings.values()
+    efforts = [joint.effort for joint in joints]
+    return JointState(
+        header=Header(stamp=stamp),
         name=list(readings),
-        position=[joint.position for joint in readings.values()],
-        velocity=[joint.velocity for joint in readings.values()],
-        effort=[joint.effort for joint in readings.values()],
+        position=[joint.position for joint in joints],
+        velocity=[joint.velocity for joint in joints],
+        effort=[] if all(map(math.isnan, efforts)) else efforts,
     )
-    if all(map(math.isnan, message.effort)):
-        message.effort = []  # of no joint is it known
-    message.header.stamp = stamp
-    return message
 
 
-def motion_message(
-    name: str,
-    event: int,
-    why: str,
-    joints: JointState,
-    taken: Accepted | None,
-    names: Sequence[str],
-) -> Motion:
-    """What became of the trajectory of that id, and where the joints are.
-
-    Args:
-        name: id. event: as `Motion` lists them. why: in words.
-        joints: read-back with the time of the event.
-        taken: start and way-points, where it was accepted now.
-        names: of the joints.
-    """
-    message = Motion(id=name, event=event, message=why, joints=joints)
-    message.header.stamp = joints.header.stamp
-    if taken is not None:
-        message.start = JointState(name=list(names), position=taken.start.tolist())
-        message.points = [
-            JointTrajectoryPoint(positions=row, time_from_start=duration(at))
-            for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
-        ]
-    return message
+def points_of(taken: Accepted) -> list[JointTrajectoryPoint]:
+    """The way-points of an accepted trajectory."""
+    return [
+        JointTrajectoryPoint(positions=row, time_from_start=duration(at))
+        for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
+    ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args, get_origin
+from typing import Any
 
 from pydantic import BaseModel
 from rcl_interfaces.msg import (
@@ -13,11 +13,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.exceptions import (
-    InvalidParameterTypeException,
-    InvalidParameterValueException,
-    ParameterImmutableException,
-)
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -53,9 +49,8 @@ class Param:
         if self.bounded and isinstance(self.default, float):
             described.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
         elif self.bounded and isinstance(self.default, int) and not self.choices:
-            described.integer_range = [
-                IntegerRange(from_value=int(low), to_value=int(high), step=1)
-            ]
+            whole = IntegerRange(from_value=int(low), to_value=int(high), step=1)
+            described.integer_range = [whole]
         elif self.bounded:
             described.additional_constraints = self.allowed
         return described
@@ -121,10 +116,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
         try:
             value = param.check(value)
             _redeclare(node, name, value, param.descriptor())
-        except (
-            *(TypeError, ValueError, InvalidParameterTypeException),
-            *(InvalidParameterValueException, ParameterImmutableException),
-        ):
+        except (TypeError, ValueError, ParameterException):
             raise InputError(where(node), name, value, param.allowed) from None
         values[name] = value
     node.add_on_set_parameters_callback(lambda asked: _checked(known, asked))
@@ -160,22 +152,24 @@ def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dic
     return nested(given)
 
 
+_LIMITS = {
+    "minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below",
+}  # fmt: skip
+"""Limits of a number in JSON Schema, in words."""
+
+
 def described(section: type[BaseModel], field: str) -> ParameterDescriptor:
     """The descriptor of one field of a section that is checked elsewhere: meaning and range."""
-    made = ParameterDescriptor(read_only=True)
-    found = section.model_fields.get(field)
-    if found is None:
-        return made  # refused by the section's own check
-    made.description = found.description or ""
-    parts = get_args(found.annotation)  # of one of some values, or of a number that may be absent
-    rules = [*found.metadata, *(r for part in parts for said in get_args(part)[1:]
-                                for r in said.metadata)]  # fmt: skip
-    words = {"ge": "from", "gt": "above", "le": "to", "lt": "below"}
-    said = [f"{words[k]} {getattr(rule, k):g}" for rule in rules for k in words if hasattr(rule, k)]
-    if get_origin(found.annotation) is Literal:
-        said = ["one of " + ", ".join(map(str, parts))]
-    made.additional_constraints = " ".join(said)
-    return made
+    # An unknown field is refused by the section's own check
+    told = section.model_json_schema()["properties"].get(field, {})
+    said = [f"{word} {kind[limit]:g}" for kind in (told, *told.get("anyOf", ()))
+            for limit, word in _LIMITS.items() if limit in kind]  # fmt: skip
+    if "enum" in told:
+        said = ["one of " + ", ".join(map(str, told["enum"]))]
+    return ParameterDescriptor(
+        read_only=True, description=told.get("description", ""),
+        additional_constraints=" ".join(said),
+    )  # fmt: skip
 
 
 def overrides(node: Node) -> dict[str, Any]:

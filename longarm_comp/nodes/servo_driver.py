@@ -6,9 +6,7 @@ switched off on deactivate, cleanup, shutdown, emergency stop and at the end of 
 
 from __future__ import annotations
 
-import os
 import time
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -37,8 +35,8 @@ from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders
 from longarm_comp.nodes.clock import steady_timer
-from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
-from longarm_comp.nodes.messages import motion_message, readings_message, trajectory_of
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, THIS_INSTANCE, WARN, Report
+from longarm_comp.nodes.messages import points_of, readings_message, trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.orders import FollowServer, Intake
@@ -68,7 +66,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
 _BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD)
 """Events after which the joints are not where they were sent."""
 
-_DONE, _FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+_FAILED = TransitionCallbackReturn.FAILURE
 
 
 class _ServoDriver(ArmNode, LifecycleNode):
@@ -85,7 +83,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._last: Cycle | None = None
         self.tally.counts |= {"trajectories": 0, "refused": 0, "incomplete cycles": 0}
         self._fault = self._trouble = self._waiting = self._motion = ""
-        self._instance = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
         self._said: tuple[int, str] | None = None
         self._patient_until = time.monotonic() + p["patience_s"]
         self._joint_states = graph.JOINT_STATES.publisher(self)
@@ -277,7 +274,11 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._tell(Motion.REFUSED, name, why)
 
     def _tell(self, event: int, name: str, why: str = "", taken: Accepted | None = None) -> None:
-        message = motion_message(name, event, why, self._joints(), taken, self.names)
+        joints = self._joints()
+        message = Motion(header=joints.header, id=name, event=event, message=why, joints=joints)
+        if taken is not None:
+            message.start = JointState(name=self.names, position=taken.start.tolist())
+            message.points = points_of(taken)
         self._motions.publish(message)
         if self._follow is not None:
             self._follow.told(event, name, why)
@@ -288,7 +289,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def _tell_state(self) -> None:
         state, why = self._said = self._state()
-        message = DriverState(state=state, message=why, instance=self._instance)
+        message = DriverState(state=state, message=why, instance=THIS_INSTANCE)
         message.header.stamp = self.get_clock().now().to_msg()
         self._states.publish(message)
 
@@ -361,10 +362,9 @@ class _ServoDriver(ArmNode, LifecycleNode):
         state, why = self._state()
         if self._arm is None or state == DriverState.INACTIVE:
             return Report(WARN, self._fault or "not active: torque is off", facts)
-        follower = self._arm.follower.state
-        facts["state"] = follower.value
+        follower = facts["state"] = self._arm.follower.state.value
         stopped = state in (DriverState.FAULT, DriverState.ESTOP)
-        return Report(ERROR if stopped else OK, why or follower.value, facts)
+        return Report(ERROR if stopped else OK, why or follower, facts)
 
 
 main = program(_ServoDriver)

@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64, String
 
+from longarm_comp.arm_folder.camera_files import SIDES
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
@@ -72,7 +73,6 @@ PARAMS = (
 
 _FELT_S = 0.1
 """Between two looks for contact of the ball, s."""
-_SIDES = ("left", "right")
 
 
 def sizes(text: str) -> dict[str, float]:
@@ -179,7 +179,7 @@ class _SimulatedArm(ArmNode):
         self._plant.emulator.faults.silent = {ids[name] for name in _named("unplugged", text, ids)}
 
     def _cover(self, text: str) -> None:
-        self._covered = _named("covered", text, _SIDES)
+        self._covered = _named("covered", text, SIDES)
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
@@ -190,8 +190,13 @@ class _SimulatedArm(ArmNode):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
+    @property
+    def _t_s(self) -> float:
+        """Time since the start, s."""
+        return time.monotonic() - self._started
+
     def _ring(self) -> None:
-        self._plant.ring(time.monotonic() - self._started)
+        self._plant.ring(self._t_s)
 
     def _expose(self) -> None:
         if not self._worker.submit(self._frame):
@@ -200,7 +205,7 @@ class _SimulatedArm(ArmNode):
     def _frame(self) -> None:
         """Render where somebody looks, on the worker's thread; both images carry one time."""
         ns = self.get_clock().now().nanoseconds
-        t_s = time.monotonic() - self._started
+        t_s = self._t_s
         looked_at = any(image.get_subscription_count() for image in self._images)
         images = self._plant.look(t_s) if looked_at else ()
         prefix, truth = prefix_of(self), PointStamped()
@@ -208,11 +213,11 @@ class _SimulatedArm(ArmNode):
         truth.point.x, truth.point.y, truth.point.z = self._plant.tip_pose(t_s)[:3, 3].tolist()
         self._truth.publish(truth)
         infos = self._plant.config.cameras.camera_infos()
-        frames = f"{prefix}left_optical", f"{prefix}right_optical"
+        frames = [f"{prefix}{side}_optical" for side in SIDES]
         for k, frame in enumerate(frames):
             self._infos[k].publish(info_message(infos[k], ns, frame))
         for k, image in enumerate(images):
-            seen = image * (_SIDES[k] not in self._covered)
+            seen = image * (SIDES[k] not in self._covered)
             self._images[k].publish(image_message(seen, ns, frames[k]))
         self._frames += 1
 
@@ -224,16 +229,13 @@ class _SimulatedArm(ArmNode):
         ways[int(self._chance.integers(len(ways)))][int(self._chance.choice(servos))] += 1
 
     def _tell(self) -> None:
-        now = self.get_clock().now().nanoseconds
-        warm = self._plant.temperature_c(time.monotonic() - self._started)
-        message = Temperature(temperature=warm)
-        message.header.stamp = stamp_of(now)
+        message = Temperature(temperature=self._plant.temperature_c(self._t_s))
+        message.header.stamp = self.get_clock().now().to_msg()
         self._temperature.publish(message)
         self._payload.publish(Float64(data=self._plant.config.payload_kg))
 
     def _feel(self) -> None:
-        t_s = time.monotonic() - self._started
-        self._contact.publish(String(data=self._plant.contact(t_s)))
+        self._contact.publish(String(data=self._plant.contact(self._t_s)))
 
     def _report(self) -> Report:
         emulator = self._plant.emulator

@@ -75,10 +75,6 @@ PARAMS = (
 )
 
 
-def _file(folder: str, side: Side) -> Calibration:
-    return read_camera(Path(folder) / f"{side.name.lower()}.yaml")
-
-
 class _StereoBridge(ArmNode):
     """Measures pairs on a worker thread. A pair that arrives during a measurement is dropped."""
 
@@ -102,7 +98,9 @@ class _StereoBridge(ArmNode):
         )
         self._pairer: StereoPairer[Any] = StereoPairer(round(p["slop_ms"] * 1e6), p["queue"])
         self._infos: dict[Side, CameraInfo] = {}
-        self._files = {s: _file(p["cameras"], s) for s in Side} if p["cameras"] else {}
+        self._files: dict[Side, Calibration] = {}
+        if folder := p["cameras"]:
+            self._files = {s: read_camera(Path(folder) / f"{s.name.lower()}.yaml") for s in Side}
         self._eye: StereoEye | None = None
         self._sightings = 0
         self._last = "no pair of images yet"
@@ -115,19 +113,18 @@ class _StereoBridge(ArmNode):
         self._worker = self.worker(2)
         self._worker.start()
         self._tips = graph.TIP_MEASURED.publisher(self)
-        left, right = Side.LEFT, Side.RIGHT
         topics, self._pixels = _TRANSPORTS[p["image_transport"]]
         self._inlets = {
             side: ImageInlet(
                 self, topic, partial(self._on_image, side), reliable=p["reliable_images"]
             )
-            for side, topic in zip((left, right), topics, strict=True)
+            for side, topic in zip(Side, topics, strict=True)
         }
         for inlet in self._inlets.values():
             # Pause between two looks at who publishes images
             steady_timer(self, 0.5, inlet.adapt)
-        graph.LEFT_INFO.subscription(self, lambda m: self._on_info(left, m))
-        graph.RIGHT_INFO.subscription(self, lambda m: self._on_info(right, m))
+        for side, topic in zip(Side, (graph.LEFT_INFO, graph.RIGHT_INFO), strict=True):
+            topic.subscription(self, partial(self._on_info, side))
         self.health.parts["stereo"] = self._report
 
     def _on_info(self, side: Side, message: CameraInfo) -> None:
@@ -156,14 +153,11 @@ class _StereoBridge(ArmNode):
             cameras[Side.LEFT], cameras[Side.RIGHT], rectified=self._rectified
         )
         self._eye = StereoEye(rig, self._target, self._hand_eye, self._tip_in_marker, self._limits)
-        self._tell_cameras(self._eye.cameras)
-
-    def _tell_cameras(self, poses: tuple[np.ndarray, np.ndarray]) -> None:
-        """Say where the cameras are, by the names that they give their frames."""
+        # Say where the cameras are, by the names that they give their frames
         told = {side: info.header.frame_id for side, info in self._infos.items()}
         names = [told.get(s) or f"{self._prefix}{s.name.lower()}_optical" for s in Side]
-        frames = [Placed.at(self._base_frame, *camera) for camera in zip(names, poses, strict=True)]
-        self._frames.tell_static(frames)
+        placed = zip(names, self._eye.cameras, strict=True)
+        self._frames.tell_static([Placed.at(self._base_frame, *camera) for camera in placed])
 
     def _on_image(self, side: Side, message: Any) -> None:
         for pair in self._pairer.add(side, stamp_ns(message.header.stamp), message):

@@ -29,7 +29,7 @@ from longarm_comp.nodes.messages import (
     trajectory_message,
 )
 from longarm_comp.nodes.monitoring import TipMonitor
-from longarm_comp.nodes.orders import Freshness, Stamps, order_id
+from longarm_comp.nodes.orders import Freshness, Stamps, order_id, untimely
 from longarm_comp.nodes.params import Param
 from longarm_interfaces.srv import Compensate
 
@@ -92,7 +92,7 @@ class TargetInlet:
     def stale(self, request: Request) -> str:
         """Why a target is too old to be carried out now, in words; empty if it is not."""
         stamp = stamp_ns(request.message.target.header.stamp)
-        why = self._state.untimely(stamp, self._max_age_s) if stamp else ""
+        why = untimely(self._node.get_clock(), stamp, self._max_age_s) if stamp else ""
         age_s = time.monotonic() - request.since
         if not why and request.message.execute and age_s > self._max_age_s:
             return f"the target was sent {age_s:.1f} s ago, allowed {self._max_age_s:g} s"

@@ -66,9 +66,6 @@ PARAMS = (
     PERIOD,
 )  # fmt: skip
 
-_WAITING = 4
-"""Goals that may wait."""
-
 
 class _TrajectoryCompensator(ArmNode):
     """Computes on a worker thread, so that the executor stays free."""
@@ -78,7 +75,7 @@ class _TrajectoryCompensator(ArmNode):
         p = self.p
         if not graph.HAS_FOLLOW:
             raise InputError(where(self), "control_msgs", "missing", "install ROS's control_msgs")
-        self._state = ArmState(self, _WAITING)
+        self._state = ArmState(self, capacity=4)
         self._files, self._method = self._state.files, Method(p["method"])
         self._arm, self._controller = self._state.arm, p["controller"]
         self._limits = self._limits_of(p)
@@ -111,14 +108,10 @@ class _TrajectoryCompensator(ArmNode):
         return MotionLimits(*found)
 
     async def _serve(self, goal: Any) -> Any:
-        result = graph.FOLLOW.type.Result
-        asked = goal.request.trajectory
+        result, asked = graph.FOLLOW.type.Result, goal.request.trajectory
         strange = set(asked.joint_names) - set(self._arm.joint_names)
-        why = (
-            self._not_now(asked)
-            if not strange
-            else f"joints {sorted(strange)}; allowed: " + (", ".join(self._arm.joint_names))
-        )
+        allowed = ", ".join(self._arm.joint_names)
+        why = f"joints {sorted(strange)}; allowed: {allowed}" if strange else self._not_now(asked)
         made: CompensatedPath | None = None
         if not why:
             future = self._worker.ask(partial(self._compensated, goal.request))
@@ -170,7 +163,7 @@ class _TrajectoryCompensator(ArmNode):
                 error_code=graph.FOLLOW.type.Result.INVALID_GOAL, error_string=why
             )
         if not self._driver.acknowledged:
-            self._driver.went(made.timed.joints[1:], start)
+            self._driver.went(timed.joints[1:], start)
         ended, asked = sent.get_result_async(), False
         while not ended.done():
             if goal.is_cancel_requested and not asked:
@@ -190,15 +183,13 @@ class _TrajectoryCompensator(ArmNode):
 
     def _compensated(self, request: Any) -> tuple[CompensatedPath | None, str]:
         """The path to send, or why there is none."""
-        asked = request.trajectory
         start = self._state.joints
         assert start is not None
         loaded = self._files.loaded
         physics = physics_of(loaded.model, self._method)
-        moving = self._following > 0
         known: dict[str, Any] = {
             "start": start,
-            "history": History.unknown(self._arm.n) if moving else self._driver.history,
+            "history": History.unknown(self._arm.n) if self._following else self._driver.history,
             "context_at": partial(self._state.context, model=physics),
             "turn_m": self.p["turn_m"],
             "max_longer": self._longer(request),
@@ -209,7 +200,7 @@ class _TrajectoryCompensator(ArmNode):
         use = self._method.learned and self._state.predictor.present
         ask = partial(self._state.predictor.ask, deflection=self._method.physics)
         try:
-            plan = self._plan(asked, start)
+            plan = self._plan(request.trajectory, start)
             try:
                 found = compensate_path(loaded.model, Nearby(ask) if use else None, plan, **known)
             except NoAnswer:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64, String
@@ -33,6 +33,7 @@ from longarm_comp.jobs.collect.visits import Visit, in_words
 from longarm_comp.jobs.graph_client import GraphClient, Reports
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.stereo_bridge import MARKER_LOST
 from longarm_comp.sessions.bag import open_bag, read_visit
 from longarm_comp.sessions.bag_segments import SegmentedBag
@@ -81,25 +82,17 @@ _HEARD_S = 0.2
 _HINT = "longarm plan --seen leaves such poses out; --give-up 0 never ends early"
 
 
-_LEVELS = {"ended": DiagnosticStatus.ERROR, "waiting": DiagnosticStatus.WARN}
-
-
 def progress_message(now: Progress, namespace: str) -> DiagnosticStatus:
     """Name ``collect``; what is not known yet has no value (docs/ros.md)."""
-    losing = DiagnosticStatus.WARN if now.lost else DiagnosticStatus.OK
-    values = {
+    losing = WARN if now.lost else OK
+    values: dict[str, object] = {
         "state": now.state, "done": now.done, "total": now.total, "seen": now.seen,
         "lost": len(now.lost), "pose": now.visit,
     }  # fmt: skip
     if math.isfinite(now.seconds_left):
         values["eta_s"] = f"{now.seconds_left:.3f}"
-    return DiagnosticStatus(
-        level=_LEVELS.get(now.state, losing),
-        name="collect",
-        message=str(now),
-        hardware_id=namespace,
-        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-    )
+    level = {"ended": ERROR, "waiting": WARN}.get(now.state, losing)
+    return Report(level, str(now), values).status("collect", namespace)
 
 
 @dataclass(frozen=True, eq=False)
