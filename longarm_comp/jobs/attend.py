@@ -50,12 +50,7 @@ class Attendant:
         self._driver = message
 
     def standing(self) -> dict[str, Any]:
-        """How the arm stands, as soon as every node of it that is on the graph has reported.
-
-        In words, empty where unknown: `driver` and `why`, the `nodes` that have reported and the
-        `troubles` of their parts, the `next` command that leads on, where the `tip` stands by the
-        readings of the joints, what was `learned` at work.
-        """
+        """How the arm stands, in words, as soon as every node of it on the graph has reported."""
         client, where = self._client, self._namespace or "/"
         own = client.node.get_name()
 

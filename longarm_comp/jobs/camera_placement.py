@@ -20,7 +20,7 @@ _SIGMA_M = 1e-4
 
 @dataclass(frozen=True)
 class HeadPlacement:
-    """Where the left optical frame is in the base frame (4, 4).
+    """Where the left optical frame is in the base frame.
 
     Attributes:
         position_sd_mm, rotation_sd_deg: (3,) each, one standard deviation, base axes.
@@ -30,7 +30,7 @@ class HeadPlacement:
         rows, outliers: rows used and left out.
     """
 
-    pose: np.ndarray
+    pose: np.ndarray  # (4, 4)
     position_sd_mm: np.ndarray
     rotation_sd_deg: np.ndarray
     residual_mm: float

@@ -48,11 +48,7 @@ class Pace:
 
 
 class DriverStopped(JobError):  # noqa: N818
-    """The driver is held, in fault or in emergency stop.
-
-    Attributes:
-        held: by the hold service, so that somebody means to go on.
-    """
+    """The driver is held (`held`: somebody means to go on), in fault or in emergency stop."""
 
     def __init__(self, state: DriverState) -> None:
         self.held = state.state == DriverState.HOLDING
@@ -211,8 +207,7 @@ class ArmClient(GraphClient):
         Where the marker is lost in twice as many pictures in a row, it is not waited for.
 
         Returns:
-            The moment (ns) from which sightings count, and sightings (3,), m, as many as the pace
-            asks for or fewer, without lost ones.
+            The moment (ns) from which sightings count; those (3,), m, in which the marker is seen.
         """
         self.spin(0.05)  # the driver has taken it up when its joints move
         # A sighting counts if it was taken 50 ms after the joints came to rest

@@ -17,6 +17,7 @@ from geometry_msgs.msg import PointStamped
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
+from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.loop import Loop, LoopSettings, Names
@@ -27,7 +28,6 @@ from longarm_comp.nodes.simulated_arm import sizes
 from longarm_comp.share import folder
 from longarm_comp.sim.plant import hidden_effects
 from longarm_comp.workflows.inputs import MODEL, PREDICTOR, load_predictor
-from longarm_interfaces.srv import Compensate
 
 ORIGINAL, DECLARED, FOUND, LEARNED = (
     "original", "declared", "effect found", "effect found + network",
@@ -128,10 +128,7 @@ def _true_tip(client: ArmClient) -> Witness:
 def demonstrate(
     settings: DemoSettings, stop: threading.Event, say: Say = lambda text, share: None
 ) -> dict[str, Any]:
-    """Run the whole loop; what came of it, for --json and the file in the folder.
-
-    Every process has ended when this returns or raises.
-    """
+    """Run the whole loop; what came of it, for --json. Every process has ended afterwards."""
     arm = Arm.load(settings.arm)
     hidden_effects(arm, sizes(settings.hidden), np.random.default_rng(settings.seed))  # checked
     prepare(settings)
@@ -158,7 +155,7 @@ def demonstrate(
         "rows": [table_row(trial) for trial in trials],
         "improved": improved(trials),
         "collected": found["collected"],
-        "outside_training_data": trials[-1].count(Compensate.Response.OUT_OF_DOMAIN),
+        "outside_training_data": int(np.sum(trials[-1].status == Status.OUT_OF_DOMAIN)),
         "verdict": found["verdict"],
         "diagnosis": found["found"],
         "effects_found": found["effects_found"],

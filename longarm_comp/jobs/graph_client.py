@@ -76,11 +76,7 @@ class Call:
 
 
 class GraphClient:
-    """A node on a graph. Use as a context manager.
-
-    Args:
-        stop: ends every wait with `Interrupted`.
-    """
+    """A node on a graph; a context manager. ``stop`` ends every wait with `Interrupted`."""
 
     def __init__(
         self, namespace: str = "", stop: threading.Event | None = None, name: str = "longarm_client"
@@ -188,8 +184,7 @@ def reported(message: DiagnosticArray, namespace: str) -> dict[str, dict[str, Di
 class Reports:
     """What the nodes of a client's namespace report on /diagnostics from now on.
 
-    Attributes:
-        nodes: the last status of each part, by the names of node and part.
+    `nodes` has the last status of each part, by the names of node and part.
     """
 
     def __init__(self, client: GraphClient) -> None:

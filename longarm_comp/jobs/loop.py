@@ -45,8 +45,8 @@ def another_round(
 ) -> tuple[bool, str]:
     """The rule: whether to go on, and why.
 
-    It has the 95 % interval of what the round took off the mean error at the tip, the mean after
-    it, and the noise of a measurement along each axis, all in m.
+    From the 95 % interval of what the round took off the mean error, the mean that is left, and
+    the noise of a sighting along each axis, all in m.
     """
     rms = math.sqrt(sum(s * s for s in sigma_m) / 3.0)
     alone = math.sqrt(8.0 / math.pi) * rms  # mean length of a normal vector in three dimensions
@@ -104,11 +104,7 @@ _TRIAL = ("target", "seen", "true", "status")
 
 
 class Journal:
-    """Results of steps by name, written after each.
-
-    Args:
-        facts: of the job, which must be those that it was begun with.
-    """
+    """Results of steps by name, written after each; ``facts`` must be those that it began with."""
 
     def __init__(self, path: Path, facts: dict[str, Any], *, resume: bool) -> None:
         self._path = path
@@ -171,11 +167,10 @@ class Loop:
         self._begun = time.monotonic()
 
     def run(self, ready_s: float = 30.0) -> tuple[list[Trial], dict[str, Any]]:
-        """Go round; see `RULE` for when another round follows. Writes loop.json and loop.html.
+        """Go round, while `RULE` holds; write loop.json and loop.html.
 
         Returns:
-            All runs over the targets in their order, the first not compensated; and what loop.json
-            holds.
+            All runs over the targets, the first not compensated; and what loop.json holds.
         """
         client, names = self._client, self._settings.names
         client.ready(ready_s)

@@ -80,10 +80,7 @@ class Recorder:
         self.newest[topic] = max(self.newest.get(topic, 0), self._moment(topic, received, raw))
 
     def keep(self, *, since_ns: int = 0, finish: bool = False) -> None:
-        """Write the waiting messages `about` a time (ns) and later.
-
-        ``finish``: finish the segment, so that they are in the readable bag at once.
-        """
+        """Write the waiting messages `about` a time; ``finish``: so that they can be read now."""
         for topic, kind, received, raw in self.about(since_ns):
             self._bag.write(topic, kind, received, raw)
             self.counts[topic] = self.counts.get(topic, 0) + 1

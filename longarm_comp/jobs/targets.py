@@ -72,9 +72,6 @@ class Trial:
     def refused(self) -> int:
         return sum(not Status(int(status)).success for status in self.status)
 
-    def count(self, status: int) -> int:
-        return int((self.status == status).sum())
-
     def against(self, before: Trial, seed: int = 0) -> Verification:
         """Compared with another run over the same targets, paired."""
         return verification((before.name, self.name), before.off, self.off, seed)
@@ -127,10 +124,7 @@ class TargetRunner:
         return why
 
     def run(self, name: str, targets: np.ndarray, method: Method, progress: Say) -> Trial:
-        """Send every target (N, 3), m, and measure where the tip comes to rest.
-
-        A target that is refused counts as one where the marker was lost.
-        """
+        """Send every target (N, 3), m, and measure the tip at rest; NaN where one is refused."""
         rows = []
         with self.method(method):
             for k, target in enumerate(targets):
@@ -140,10 +134,7 @@ class TargetRunner:
         return Trial(name, targets, seen, true, status)
 
     def ask(self, target: np.ndarray, *, execute: bool) -> Compensate.Response:
-        """The answer for a target (3,), m.
-
-        A request that moves the arm is sent once, and again where it was too old to move it.
-        """
+        """The answer for a target (3,), m; asked again where the request came too late."""
         pose = PoseStamped()
         pose.header.frame_id = self._frame
         pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = target.tolist()

@@ -76,10 +76,7 @@ class TouchLog:
         )
 
     def spread_m(self) -> np.ndarray | None:
-        """Distance of every touch from its point, m, the geometry calibrated with them.
-
-        None where the rows are too few to say.
-        """
+        """Distance of every touch from its point, m, by a geometry fitted to them; None: few."""
         whole = self.session()
         if np.isfinite(whole.reading(KINDS["touch"])).sum() < ENOUGH:
             return None
@@ -104,9 +101,7 @@ def _seated(client: ArmClient) -> bool:
 
 @contextmanager
 def limp(client: GraphClient) -> Iterator[str]:
-    """The servos' torque is off meanwhile, so that a hand can guide the arm; it comes back on where
-    the arm stands then. Yields what the driver said.
-    """
+    """Torque is off meanwhile, so that a hand can guide the arm. Yields what the driver said."""
     attendant = Attendant(client)
     try:
         yield attendant.stop()

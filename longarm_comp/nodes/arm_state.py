@@ -23,7 +23,14 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
-from longarm_comp.nodes.messages import driver_words, efforts_of, joints_of, path_of, tilt_of
+from longarm_comp.nodes.messages import (
+    driver_words,
+    efforts_of,
+    joints_of,
+    motion_of,
+    path_of,
+    tilt_of,
+)
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode
 from longarm_comp.nodes.orders import untimely
@@ -51,14 +58,10 @@ NO_JOINTS = "no joint_states yet"
 class ArmState:
     """Subscribes to the arm's topics. Values are replaced whole, so other threads may read them.
 
-    Args:
-        capacity: jobs that may wait for the worker.
-
     Attributes:
-        files: the declared arm and the model in use. base_frame: full name of its frame.
+        base_frame: full name of the arm's frame.
         readings: of circumstances. effort: (n,) N m and N, NaN where none is told.
-        driver: what the driver tells; its history of the joints.
-        worker: the thread that computes with all this.
+        worker: the thread that computes with all this; ``capacity`` jobs may wait for it.
         moved: called with every joint reading (n,) that is believed, and its time (ROS clock, s).
     """
 
@@ -98,11 +101,9 @@ class ArmState:
         return stamp
 
     def context(self, history: History | None = None, model: Model | None = None) -> Context:
-        """Circumstances at this moment for joints of a history.
+        """Circumstances of now that a model needs, by default the one in use.
 
-        Args:
-            history: where it is not given, that of what was commanded last.
-            model: that needs them; the one in use where it is not given.
+        ``history``: of the joints; by default that of what was commanded last.
 
         Raises:
             StaleContext: one that the model needs is unknown or too old.
@@ -252,10 +253,8 @@ class DriverLink:
         self.told(message)
 
     def _accepted(self, message: Motion) -> None:
-        names = list(message.start.name)
         try:
-            start = joints_of(message.start, self._arm, "start of motion")
-            path = path_of(JointTrajectory(joint_names=names, points=message.points), self._arm)
+            start, path = motion_of(message, self._arm)
         except InputError as error:
             self._refused("bad motion", str(error))
             self.lose()

@@ -26,7 +26,7 @@ import yaml
 
 from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES
 from longarm_comp.arm_folder.make import parameter_files
-from longarm_comp.arm_folder.parameter_file import ros_parameters
+from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, ros_parameters
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import write_text
@@ -141,11 +141,10 @@ class BringUp:
         arm, model, predictor: files. Without a model the declared arm is used.
         effects: Python files that define further effects, executed by `kinematics`.
         sim: run the simulated arm instead of hardware.
-        config: folder of parameter files that replace the package's own, ``<node>.yaml``; the
-            arm's own folder where none is given.
+        config: folder of ``<node>.yaml`` that replace the package's own; empty: the arm's folder.
         port: serial port of the servos; empty for the one in the parameter file.
         speed: factor on all velocities in simulation.
-        set: further parameters, by node and name.
+        set: further parameters, by node and name. without: nodes that are not started.
         paths: run `PATHS` too.
         shaping: `servo_driver` sends moves in parts that cancel the arm's ring.
     """
@@ -185,10 +184,7 @@ class BringUp:
 
     @property
     def cameras(self) -> Path | None:
-        """Folder of the pair's calibration, beside the parameter files; None where there is none.
-
-        The simulated cameras tell their own.
-        """
+        """Folder of the pair's calibration, beside the parameter files; None without one."""
         own = (self.config or self.arm.absolute().parent) / CAMERAS
         return own if all((own / f"{side}.yaml").is_file() for side in SIDES) else None
 
@@ -201,7 +197,7 @@ class BringUp:
         file, arm = self.file("servo_driver"), Arm.load(self.arm)
         if self.sim:
             read_arm(file)  # what cannot be emulated is said here, not by five processes
-        joints = list(_ros_parameters(file).get("joints", {}))
+        joints = list(ros_parameters(read_yaml(file), file).get("joints", {}))
         if sorted(joints) == sorted(arm.joint_names):
             return self
         if not self.sim or file != folder("config") / file.name:
@@ -222,7 +218,7 @@ class BringUp:
         arm = {"arm": str(self.arm.absolute())}
         servos = str(self.file("servo_driver").absolute())
         said = self.set.get("servo_driver", {}).get("trim")
-        trim = _ros_parameters(self.file("servo_driver")).get("trim", False)
+        trim = read_parameters(self.file("servo_driver")).get("trim", False)
         port = bus if self.sim else self.port
         per_node: dict[str, dict[str, Any]] = {
             "kinematics": arm
@@ -256,33 +252,24 @@ class BringUp:
         """
         if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
-        given = _ros_parameters(self.file(node))
+        speed, given = float(self.speed), read_parameters(self.file(node))
+        usual = own_parameters(node) | given
         if node == "kinematics":
-            return {"joints_max_rate": self.speed * float(given.get("joints_max_rate", 5.0))}
-        if node == "servo_driver":
-            follower = given.get("follower", {})
-            behind = float(follower.get("lost_error_ticks", 400.0))
-            longest = float(follower.get("max_step_s", 0.1))
-            cycle = 1.0 / given.get("rate_hz", 50.0)
+            return {"joints_max_rate": speed * usual["joints_max_rate"]}
+        if node == "simulated_arm":
             return {
-                "follower.lost_error_ticks": self.speed * behind,
-                "follower.max_step_s": min(longest, max(longest / self.speed, 2 * cycle)),
-            } | {
-                f"joints.{name}.max_velocity": self.speed * float(joint["max_velocity"])
-                for name, joint in given.get("joints", {}).items()
+                "speed_ticks_s": speed * usual["speed_ticks_s"],
+                "lag_s": usual["lag_s"] / speed,
             }
+        longest = usual["follower.max_step_s"]
         return {
-            "speed_ticks_s": self.speed * float(given.get("speed_ticks_s", 3000.0)),
-            "lag_s": float(given.get("lag_s", 0.03)) / self.speed,
+            "follower.lost_error_ticks": speed * usual["follower.lost_error_ticks"],
+            "follower.max_step_s": min(longest, max(longest / speed, 2.0 / usual["rate_hz"])),
+            **{name: speed * v for name, v in given.items() if name.endswith(".max_velocity")},
         }
 
     def files(self, node: str, bus: str, scratch: Path) -> list[Path]:
-        """Parameter files of a node: its own, then one of what overrides it.
-
-        Args:
-            bus: link to the simulated servo bus.
-            scratch: folder for the last one.
-        """
+        """Parameter files of a node: its own, then one in ``scratch`` of what overrides it."""
         values = {f"/**/{node}": {"ros__parameters": self.parameters(node, bus)}}
         write_text(scratch / f"{node}.given.yaml", yaml.safe_dump(values))
         return [self.file(node), scratch / f"{node}.given.yaml"]
@@ -291,27 +278,18 @@ class BringUp:
         """Program and arguments of every node, by its name; ``scratch``: folder for files."""
         bus = str(scratch / "servo_bus")
         space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else []
-        return {
-            name: [
-                *(sys.executable, "-m", f"{PACKAGE}.nodes.{name}", "--ros-args", *space),
-                *(
-                    w
-                    for file in self.files(name, bus, scratch)
-                    for w in ("--params-file", str(file))
-                ),
-            ]
-            for name in self.nodes
-        }
+        made = {}
+        for name in self.nodes:
+            made[name] = [sys.executable, "-m", f"{PACKAGE}.nodes.{name}", "--ros-args", *space]
+            for file in self.files(name, bus, scratch):
+                made[name] += ["--params-file", str(file)]
+        return made
 
 
 def _path(name: str, *paths: Path | None) -> dict[str, Any]:
     """A parameter that holds paths; absent where there are none."""
     given = [str(path.absolute()) for path in paths if path is not None]
     return {name: os.pathsep.join(given)} if given else {}
-
-
-def _ros_parameters(path: Path) -> dict[str, Any]:
-    return ros_parameters(read_yaml(path), path)
 
 
 @contextmanager

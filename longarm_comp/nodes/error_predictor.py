@@ -9,6 +9,7 @@ from pathlib import Path
 
 from geometry_msgs.msg import Vector3Stamped
 from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import Header
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import LongarmError
@@ -74,10 +75,8 @@ class _ErrorPredictor(ArmNode):
         reply(response)
         if not response.success:
             return
-        message = Vector3Stamped(vector=response.error)
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.header.frame_id = self._base_frame
-        self._errors.publish(message)
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self._base_frame)
+        self._errors.publish(Vector3Stamped(header=header, vector=response.error))
 
     def _answer(self, request: PredictError.Request) -> PredictError.Response:
         response = PredictError.Response(sigma=math.nan, error=vector_message([math.nan] * 3))

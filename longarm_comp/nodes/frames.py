@@ -76,9 +76,8 @@ class FrameTeller:
 class FrameListener:
     """Keeps what /tf and /tf_static tell. Frames may be asked for from any thread.
 
-    Args:
-        wait_s: patience with what is told later than it is asked for.
-        refused: called for every transform that is refused, with its kind and the reason.
+    ``wait_s``: patience with what is told late. ``refused``: called with every refusal's kind and
+    reason.
     """
 
     def __init__(self, node: Node, wait_s: float, refused: Callable[[str, str], None]) -> None:

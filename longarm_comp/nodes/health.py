@@ -115,11 +115,7 @@ class Tally:
 
 
 class Health:
-    """Collects a report from every part of a node and publishes them.
-
-    Attributes:
-        parts: function that reports on each part. Its status is named ``<node>: <part>``.
-    """
+    """Publishes what each of a node's `parts` reports, under the name ``<node>: <part>``."""
 
     def __init__(self, node: Node, period_s: float) -> None:
         self._node = node

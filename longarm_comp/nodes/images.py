@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
 
 from longarm_comp.devices.camera_info import CameraInfo as Calibration
 from longarm_comp.devices.stereo import RefusalReason, StereoRefusal
@@ -26,17 +27,12 @@ Samples = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class _PixelFormat:
-    """How an image's bytes are pixels.
+    """How an image's bytes are pixels."""
 
-    Attributes:
-        samples: numbers per pixel.
-        convert: of the numbers (H, W, samples), 8-bit, the pixels (H, W) grey or (H, W, 3) BGR.
-        wide: the numbers have 16 bits.
-    """
-
-    samples: int
+    samples: int  # numbers per pixel
     convert: Callable[[Grey], Grey]
-    wide: bool = False
+    """Of the numbers (H, W, samples), 8-bit, the pixels (H, W) grey or (H, W, 3) BGR."""
+    wide: bool = False  # the numbers have 16 bits
 
 
 def _sample(k: int) -> Callable[[Grey], Grey]:
@@ -126,19 +122,18 @@ def _narrow(numbers: Samples) -> Grey:
 def image_message(grey: Grey, ns: int, frame: str) -> Image:
     """Message of a grey image (H, W), uint8."""
     height, width = grey.shape
-    message = Image(height=height, width=width, encoding="mono8", step=width)
-    message.data = array.array("B", np.ascontiguousarray(grey).tobytes())
-    message.header.stamp, message.header.frame_id = stamp_of(ns), frame
-    return message
+    return Image(
+        header=Header(stamp=stamp_of(ns), frame_id=frame), height=height, width=width, step=width,
+        encoding="mono8", data=array.array("B", np.ascontiguousarray(grey).tobytes()),
+    )  # fmt: skip
 
 
 def info_message(info: Calibration, ns: int, frame: str) -> CameraInfo:
-    message = CameraInfo(
-        width=info.width, height=info.height, distortion_model=info.distortion_model,
+    return CameraInfo(
+        header=Header(stamp=stamp_of(ns), frame_id=frame), width=info.width, height=info.height,
+        distortion_model=info.distortion_model,
         d=list(info.d), k=list(info.k), r=list(info.r), p=list(info.p),
     )  # fmt: skip
-    message.header.stamp, message.header.frame_id = stamp_of(ns), frame
-    return message
 
 
 def same_camera(a: Calibration, b: Calibration) -> bool:
@@ -148,12 +143,9 @@ def same_camera(a: Calibration, b: Calibration) -> bool:
 
 
 class ImageInlet:
-    """A subscription that follows its publishers.
+    """A subscription that is ``reliable`` where that is wanted and the publishers offer it.
 
     A reliable subscription hears no best-effort publisher, and says nothing of it.
-
-    Args:
-        reliable: whether nothing may be lost, where the publishers offer that.
     """
 
     def __init__(

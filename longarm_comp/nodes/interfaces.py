@@ -56,8 +56,7 @@ class Topic:
     Attributes:
         name: relative to the namespace of the arm.
         depth: messages kept on either side.
-        listens: reliability of subscriptions. Best effort also receives from best-effort sensors.
-            Publishers are always reliable, which is compatible with both.
+        listens: reliability of subscriptions; publishers are reliable, which fits both kinds.
         latched: who subscribes later receives the last message too.
     """
 
@@ -85,10 +84,7 @@ class Topic:
         *,
         raw: bool = False,
     ) -> Any:
-        """Create a subscription on a node.
-
-        ``listens`` and ``depth`` replace the topic's own; ``raw``: messages come as bytes.
-        """
+        """``listens`` and ``depth`` replace the topic's own; ``raw``: messages come as bytes."""
         qos = QoSProfile(
             depth=depth or self.depth, reliability=listens or self.listens,
             durability=self._durability,
@@ -127,7 +123,7 @@ class Service:
         )
 
     def client(self, node: Node, group: CallbackGroup | None = None, of: str = "") -> Any:
-        """Create a client on a node; ``of`` names the node that offers a private service."""
+        """``of`` names the node that offers a private service."""
         name = self.name.replace("~", of) if of else self.name
         return node.create_client(self.type, name, qos_profile=_PATIENT, callback_group=group)
 

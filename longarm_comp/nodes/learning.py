@@ -25,10 +25,9 @@ PARAMS = (
 
 
 class Learning:
-    """What the worker knows of the model at work. All but `report` is called on the worker.
+    """Puts what is learned in the place of the model in use, and keeps it beside it.
 
-    What is learned is put in the place of the model in use, and kept beside it after every
-    sighting.
+    All but `report` is called on the worker.
     """
 
     def __init__(self, state: ArmState) -> None:

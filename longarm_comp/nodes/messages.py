@@ -31,7 +31,7 @@ from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.devices import joint_path as devices
 from longarm_comp.devices.servo_arm import ServoReading
 from longarm_comp.devices.servo_follower import Accepted
-from longarm_interfaces.msg import Compensation, DriverState
+from longarm_interfaces.msg import Compensation, DriverState, Motion
 from longarm_interfaces.srv import Compensate
 
 
@@ -134,6 +134,13 @@ def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
     return np.array([joints_of(row, arm, where) for row in rows])
 
 
+def motion_of(message: Motion, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+    """Start (n,) and way-points (k, n) of an accepted trajectory."""
+    start = joints_of(message.start, arm, "start of motion")
+    way = JointTrajectory(joint_names=message.start.name, points=message.points)
+    return start, path_of(way, arm)
+
+
 def duration(value_s: float) -> Duration:
     """A duration of some seconds, 0 or more."""
     whole, rest = divmod(round(value_s * 1e9), 10**9)
@@ -150,8 +157,7 @@ def trajectory_message(
 ) -> JointTrajectory:  # fmt: skip
     """Way-points (k, n) that are due at times (k,), s, or so long after each other.
 
-    Args:
-        stamp: when it is sent. velocities: (k, n) rad/s and m/s; None: left to the driver.
+    ``velocities``: (k, n) rad/s and m/s; None: left to the driver.
     """
     message = JointTrajectory(header=Header(stamp=stamp), joint_names=list(arm.joint_names))
     due = times * np.arange(1, len(points) + 1) if np.ndim(times) == 0 else np.asarray(times)
@@ -224,7 +230,6 @@ class Answer:
 
     Attributes:
         name: id of the target.
-        target, position_only: the request.
         model_hash, predictor_hash: SHA-256 of the files in use; empty without one.
         arrival: the computation; None for a target that was refused before it.
     """

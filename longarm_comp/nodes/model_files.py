@@ -19,14 +19,9 @@ from longarm_comp.nodes.health import OK, WARN, Report
 
 @dataclass(frozen=True)
 class _LoadedModel:
-    """A model and the SHA-256 of its file. The hash of the declared arm is empty.
-
-    ``learned`` counts the models that were put in its place since.
-    """
-
     model: Model
-    file_hash: str = ""
-    learned: int = 0
+    file_hash: str = ""  # SHA-256; empty for the declared arm
+    learned: int = 0  # models that were put in its place since
 
 
 class ModelFiles:

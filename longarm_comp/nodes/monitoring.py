@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
@@ -25,7 +24,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.health import OK, WARN, Report
-from longarm_comp.nodes.messages import joints_of, path_of, seconds, sighting_of, tip_message
+from longarm_comp.nodes.messages import motion_of, seconds, sighting_of, tip_message
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_interfaces.msg import Motion
@@ -99,13 +98,9 @@ class Sighted:
 
 
 class TipMonitor:
-    """Collects rest poses and tests their residuals.
+    """Collects rest poses and tests their residuals; `sighted` is the last one at a target.
 
-    The executor and the worker call the ``on_...`` methods, one at a time. The worker calls
-    `judge`.
-
-    Attributes:
-        sighted: the last rest pose at a target.
+    The ``on_...`` methods may be called from any thread; `judge` on the worker's.
     """
 
     def __init__(self, state: ArmState) -> None:
@@ -253,8 +248,7 @@ class TipMonitor:
 class RingTeller:
     """Computes on the worker, when a move has ended and as soon as nothing else waits.
 
-    Args:
-        shaped: whether the driver splits moves so that they leave little ring.
+    ``shaped``: the driver splits moves so that they leave little ring.
     """
 
     def __init__(self, state: ArmState, shaped: bool) -> None:
@@ -282,15 +276,12 @@ class RingTeller:
             self._state.worker.submit(partial(self._compute, self._due))
 
     def _compute(self, move: Any) -> None:
-        state, arm = self._state, self._state.arm
-        context = state.known()
+        state, context = self._state, self._state.known()
         if move is not self._due or context is None:
             return
         self._due = None
         try:
-            start = joints_of(move.start, arm, "start of motion")
-            way = JointTrajectory(joint_names=move.start.name, points=move.points)
-            points = path_of(way, arm)
+            start, points = motion_of(move, state.arm)
         except InputError:
             return  # the link to the driver has said so
         times = np.array([seconds(point.time_from_start) for point in move.points])

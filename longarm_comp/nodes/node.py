@@ -36,7 +36,7 @@ class ArmNode(Node):
 
     Args:
         executor: that the node will be in.
-        table: its parameters. sections: prefixes of parameters that are checked elsewhere.
+        sections: prefixes of parameters that are not in the ``table`` and are checked elsewhere.
 
     Attributes:
         p: values of the parameters, by name.
@@ -146,10 +146,7 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode]) -> int:
 
 
 def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event) -> None:
-    """Serve callbacks until the event is set. Their exceptions are reported and not fatal.
-
-    A node that a supervisor started ends when the supervisor is gone.
-    """
+    """Serve callbacks until the event is set or the node's supervisor, if it has one, is gone."""
     guard = os.environ.get(GUARD)
     while not stop.is_set() and guard in (None, str(os.getppid())):
         try:

@@ -43,10 +43,7 @@ def order_id(message: JointTrajectory) -> str:
 
 
 class Stamps:
-    """Stamps of a node's orders: now; while its clock stands, each 1 ns later than the one before.
-
-    A clock that goes back takes them with it.
-    """
+    """Stamps of a node's orders: now; while its clock stands, each 1 ns after the one before."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock, self._read, self._last = clock, 0, 0
@@ -90,8 +87,7 @@ class Freshness:
     def away_s(self) -> float:
         """What is taken now may have waited for so long, s.
 
-        What came meanwhile may be delivered late too. It is worked off in no longer than it came
-        in, so it counts for as long as the node was away.
+        After an absence that holds for as long as the absence was: by then all has been delivered.
         """
         now = time.monotonic()
         late = self._away_s if now - self._back < self._away_s else 0.0

@@ -27,7 +27,7 @@ class Param:
     """One parameter.
 
     Attributes:
-        name, default: as in the node's YAML file; the default's type is the parameter's.
+        default: its type is the parameter's.
         lower, upper: allowed range of a number, or of each of several.
         choices: allowed texts.
         live: may be set while the node runs; everything else is read-only.
@@ -98,13 +98,9 @@ class Param:
 
 
 def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) -> dict[str, Any]:
-    """Declare the parameters of a node that was created with automatic declaration.
+    """Declare a node's parameters (it has those given already); values by name.
 
-    Args:
-        sections: prefixes of names that are checked elsewhere.
-
-    Returns:
-        Values by name.
+    ``sections``: prefixes of names that are checked elsewhere.
     """
     known = {param.name: param for param in table}
     given = {k: v for k, v in overrides(node).items() if k.split(".")[0] not in sections}

@@ -33,11 +33,9 @@ class PredictorClient:
     the very next target after its return is compensated with it.
 
     Args:
-        caller: of `predict_error`.
         timeout_s: without an answer within this time there is no predictor.
 
     Attributes:
-        answers: whether it answered last time.
         file_hash: of the predictor that answered last.
     """
 

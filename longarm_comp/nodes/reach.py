@@ -66,7 +66,7 @@ class ReachServer:
             while self._turns[0] is not turn:
                 if goal.is_cancel_requested:
                     goal.canceled()
-                    return Reach.Result(message="cancelled before it began", **_unseen())
+                    return _unseen("cancelled before it began")
                 self._feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
             if fresh:  # waiting for its turn, of which the client is told, makes it no older
@@ -78,19 +78,15 @@ class ReachServer:
     async def _reach(self, goal: Any, request: Request) -> Reach.Result:
         if self._no_driver:
             goal.abort()
-            status = Compensate.Response.NO_DRIVER
-            return Reach.Result(status=status, message=self._no_driver, **_unseen())
+            return _unseen(self._no_driver, Compensate.Response.NO_DRIVER)
         before, self._told = self._monitor.sighted, {}
         asked = self._targets.execute(request)
         if asked is None:
             goal.abort()
-            return Reach.Result(
-                status=Compensate.Response.NOT_READY, message="too many targets wait", **_unseen()
-            )
+            return _unseen("too many targets wait", Compensate.Response.NOT_READY)
         answer: Answer = await asked
-        result = Reach.Result(
-            status=int(answer.status), message=answer.message, id=answer.name, **_unseen()
-        )
+        result = _unseen(answer.message, int(answer.status))
+        result.id = answer.name
         if not answer.status.success or answer.outcome is None:
             goal.abort()
             return result
@@ -161,7 +157,8 @@ class ReachServer:
         goal.publish_feedback(message)
 
 
-def _unseen() -> dict[str, Any]:
-    tip = Reach.Result().tip
-    tip.x = tip.y = tip.z = math.nan
-    return {"tip": tip, "miss": vector_message([math.nan] * 3)}
+def _unseen(message: str, status: int = 0) -> Reach.Result:
+    """A result without a sighting: tip and miss are NaN."""
+    result = Reach.Result(message=message, status=status, miss=vector_message([math.nan] * 3))
+    result.tip.x = result.tip.y = result.tip.z = math.nan
+    return result

@@ -15,7 +15,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64, Header, String
 
 from longarm_comp.arm_folder.camera_files import SIDES
 from longarm_comp.core.arm.arm import Arm
@@ -25,6 +25,7 @@ from longarm_comp.nodes.clock import stamp_of, steady_timer
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, Report
 from longarm_comp.nodes.images import image_message, info_message
+from longarm_comp.nodes.messages import pose_message
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
 from longarm_comp.sim.cameras import CameraPair, tag_plate
@@ -70,9 +71,6 @@ PARAMS = (
     ),
     PERIOD,
 )
-
-_FELT_S = 0.1
-"""Between two looks for contact of the ball, s."""
 
 
 def sizes(text: str) -> dict[str, float]:
@@ -151,7 +149,8 @@ class _SimulatedArm(ArmNode):
         self._payload = graph.PAYLOAD.publisher(self)
         if config.sockets:
             self._contact = graph.CONTACT.publisher(self)
-            steady_timer(self, _FELT_S, self._feel)
+            # Between two looks for contact of the ball, s
+            steady_timer(self, 0.1, self._feel)
         if p["frame_rate_hz"]:
             steady_timer(self, 1.0 / p["frame_rate_hz"], self._expose)
         if p["context_rate_hz"]:
@@ -208,10 +207,10 @@ class _SimulatedArm(ArmNode):
         t_s = self._t_s
         looked_at = any(image.get_subscription_count() for image in self._images)
         images = self._plant.look(t_s) if looked_at else ()
-        prefix, truth = prefix_of(self), PointStamped()
-        truth.header.stamp, truth.header.frame_id = stamp_of(ns), f"{prefix}base"
-        truth.point.x, truth.point.y, truth.point.z = self._plant.tip_pose(t_s)[:3, 3].tolist()
-        self._truth.publish(truth)
+        prefix = prefix_of(self)
+        header = Header(stamp=stamp_of(ns), frame_id=f"{prefix}base")
+        tip = pose_message(self._plant.tip_pose(t_s)).position
+        self._truth.publish(PointStamped(header=header, point=tip))
         infos = self._plant.config.cameras.camera_infos()
         frames = [f"{prefix}{side}_optical" for side in SIDES]
         for k, frame in enumerate(frames):
@@ -229,9 +228,9 @@ class _SimulatedArm(ArmNode):
         ways[int(self._chance.integers(len(ways)))][int(self._chance.choice(servos))] += 1
 
     def _tell(self) -> None:
-        message = Temperature(temperature=self._plant.temperature_c(self._t_s))
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._temperature.publish(message)
+        header = Header(stamp=self.get_clock().now().to_msg())
+        warm = self._plant.temperature_c(self._t_s)
+        self._temperature.publish(Temperature(header=header, temperature=warm))
         self._payload.publish(Float64(data=self._plant.config.payload_kg))
 
     def _feel(self) -> None:

@@ -8,6 +8,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -144,14 +145,13 @@ class TargetInlet:
 
     def execute(self, request: Request) -> Future | None:
         """Compute and send a target in its turn: its `Answer`; None where too many wait."""
+        return self._worker.ask(partial(self._served, request))
 
-        def serve() -> Answer:
-            try:
-                return self._serve(request)
-            finally:
-                self._publish_answer(request)
-
-        return self._worker.ask(serve)
+    def _served(self, request: Request) -> Answer:
+        try:
+            return self._serve(request)
+        finally:
+            self._publish_answer(request)
 
     def _refuse(self, request: Request, status: Status, why: str) -> Answer:
         request.answer = self._compensator.refused(request.name, request.message, status, why)

@@ -224,23 +224,19 @@ class _TrajectoryCompensator(ArmNode):
         at = [names.index(name) for name in asked.joint_names]
         fast = all(len(point.velocities) == len(at) for point in asked.points)
         times = [seconds(point.time_from_start) for point in asked.points]
-        joints, speeds = [], []
         for k, point in enumerate(asked.points):
             if len(point.positions) != len(at) or len(set(at)) != len(at):
                 found = f"{len(at)} names, {len(point.positions)} positions"
                 raise InputError("trajectory", f"points[{k}]", found, "one position a joint")
-            row, speed = start.copy(), np.zeros(len(start))
-            row[at] = point.positions
-            if fast:
-                speed[at] = point.velocities
-            joints.append(row)
-            speeds.append(speed)
+        joints = np.tile(start, (len(times), 1))
+        joints[:, at] = [point.positions for point in asked.points]
+        speeds = np.zeros_like(joints)
+        if fast:
+            speeds[:, at] = [point.velocities for point in asked.points]
         if times[0] > 0.0:  # it begins where the arm stands
-            times, joints = [0.0, *times], [start, *joints]
-            speeds = [np.zeros(len(start)), *speeds]
-        return PlannedPath.of_joints(
-            self._arm, np.array(times), np.array(joints), np.array(speeds) if fast else None
-        )
+            times, joints = [0.0, *times], np.vstack([start, joints])
+            speeds = np.vstack([np.zeros(len(start)), speeds])
+        return PlannedPath.of_joints(self._arm, np.array(times), joints, speeds if fast else None)
 
     def _fall_due(self) -> None:
         self._due = True

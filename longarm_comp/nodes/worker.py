@@ -74,11 +74,9 @@ class SequenceWatch:
         self.lost = 0
 
     def taken(self, numbers: list[int], *, full: bool) -> None:
-        """Enter the numbers of messages taken from the queue at once, the oldest first.
+        """Enter the numbers (from 1 for each publisher) of messages taken at once, oldest first.
 
-        Args:
-            numbers: as published, from 1 for each publisher.
-            full: whether the queue may have been full.
+        ``full``: whether the queue may have been full.
         """
         for number in numbers:
             before = max((last for last in self._last if last < number), default=None)
@@ -102,8 +100,7 @@ class _Aside(CallbackGroup):
 class Worker:
     """One thread with a bounded queue of jobs, worked off in the order of arrival.
 
-    Before each job it runs the callbacks of the topics and services that were declared before
-    `start`.
+    Before each job it runs the callbacks of topics and services declared before `start`.
 
     Args:
         executor: woken when an awaited job is done.
@@ -140,11 +137,7 @@ class Worker:
         self._topics.append((made, SequenceWatch(), callback))
 
     def serve(self, service: ServiceName, callback: Callable[[Any, Any, float], None]) -> None:
-        """Offer a service.
-
-        The callback gets the request, a function that replies, and when the request was sent
-        (monotonic s).
-        """
+        """Offer a service; its callback gets request, reply function and time of sending (s)."""
         self._services.append(service.server(self._node, callback, self._aside))
 
     def caller(self, service: ServiceName) -> ServiceCaller:
@@ -266,10 +259,7 @@ class Worker:
 
 
 class ServiceCaller:
-    """A service client that waits in the calling thread, without an executor.
-
-    rclpy offers this only for topics (`rclpy.wait_for_message`); this works the same way.
-    """
+    """A service client that waits in its thread, as `rclpy.wait_for_message` does for a topic."""
 
     def __init__(self, client: Client, node: Node) -> None:
         self._client = client

@@ -124,8 +124,7 @@ def view(
     """Show the graph of a namespace until ``stop`` is set.
 
     Args:
-        port: of the page, on the loopback address; the next free one where it is taken, and any
-            free one for 0.
+        port: of the page, on the loopback address; the next free one where it is taken; 0: any.
         opened: gets what draws a link to the page; each opens it once.
     """
     with GraphClient(namespace, stop, "view") as client, ExitStack() as open_page:

@@ -78,14 +78,10 @@ class PlainPage:
 
 @dataclass(frozen=True)
 class Gate:
-    """Refuses whoever has no token, which is the cookie's value. Every start has a new one.
-
-    Attributes:
-        plain: the plain page, by path (`PlainPage.answer`).
-    """
+    """Refuses whoever has no token, which is the cookie's value. Every start has a new one."""
 
     token: str = field(default_factory=_drawn, repr=False)
-    plain: Callable[[str], str | None] = lambda path: None
+    plain: Callable[[str], str | None] = lambda path: None  # `PlainPage.answer`
     _codes: set[str] = field(default_factory=set, repr=False)
 
     def link(self, port: int) -> str:

@@ -17,10 +17,7 @@ _SILENT_S = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """The arm as `markers` shows it: polylines (k, 3) m from foot to tip, base frame.
-
-    `hanging`: by the model in use, true to scale. `target`, `pseudo_target`: (3,), of the last one.
-    """
+    """The arm as `markers` shows it, true to scale, m: (k, 3) from foot to tip; targets (3,)."""
 
     declared: np.ndarray
     hanging: np.ndarray

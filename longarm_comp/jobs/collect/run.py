@@ -76,9 +76,6 @@ def _last_name(topic: str) -> str:
 
 _CIRCUMSTANCES_S = 5.0
 """Patience with the first temperature, payload and tilt. They come about once a second."""
-
-_HEARD_S = 0.2
-"""Time for the last message to be heard before the node ends."""
 _HINT = "longarm plan --seen leaves such poses out; --give-up 0 never ends early"
 
 
@@ -149,8 +146,7 @@ class Progress:
 class Causes:
     """Why the marker is lost: by the cameras' geometry, or as `stereo_bridge` says.
 
-    Args:
-        view: cameras by the files beside arm.yaml; their lens is replaced by the one on the graph.
+    ``view``: cameras by the files beside arm.yaml; their lens is replaced by the graph's.
     """
 
     def __init__(self, client: GraphClient, arm: Arm, view: View | None) -> None:
@@ -182,8 +178,7 @@ class Causes:
 class Collected:
     """How many visits were made now and before, of all that are planned.
 
-    `unseen`: those without a sighting, by index, and why; `blocked`: those that were not made,
-    because every way to them enters a box.
+    By index: `unseen`, why the marker was lost; `blocked`, which box every way there enters.
     """
 
     made: int
@@ -210,7 +205,6 @@ def collect(
     arm stands elsewhere. While the driver is held, the collection waits; the visit is made again.
 
     Args:
-        client: of the arm; its `arm` has the boxes.
         give_up: end when none of so many first visits saw the marker; 0: never.
         view: what the cameras see by the files, to say why a marker is lost.
     """
@@ -224,7 +218,7 @@ def collect(
         except JobError as error:
             if run.lost == run.made and not done:
                 bag.discard()  # nothing in it is worth going on with
-            run.ended(error)
+            run.ended("ended", str(error))
             raise
     return Collected(len(run.made), len(done), len(todo), run.lost, run.blocked)
 
@@ -273,14 +267,13 @@ class _Run:
             if len(self.lost) > half:
                 raise JobError(f"the marker is not seen at most poses. {self._now().losses}")
         self._visit = None
-        self._tell("done")
-        self._client.spin(_HEARD_S)
+        self.ended("done")
 
-    def ended(self, error: JobError) -> None:
-        """Tell everybody that it ended early, and why."""
+    def ended(self, state: str, why: str = "") -> None:
+        """Tell everybody how it ended, and why."""
         with self._client.putting_back():
-            self._tell("ended", str(error))
-            self._client.spin(_HEARD_S)
+            self._tell(state, why)
+            self._client.spin(0.2)  # s for it to be heard before the node ends
 
     def _make(self, visit: Visit) -> None:
         """Drive to one pose, look, and keep it; again where the driver was held meanwhile."""

@@ -26,8 +26,7 @@ class Visit:
     """One measurement to make.
 
     Attributes:
-        path: (k, n) commanded joints to stop at, rad and m: where the last approach begins,
-            if it has a side, and the pose to measure.
+        path: (k, n) rad and m: where the last approach begins, if it has a side, and the pose.
         repeat_id: number of the pose that is visited more than once, else -1.
         payload_kg: mass to carry, or None for as it is.
     """
