@@ -76,7 +76,7 @@ class TouchLog:
         )
 
     def spread_m(self) -> np.ndarray | None:
-        """Distance of every touch from its point, m, by a geometry fitted to them; None: few."""
+        """Distance of every touch from its point, m, after a fit to them; None if they are few."""
         whole = self.session()
         if np.isfinite(whole.reading(KINDS["touch"])).sum() < ENOUGH:
             return None

@@ -141,7 +141,8 @@ class BringUp:
         arm, model, predictor: files. Without a model the declared arm is used.
         effects: Python files that define further effects, executed by `kinematics`.
         sim: run the simulated arm instead of hardware.
-        config: folder of ``<node>.yaml`` that replace the package's own; empty: the arm's folder.
+        config: folder of parameter files ``<node>.yaml`` that replace the package's own; None: the
+            arm's folder.
         port: serial port of the servos; empty for the one in the parameter file.
         speed: factor on all velocities in simulation.
         set: further parameters, by node and name. without: nodes that are not started.

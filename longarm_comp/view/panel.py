@@ -119,7 +119,7 @@ class Panel:
         self._places = {"state": gui.add_html("")}
         for button in STOPS:
             made = gui.add_button(button.label, color=button.colour, hint=button.hint)
-            made.on_click(lambda _, button=button: press(button))
+            made.on_click(partial(_pressed, press, button))
         named = {button.label: button for button in RELEASES}
         hints = "\n".join(f"{button.label}: {button.hint}" for button in RELEASES)
         group = gui.add_button_group("", tuple(named), hint=hints)
@@ -143,7 +143,7 @@ class Panel:
     ) -> None:
         """Show what `words.sections` says; ``well``: how the last press of a button went."""
         colours = {"state": _BAD if state.unread_s(now) else "", "said": "" if well else _BAD}
-        # The health of a node: its sign, its name, how it is
+        # A line of a node's health is a sign, a blank, its name and how it is
         nodes = [line for line in lines["health"] if line[2:].partition(": ")[0] in state.nodes]
         heads = {*lines["state"][:1], *nodes}
         scale = [words.exaggeration(*self.exaggeration), words.LEGEND]
@@ -156,6 +156,10 @@ class Panel:
 
 
 _STYLE = "font-size:0.85em;line-height:1.4;padding:0 0.75em;overflow-wrap:anywhere"
+
+
+def _pressed(press: Callable[[Button], None], button: Button, _: object) -> None:
+    press(button)
 
 
 def _line(text: str, colour: str, head: bool) -> str:
