@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Hashable
 from functools import partial
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -113,29 +112,26 @@ class Compensator:
         if request.execute and (why := self._twins.refusal or self._state.driver.refusal):
             raise Refusal(Status.NO_DRIVER, f"not sent: {why}")
         loaded = self._files.loaded
-        known: dict[str, Any] = {
-            "start": start,
-            "seed": seed,
-            "history": self._state.driver.history,
-            "context_after": partial(
-                self._state.readings.context,
-                physics_of(loaded.model, options.method),
-                time.monotonic(),
-                self._state.p["context_max_age_s"],
+        compensate = partial(
+            compensate_move, loaded.model, target=target, start=start, seed=seed,
+            history=self._state.driver.history, position_only=request.position_only,
+            context_after=partial(
+                self._state.readings.context, physics_of(loaded.model, options.method),
+                time.monotonic(), self._state.p["context_max_age_s"],
             ),
-            "position_only": request.position_only,
-            "options": options,
-        }
+            options=options,
+        )  # fmt: skip
         client, why = self._predictor if options.method.learned else None, ""
         if client is not None and not client.present:
             client, why = None, ": no error_predictor is running"
         try:
-            ask = None if client is None else partial(client.ask, deflection=options.method.physics)
-            near = None if ask is None else Nearby(ask)  # mostly one call a target
-            arrival = compensate_move(loaded.model, near, target, **known)
+            near = None
+            if client is not None:  # mostly one call a target
+                near = Nearby(partial(client.ask, deflection=options.method.physics))
+            arrival = compensate(near)
         except NoAnswer as absent:
             client, why = None, f": {absent.reason}"
-            arrival = compensate_move(loaded.model, None, target, **known)
+            arrival = compensate(None)
         outcome = arrival.outcome
         status = outcome.status
         reason = outcome.reason + (why if status is Status.NO_PREDICTOR else "")

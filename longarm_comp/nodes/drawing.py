@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -87,7 +86,7 @@ class Markers:
 
     def on_tip(self, message: PoseWithCovarianceStamped) -> None:
         tip, _ = sighting_of(message)
-        self._tip = tip if all(map(math.isfinite, tip.tolist())) else None
+        self._tip = tip if np.isfinite(tip).all() else None
 
     def _draw(self) -> None:
         """Draw the arm as it stands. Without a subscriber nothing is computed."""

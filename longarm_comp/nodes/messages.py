@@ -285,8 +285,9 @@ def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Respons
         id=answer.name,
     )  # fmt: skip
     _fill(response, answer, arm, base_frame)
-    if answer.status.success and answer.arrival is not None and answer.outcome is not None:
-        response.command = joints_message(arm, answer.outcome.command, answer.target.header.stamp)
+    if answer.status.success and answer.arrival is not None:
+        command, stamp = answer.arrival.outcome.command, answer.target.header.stamp
+        response.command = joints_message(arm, command, stamp)
         response.approach = [int(side) for side in answer.arrival.move.side]
     return response
 
@@ -296,13 +297,13 @@ def _fill(
 ) -> None:
     """Set the fields that both messages share. An unknown number is NaN."""
     message.sigma = math.nan
-    outcome = answer.outcome
-    if outcome is None:
+    if answer.arrival is None:
         message.predicted_error = vector_message([math.nan] * 3)
         return
+    outcome, run_up = answer.arrival.outcome, answer.arrival.move.run_up
     stamp = answer.target.header.stamp
-    if answer.arrival is not None and answer.arrival.move.run_up is not None:
-        message.run_up = joints_message(arm, answer.arrival.move.run_up, stamp)
+    if run_up is not None:
+        message.run_up = joints_message(arm, run_up, stamp)
     message.ideal = joints_message(arm, outcome.ideal, stamp)
     message.predicted_error = vector_message(outcome.predicted_error)
     message.pseudo_target = PoseStamped(

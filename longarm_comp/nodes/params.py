@@ -36,8 +36,8 @@ class Param:
     name: str
     default: bool | int | float | str | list[float]
     description: str
-    lower: float | None = None
-    upper: float | None = None
+    lower: float = -1e9
+    upper: float = 1e9
     choices: tuple[str, ...] = ()
     live: bool = False
 
@@ -45,11 +45,11 @@ class Param:
         described = ParameterDescriptor(
             name=self.name, description=self.description, read_only=not self.live
         )
-        low, high = self._range
         if self.bounded and isinstance(self.default, float):
-            described.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-        elif self.bounded and isinstance(self.default, int) and not self.choices:
-            whole = IntegerRange(from_value=int(low), to_value=int(high), step=1)
+            real = FloatingPointRange(from_value=float(self.lower), to_value=float(self.upper))
+            described.floating_point_range = [real]
+        elif self.bounded and isinstance(self.default, int):
+            whole = IntegerRange(from_value=int(self.lower), to_value=int(self.upper), step=1)
             described.integer_range = [whole]
         elif self.bounded:
             described.additional_constraints = self.allowed
@@ -58,25 +58,20 @@ class Param:
     @property
     def bounded(self) -> bool:
         """Whether not every value of the type is allowed."""
-        return bool(self.choices) or self.lower is not None or self.upper is not None
+        return bool(self.choices) or self.lower > -1e9 or self.upper < 1e9
 
     @property
     def allowed(self) -> str:
         kind = "numbers" if isinstance(self.default, list) else type(self.default).__name__
         if self.choices:
             return "one of " + ", ".join(self.choices)
-        return f"{kind}, {self._range[0]:g} to {self._range[1]:g}" if self.bounded else kind
+        return f"{kind}, {self.lower:g} to {self.upper:g}" if self.bounded else kind
 
     @property
     def comment(self) -> str:
         """The comment on this parameter in the parameter file."""
         live = "; may be set while running" if self.live else ""
         return self.description + (f" ({self.allowed})" if self.bounded else "") + live
-
-    @property
-    def _range(self) -> tuple[float, float]:
-        low = -1e9 if self.lower is None else self.lower
-        return low, 1e9 if self.upper is None else self.upper
 
     def check(self, value: Any) -> Any:
         """The value in the parameter's own type. Raises ValueError."""
@@ -88,10 +83,10 @@ class Param:
                 raise ValueError
         elif type(value) is not type(self.default):
             raise ValueError
-        numbers = value if isinstance(value, list) else [value]
-        low, high = self._range
-        if not isinstance(self.default, (str, bool)) and not all(low <= v <= high for v in numbers):
-            raise ValueError
+        if not isinstance(value, (str, bool)):
+            numbers = value if isinstance(value, list) else [value]
+            if not all(self.lower <= number <= self.upper for number in numbers):
+                raise ValueError
         if self.choices and value not in self.choices:
             raise ValueError
         return value

@@ -29,8 +29,6 @@ PARAMS = (
     ),
 )
 
-_NOTHING = "the payload is not estimated: no drive or wrist sensor reports a load"
-
 
 class Weigher:
     """Weighs once a move, after the driver has said that it is done."""
@@ -103,7 +101,8 @@ class Weigher:
         if self._arm.payload is None:
             return Report(OK, "arm.yaml declares no payload")
         if found is None or not math.isfinite(found.sigma_kg):
-            return Report(OK, _NOTHING)
+            why = "no drive or wrist sensor reports a load"
+            return Report(OK, f"the payload is not estimated: {why}")
         facts = {"kg": round(found.kg, 4), "sigma [kg]": round(found.sigma_kg, 4)}
         facts["rests"] = found.rests
         said = self._told if self._told is not None else self._arm.payload.mass_kg

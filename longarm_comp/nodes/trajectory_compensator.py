@@ -187,24 +187,21 @@ class _TrajectoryCompensator(ArmNode):
         assert start is not None
         loaded = self._files.loaded
         physics = physics_of(loaded.model, self._method)
-        known: dict[str, Any] = {
-            "start": start,
-            "history": History.unknown(self._arm.n) if self._following else self._driver.history,
-            "context_at": partial(self._state.context, model=physics),
-            "turn_m": self.p["turn_m"],
-            "max_longer": self._longer(request),
-            "limits": self._limits,
-            "max_correction_m": self.p["max_correction_m"],
-            "options": CompensationOptions(self._method),
-        }
+        history = History.unknown(self._arm.n) if self._following else self._driver.history
         use = self._method.learned and self._state.predictor.present
         ask = partial(self._state.predictor.ask, deflection=self._method.physics)
         try:
-            plan = self._plan(request.trajectory, start)
+            compensate = partial(
+                compensate_path, loaded.model, plan=self._plan(request.trajectory, start),
+                start=start, history=history, limits=self._limits,
+                context_at=partial(self._state.context, model=physics),
+                max_correction_m=self.p["max_correction_m"], turn_m=self.p["turn_m"],
+                max_longer=self._longer(request), options=CompensationOptions(self._method),
+            )  # fmt: skip
             try:
-                found = compensate_path(loaded.model, Nearby(ask) if use else None, plan, **known)
+                found = compensate(Nearby(ask) if use else None)
             except NoAnswer:
-                found = compensate_path(loaded.model, None, plan, **known)
+                found = compensate(None)
         except (PathRefused, StaleContext, InputError) as error:
             return None, str(error)
         for note in found.notes:

@@ -138,11 +138,10 @@ class PageState:
     @property
     def resting(self) -> bool:
         """Whether picture and sighting are both of the arm at rest."""
-        # A picture is a half second old and a sighting some frames: what came later after the last
-        # movement is of the arm at rest
-        since = self.moved + 0.6
-        both = self.picture is not None and self.tip is not None
-        return both and min(self.picture.at, self.tip.at) > since  # type: ignore[union-attr]
+        if self.picture is None or self.tip is None:
+            return False
+        # A picture is a half second old, and a sighting some frames
+        return min(self.picture.at, self.tip.at) > self.moved + 0.6
 
     @property
     def at_target(self) -> bool:
