@@ -218,7 +218,8 @@ def collect(
         except JobError as error:
             if run.lost == run.made and not done:
                 bag.discard()  # nothing in it is worth going on with
-            run.ended("ended", str(error))
+            with client.putting_back():
+                run.ended("ended", str(error))
             raise
     return Collected(len(run.made), len(done), len(todo), run.lost, run.blocked)
 
@@ -271,9 +272,8 @@ class _Run:
 
     def ended(self, state: str, why: str = "") -> None:
         """Tell everybody how it ended, and why."""
-        with self._client.putting_back():
-            self._tell(state, why)
-            self._client.spin(0.2)  # s for it to be heard before the node ends
+        self._tell(state, why)
+        self._client.spin(0.2)  # s for it to be heard before the node ends
 
     def _make(self, visit: Visit) -> None:
         """Drive to one pose, look, and keep it; again where the driver was held meanwhile."""
