@@ -21,15 +21,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from longarm_comp.devices.stereo import (
-    CharucoTarget,
-    RefusalReason,
-    StereoEye,
-    StereoRefusal,
-    StereoRig,
-    TagBoard,
-    Target,
-)
+from longarm_comp.devices.stereo.camera import StereoRig
+from longarm_comp.devices.stereo.eye import StereoEye
+from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
+from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard, Target
 from longarm_comp.sim.cameras import CameraPair, Conditions, Plate, charuco_plate, render, tag_plate
 
 APRIL = "DICT_APRILTAG_36h11"

@@ -17,8 +17,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.weighing import Drives, Weighing, felt
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.devices.servo_bus import models
-from longarm_comp.devices.servo_bus.registry import protocols
+from longarm_comp.devices.servo_bus.registry import models, protocols
 from longarm_comp.devices.servo_bus.state import ServoAlarm
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext

@@ -37,7 +37,8 @@ from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw, hidden
 from longarm_comp.sim.hidden.loads import JointCompliance
 from longarm_comp.sim.plant import Plant, PlantConfig, mounting
-from longarm_comp.sim.servo_emulator import MotorSpec, read_arm
+from longarm_comp.sim.servo_emulator.joints import read_arm
+from longarm_comp.sim.servo_emulator.motor import MotorSpec
 from studies.simulated import TrueEncoders, measure_session
 from studies.true_camera import TrueCamera
 

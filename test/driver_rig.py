@@ -19,7 +19,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.orders import Stamps, order_id
-from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator, read_arm
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.joints import read_arm
+from longarm_comp.sim.servo_emulator.motor import MotorSpec
 from longarm_interfaces.msg import DriverState, Motion
 
 CONFIG = """

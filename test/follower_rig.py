@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
-from longarm_comp.devices.servo_bus import ServoState
+from longarm_comp.devices.servo_bus.state import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import (
     EventKind,

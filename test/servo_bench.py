@@ -11,7 +11,7 @@ from pathlib import Path
 from cli_shell import Shell
 
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.sim.servo_emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 
 ROWS = ("d=0.1 limits=-60..60", "alpha=90 limits=-30..50", "type=prismatic a=0.3 limits=0..0.1")
 

@@ -14,7 +14,9 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig
+from longarm_comp.devices.stereo.camera import StereoRig
+from longarm_comp.devices.stereo.eye import StereoEye
+from longarm_comp.devices.stereo.refusal import StereoRefusal
 from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.sim.cameras import CameraPair, render, tag_plate
 from longarm_comp.sim.plant import mounting

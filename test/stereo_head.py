@@ -7,7 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from longarm_comp.devices.stereo import StereoEye, StereoRig, TagBoard
+from longarm_comp.devices.stereo.camera import StereoRig
+from longarm_comp.devices.stereo.eye import StereoEye
+from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.math.points import kabsch
 from longarm_comp.sim.cameras import CameraPair, Conditions, render, tag_plate
 

@@ -23,8 +23,10 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig
+from longarm_comp.devices.stereo.camera import StereoRig
 from longarm_comp.devices.stereo.camera_file import write_camera
+from longarm_comp.devices.stereo.eye import StereoEye
+from longarm_comp.devices.stereo.refusal import StereoRefusal
 from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.jobs.collect.visits import (
     PlanCheck,

@@ -21,7 +21,8 @@ from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.devices.stereo import StereoEye, StereoRig
+from longarm_comp.devices.stereo.camera import StereoRig
+from longarm_comp.devices.stereo.eye import StereoEye
 from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.jobs.camera_placement import placed_cameras
 from longarm_comp.sessions.csv import write_csv

@@ -14,7 +14,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from sensor_msgs.msg import CompressedImage, Image
 
-from longarm_comp.devices.stereo import StereoRefusal
+from longarm_comp.devices.stereo.refusal import StereoRefusal
 from longarm_comp.nodes.images import ENCODINGS, decoded, pixels_of
 
 # Where red, green and blue lie in a square of four pixels: row, column.

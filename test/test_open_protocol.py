@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.motor import MotorSpec
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "custom_protocol.py"
@@ -98,7 +99,8 @@ import sys
 from pathlib import Path
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.nodes.bringup import BringUp
-from longarm_comp.sim.servo_emulator import ServoEmulator, read_arm
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.joints import read_arm
 graph = BringUp(arm=Path("mine/arm.yaml").absolute(), sim=True).fitted(Path("scratch"))
 file = graph.file("servo_driver")
 arm = read_arm(file)

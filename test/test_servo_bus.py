@@ -10,19 +10,18 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.devices.servo_bus import (
+from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.dialect import Block
+from longarm_comp.devices.servo_bus.registry import models, open_bus, protocols
+from longarm_comp.devices.servo_bus.state import (
     BusUnplugged,
-    SerialServoBus,
     ServoAlarm,
     ServoChecksum,
     ServoFault,
     ServoTimeout,
-    models,
-    open_bus,
-    protocols,
 )
-from longarm_comp.devices.servo_bus.dialect import Block
-from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.motor import MotorSpec
 
 START = {1: 2048.0, 2: 1000.0, 3: 3000.0, 4: 512.0}
 IDS = list(START)

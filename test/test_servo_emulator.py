@@ -11,9 +11,11 @@ import pytest
 import serial
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.devices.servo_bus import models, open_bus, protocols
+from longarm_comp.devices.servo_bus.registry import models, open_bus, protocols
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.sim.servo_emulator import Motor, MotorSpec, ServoEmulator, read_arm
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.joints import read_arm
+from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 
 dxl = pytest.importorskip("dynamixel_sdk")
 scs = pytest.importorskip("scservo_sdk")

@@ -11,11 +11,14 @@ import pytest
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_arm import Cycle, ServoArm
-from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply, SerialServoBus, ServoState
+from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply, ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import FollowerState, Step, TrajectoryFollower
 from longarm_comp.devices.servo_watch import ServoTrouble
-from longarm_comp.sim.servo_emulator import EmulatedArm, MotorSpec, ServoEmulator, read_arm
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.joints import EmulatedArm, read_arm
+from longarm_comp.sim.servo_emulator.motor import MotorSpec
 
 CONFIG = """
 bus: {protocol: %s, port: %s, reply_timeout_s: 0.03, retries: 1}

@@ -13,9 +13,9 @@ from cli_shell import Shell
 from serial.tools.list_ports_common import ListPortInfo
 from servo_bench import bus
 
-from longarm_comp.devices.servo_bus import BusUnplugged
 from longarm_comp.devices.servo_bus.port import SerialPort
-from longarm_comp.sim.servo_emulator import ServoEmulator
+from longarm_comp.devices.servo_bus.state import BusUnplugged
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 
 MODELS = ("feetech", "dynamixel")
 

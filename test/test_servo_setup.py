@@ -23,7 +23,7 @@ from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.measured import read_measured
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_setup import ServoSetup
-from longarm_comp.sim.servo_emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 
 MODELS = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
 RIGHT = ("--direction", "joint1=-", "--direction", "joint2=+", "--direction", "joint3=-",

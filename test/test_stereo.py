@@ -11,7 +11,8 @@ import pytest
 from scipy import stats
 from stereo_head import HEAD, PLATE, eye_for, marker_pose, pair
 
-from longarm_comp.devices.stereo import CharucoTarget, Limits, TagBoard
+from longarm_comp.devices.stereo.found import Limits
+from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
 from longarm_comp.sim import cameras
 from longarm_comp.sim.cameras import charuco_plate, render, tag_plate
 

@@ -19,8 +19,10 @@ from longarm_comp.arm_folder.camera_files import camera_path
 from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.marker_sheet import sheet
 from longarm_comp.arm_folder.measured import read_measured
-from longarm_comp.devices.stereo import CharucoTarget, StereoEye, StereoRig, TagBoard
+from longarm_comp.devices.stereo.camera import StereoRig
 from longarm_comp.devices.stereo.camera_file import read_camera
+from longarm_comp.devices.stereo.eye import StereoEye
+from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
 from longarm_comp.devices.stereo.views import BoardView, gaps, view_of
 from longarm_comp.sim.cameras import Conditions, charuco_plate, render, tag_plate
 

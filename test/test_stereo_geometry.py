@@ -11,15 +11,11 @@ import pytest
 from stereo_head import HEAD, PLATE, TAG, marker_pose
 
 from longarm_comp.core.errors import JobError
-from longarm_comp.devices.stereo import (
-    Camera,
-    CharucoTarget,
-    StereoEye,
-    StereoRig,
-    calibrate_stereo,
-    hand_eye,
-    triangulate,
-)
+from longarm_comp.devices.stereo.calibrate import calibrate_stereo, hand_eye
+from longarm_comp.devices.stereo.camera import Camera, StereoRig
+from longarm_comp.devices.stereo.eye import StereoEye
+from longarm_comp.devices.stereo.target import CharucoTarget
+from longarm_comp.devices.stereo.triangulate import triangulate
 from longarm_comp.sim.cameras import charuco_plate, render
 
 # ---- mathematics --------------------------------------------------------------------------------

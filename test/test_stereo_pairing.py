@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from longarm_comp.devices.stereo import Drop, Side, StereoPairer
+from longarm_comp.devices.stereo.pairing import Drop, Side, StereoPairer
 
 MS = 1_000_000
 

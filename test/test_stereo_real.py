@@ -16,13 +16,9 @@ from chessboard import Chessboard
 from stereo_head import rigid_rms
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.devices.stereo import (
-    Corners,
-    StereoCalibration,
-    calibrate_stereo,
-    epipolar_px,
-    triangulate,
-)
+from longarm_comp.devices.stereo.calibrate import StereoCalibration, calibrate_stereo
+from longarm_comp.devices.stereo.target import Corners
+from longarm_comp.devices.stereo.triangulate import epipolar_px, triangulate
 
 BOARD = Chessboard(1.0, 9, 6)
 SIZE = (640, 512)

@@ -12,14 +12,10 @@ import pytest
 from stereo_head import HEAD, PLATE, TAG, eye_for, marker_pose, pair
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.devices.stereo import (
-    CharucoTarget,
-    Limits,
-    RefusalReason,
-    StereoRefusal,
-    StereoRig,
-    TagBoard,
-)
+from longarm_comp.devices.stereo.camera import StereoRig
+from longarm_comp.devices.stereo.found import Limits
+from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
+from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
 from longarm_comp.sim.cameras import Conditions, render, tag_plate
 
 # ---- refusals -----------------------------------------------------------------------------------

@@ -38,7 +38,8 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.plant import hidden_effects
-from longarm_comp.sim.servo_emulator import MotorSpec, read_arm
+from longarm_comp.sim.servo_emulator.joints import read_arm
+from longarm_comp.sim.servo_emulator.motor import MotorSpec
 from longarm_interfaces.srv import Compensate
 
 SEED = 3

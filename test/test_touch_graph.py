@@ -24,7 +24,7 @@ from longarm_comp.nodes.simulated_arm import numbers
 from longarm_comp.share import folder
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.plant import Plant, PlantConfig
-from longarm_comp.sim.servo_emulator import read_arm
+from longarm_comp.sim.servo_emulator.joints import read_arm
 
 
 def pressed(arm: QuickArm, monkeypatch: pytest.MonkeyPatch, keys: list[str | np.ndarray]) -> None:

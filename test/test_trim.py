@@ -12,7 +12,7 @@ from follower_rig import CONFIG, DT, LIMITS, TURN, Rig, kinds
 
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.devices.servo_follower import EventKind, Step, TrajectoryFollower
-from longarm_comp.sim.servo_emulator import Motor, MotorSpec
+from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 from studies.readings import SaggingArm
 
 Reading = Callable[[float], float]

@@ -26,7 +26,7 @@ from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.hidden import loads
 from longarm_comp.sim.plant import Plant, PlantConfig
 from longarm_comp.sim.ringing import Ringing, vibration
-from longarm_comp.sim.servo_emulator import read_arm
+from longarm_comp.sim.servo_emulator.joints import read_arm
 from studies.random_arms import random_arm
 from studies.ringing import after
 

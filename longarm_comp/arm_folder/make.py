@@ -20,7 +20,7 @@ from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.strict_yaml import parse_yaml
-from longarm_comp.devices.servo_bus import models
+from longarm_comp.devices.servo_bus.registry import models
 from longarm_comp.share import folder
 
 _COMMENTS = {

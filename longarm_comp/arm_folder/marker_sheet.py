@@ -11,7 +11,7 @@ from scipy.constants import inch, milli
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
-from longarm_comp.devices.stereo import CharucoTarget, TagBoard
+from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
 from longarm_comp.sim.cameras import charuco_plate
 
 if TYPE_CHECKING:

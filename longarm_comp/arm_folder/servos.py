@@ -11,7 +11,8 @@ from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import parse_yaml
-from longarm_comp.devices.servo_bus import ServoModel, models
+from longarm_comp.devices.servo_bus.registry import models
+from longarm_comp.devices.servo_bus.state import ServoModel
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_joint import JointConfig
 

@@ -93,7 +93,7 @@ def command(
         write_folder,
     )
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.devices.servo_bus import models
+    from longarm_comp.devices.servo_bus.registry import models
     from longarm_comp.sim.servo_emulator.wires import wires
     from longarm_comp.urdf import chain_ends, import_urdf
 

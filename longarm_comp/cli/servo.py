@@ -20,7 +20,7 @@ from longarm_comp.cli.signals import ask, by_name, go_on, handled
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
-    from longarm_comp.devices.servo_bus import Scan
+    from longarm_comp.devices.servo_bus.registry import Scan
     from longarm_comp.devices.servo_config import ServoConfig
     from longarm_comp.devices.servo_joint import JointConfig
     from longarm_comp.devices.servo_setup import ServoSetup
@@ -51,7 +51,7 @@ def scan(port: str | None, **line: Any) -> None:
 
 def asked_port(command: str, port: str | None, known: str | None) -> str:
     """The port, asked where it is not given. ``known``: what the servo file has."""
-    from longarm_comp.devices.servo_bus import usable_ports
+    from longarm_comp.devices.servo_bus.registry import usable_ports
 
     if port is not None:
         return port
@@ -65,7 +65,7 @@ def asked_port(command: str, port: str | None, known: str | None) -> str:
 def scanned(
     port: str, protocol: str | None, baud: int | None, ids: str, timeout: float = 0.02
 ) -> Scan:
-    from longarm_comp.devices.servo_bus import scan_line
+    from longarm_comp.devices.servo_bus.registry import scan_line
 
     with progress("scan") as tell:
         found = scan_line(port, protocol, baud, _ids(ids), timeout, tell)
@@ -136,7 +136,7 @@ def find_port() -> None:
     Example:
       longarm find-port
     """
-    from longarm_comp.devices.servo_bus import usable_ports
+    from longarm_comp.devices.servo_bus.registry import usable_ports
 
     there = dict(usable_ports())
     if not there:
@@ -199,7 +199,7 @@ def setup(
     from longarm_comp.arm_folder.measured import note_measured
     from longarm_comp.arm_folder.servos import KEYS, SERVOS, with_joints
     from longarm_comp.core.files import write_text
-    from longarm_comp.devices.servo_bus import open_bus
+    from longarm_comp.devices.servo_bus.registry import open_bus
     from longarm_comp.devices.servo_config import ServoConfig
     from longarm_comp.devices.servo_setup import ServoSetup, shown, zero_from_pose
 

@@ -16,7 +16,7 @@ from longarm_comp.cli.signals import on_graph
 from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
-    from longarm_comp.devices.stereo import CharucoTarget, TagBoard, Target
+    from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard, Target
     from longarm_comp.devices.stereo.views import BoardView
 
     Size = tuple[int, int]
@@ -39,7 +39,7 @@ def _board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., 
 
 
 def _target(board: str, square_mm: float, tag_mm: float | None, dictionary: str) -> CharucoTarget:
-    from longarm_comp.devices.stereo import CharucoTarget
+    from longarm_comp.devices.stereo.target import CharucoTarget
 
     found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", board)
     if found is None:
@@ -65,7 +65,7 @@ def marker(folder: Path | None, board: str | None, output: Path, **size: Any) ->
     """
     from longarm_comp.arm_folder.marker_sheet import write_sheet
     from longarm_comp.arm_folder.parameter_file import parameters_of
-    from longarm_comp.devices.stereo import TagBoard
+    from longarm_comp.devices.stereo.target import TagBoard
 
     if (folder is None) == (board is None):
         given = "neither" if folder is None else "both"
@@ -169,8 +169,8 @@ def calibrate(
 
 
 def _from_files(target: Target, folder: Path) -> tuple[list[BoardView], Size]:
-    from longarm_comp.devices.stereo import StereoRefusal
     from longarm_comp.devices.stereo.camera_file import pair_files, read_grey
+    from longarm_comp.devices.stereo.refusal import StereoRefusal
     from longarm_comp.devices.stereo.views import view_of
 
     views: list[BoardView] = []

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.joint_path import JointTrajectory
-from longarm_comp.devices.servo_bus import (
+from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.state import (
     BusUnplugged,
     IncompleteReply,
-    SerialServoBus,
     ServoBusError,
     ServoState,
 )

@@ -15,7 +15,9 @@ from pydantic import Field, field_validator, model_validator
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import Misdeclared, parse_declared, read_yaml
-from longarm_comp.devices.servo_bus import SerialServoBus, ServoModel, models, open_bus, protocols
+from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.registry import models, open_bus, protocols
+from longarm_comp.devices.servo_bus.state import ServoModel
 from longarm_comp.devices.servo_joint import JointConfig, Positive, ServoSettings
 
 

@@ -22,7 +22,7 @@ from longarm_comp.devices.joint_path import (
     checked,
     plan_path,
 )
-from longarm_comp.devices.servo_bus import ServoState
+from longarm_comp.devices.servo_bus.state import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble, ServoWatch
 from longarm_comp.devices.trim import Trim

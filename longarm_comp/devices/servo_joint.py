@@ -10,7 +10,8 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_v
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import Declared, Misdeclared
-from longarm_comp.devices.servo_bus import ServoModel, models
+from longarm_comp.devices.servo_bus.registry import models
+from longarm_comp.devices.servo_bus.state import ServoModel
 
 Positive = Annotated[float, Field(gt=0.0)]
 _Transmission = Annotated[float, Field(ge=1e-6, le=1e6)]

@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from statistics import median
 
 from longarm_comp.core.errors import JobError
-from longarm_comp.devices.servo_bus import SerialServoBus, ServoBusError
+from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.state import ServoBusError
 from longarm_comp.devices.servo_joint import JointConfig
 
 _PERIOD_S = 0.02

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from longarm_comp.devices.servo_bus import ServoAlarm, ServoState
+from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoState
 from longarm_comp.devices.servo_config import JointConfig, ServoConfig
 
 

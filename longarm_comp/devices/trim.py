@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from longarm_comp.devices.joint_path import Array
-from longarm_comp.devices.servo_bus import ServoState
+from longarm_comp.devices.servo_bus.state import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 
 MOST_STEPS = 5

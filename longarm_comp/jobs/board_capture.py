@@ -11,8 +11,9 @@ import numpy as np
 from sensor_msgs.msg import Image
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.devices.stereo import Pair, Side, StereoPairer, StereoRefusal, Target
-from longarm_comp.devices.stereo.target import Grey
+from longarm_comp.devices.stereo.pairing import Pair, Side, StereoPairer
+from longarm_comp.devices.stereo.refusal import StereoRefusal
+from longarm_comp.devices.stereo.target import Grey, Target
 from longarm_comp.devices.stereo.views import FEWEST_VIEWS, BoardView, gaps, view_of
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph

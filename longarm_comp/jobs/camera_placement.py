@@ -10,7 +10,7 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
-from longarm_comp.devices.stereo import HandEye, hand_eye
+from longarm_comp.devices.stereo.calibrate import HandEye, hand_eye
 
 FEWEST_POSES = 10
 """Six unknowns by three numbers a pose, and as much again to see outliers and to hold rows out."""

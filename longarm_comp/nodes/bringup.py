@@ -33,7 +33,7 @@ from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.nodes import GUARD
 from longarm_comp.share import PACKAGE, folder
-from longarm_comp.sim.servo_emulator import read_arm
+from longarm_comp.sim.servo_emulator.joints import read_arm
 
 _GENTLE_S, _FIRM_S = 6.0, 2.0
 """Patience with SIGINT, s: a driver reads and switches off every servo; then with SIGTERM."""

@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from longarm_comp.devices.camera_info import CameraInfo as Calibration
-from longarm_comp.devices.stereo import RefusalReason, StereoRefusal
+from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.nodes.clock import stamp_of
 from longarm_comp.nodes.interfaces import BEST_EFFORT, RELIABLE, Topic
 from longarm_comp.nodes.worker import SequenceWatch

@@ -21,7 +21,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import keeper
 from longarm_comp.core.vibration.shaper import shaping
 from longarm_comp.devices.servo_arm import Cycle, ServoArm, ServoReading
-from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
+from longarm_comp.devices.servo_bus.state import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
 from longarm_comp.devices.servo_follower import (
     Accepted,

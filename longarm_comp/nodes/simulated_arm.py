@@ -30,7 +30,8 @@ from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.params import Param
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.plant import Plant, PlantConfig, hidden_effects, mounting
-from longarm_comp.sim.servo_emulator import MotorSpec, read_arm
+from longarm_comp.sim.servo_emulator.joints import read_arm
+from longarm_comp.sim.servo_emulator.motor import MotorSpec
 
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm, which all other nodes use"),

@@ -15,16 +15,12 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.link_frames import Placed
 from longarm_comp.devices.camera_info import CameraInfo as Calibration
-from longarm_comp.devices.stereo import (
-    Limits,
-    Pair,
-    Side,
-    StereoEye,
-    StereoPairer,
-    StereoRefusal,
-    StereoRig,
-)
+from longarm_comp.devices.stereo.camera import StereoRig
 from longarm_comp.devices.stereo.camera_file import read_camera
+from longarm_comp.devices.stereo.eye import StereoEye
+from longarm_comp.devices.stereo.found import Limits
+from longarm_comp.devices.stereo.pairing import Pair, Side, StereoPairer
+from longarm_comp.devices.stereo.refusal import StereoRefusal
 from longarm_comp.devices.stereo.target import TagBoard
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns, stamp_of, steady_timer

@@ -26,13 +26,9 @@ from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.hidden.drives import Backlash, ServoDroop
 from longarm_comp.sim.ringing import Ringing
 from longarm_comp.sim.rods import QUICK_STEPS
-from longarm_comp.sim.servo_emulator import (
-    EmulatedArm,
-    EmulatedJoint,
-    Motor,
-    MotorSpec,
-    ServoEmulator,
-)
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.joints import EmulatedArm, EmulatedJoint
+from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
