@@ -203,9 +203,9 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
         has_rows = any(_last(c.topic) == "session_row" and c.msgcount for c in chosen)
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
         rows = _rows(recorded(reader, chosen), buffer)
-    for topic, found in (("joint_trajectory", buffer.commanded), ("tip_measured", buffer.sighted)):
-        if not found:
-            raise InputError(where, topic, "no message", "commands and the sightings they led to")
+    if buffer.sent is None or not buffer.frames:
+        topic = "joint_trajectory" if buffer.sent is None else "tip_measured"
+        raise InputError(where, topic, "no message", "commands and the sightings they led to")
     if len(buffer.frames) > 1:
         raise InputError(where, "tip_measured frame_id", sorted(buffer.frames), "one frame")
     return rows.session()
@@ -247,7 +247,7 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
             while len(buffer.commands) > 1:
                 buffer.commands.popleft()
                 buffer.forget(buffer.commands[0][0])
-    if not buffer.commanded:
+    if buffer.sent is None:
         raise InputError(where, "joint_trajectory", "no message", "the command of a move")
     return buffer
 

@@ -21,7 +21,7 @@ from longarm_comp.core.arm.measuring import KnownDistance, Touches, known_distan
 from longarm_comp.core.data.kinds import KINDS, Kind
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.files import write_text
 from longarm_comp.core.yaml_file import parse_declared, range_of, read_yaml
 from longarm_comp.sessions.table import (
     Table,
@@ -181,7 +181,7 @@ def _circumstance(table: Table, name: str) -> np.ndarray:
     lower, upper = range_of(name)
     unit = UNITS[name] + (f" of {lower:g} to {upper:g}" if math.isfinite(upper) else "")
     return table.numbers(
-        name, f"{unit}, in every row or in none", test=lambda v: lower <= v <= upper
+        name, f"{unit}, in every row or in none", False, lambda v: lower <= v <= upper
     )
 
 
@@ -263,6 +263,5 @@ def write_touches(distances: tuple[KnownDistance, ...], folder: Path) -> None:
         return
     if path.is_file() and read_touches(path) != distances:
         raise InputError(str(path), "touch_distances", "other ones", "another folder")
-    with atomic_path(path) as partial:
-        known = yaml.safe_dump({"touch_distances": [list(d) for d in distances]}, sort_keys=False)
-        partial.write_text(known, encoding="utf-8")
+    known = {"touch_distances": [list(d) for d in distances]}
+    write_text(path, yaml.safe_dump(known, sort_keys=False))

@@ -89,7 +89,11 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
                 asked.append((t, message))
                 continue
             for status in message.status:
-                _tell(told, t, status, parts)
+                level = int(status.level)
+                if level or status.name.rpartition(": ")[2] in parts:
+                    key = status.name, _without_numbers(status.message)
+                    first = told[key].first_s if key in told else t
+                    told[key] = Notice(first, t, status.name, level, status.message)
         hours = reader.duration * 1e-9 / 3600.0
     if not asked:
         raise InputError(path, _ASKED, "no message", "a bag of `longarm record` while targets came")
@@ -105,18 +109,6 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
     refused = Counter(reasons[_without_numbers(m.message)] for _, m in asked if not m.accepted)
     said = tuple(sorted(told.values(), key=lambda s: s.first_s))
     return Day(hours, t_s, np.array(error_mm), refused, said)
-
-
-def _tell(
-    told: dict[tuple[str, str], Notice], t: float, status: Any, parts: tuple[str, ...]
-) -> None:
-    part = status.name.rpartition(": ")[2]
-    level = int(status.level)
-    if level == 0 and part not in parts:
-        return
-    key = status.name, _without_numbers(status.message)
-    first = told[key].first_s if key in told else t
-    told[key] = Notice(first, t, status.name, level, status.message)
 
 
 def _without_numbers(text: str) -> str:

@@ -96,14 +96,12 @@ class MessageBuffer:
     """Contents of `session_row` messages, by time."""
     columns: dict[str, _Held] = field(default_factory=dict)  # temperature, payload, inclinations
     frames: set[str] = field(default_factory=set)  # of the sightings
-    commanded: bool = False
-    sighted: bool = False
+    sent: np.ndarray | None = None  # (n,) end of the last command that counted
 
     def __post_init__(self) -> None:
         """One reader per topic of `TYPES`."""
         self._readers = {name: getattr(self, f"_{name}") for name in TYPES}
         self._times, self._joints = array("d"), array("d")
-        self._sent: np.ndarray | None = None
         self._received_ns = self.start_ns
 
     def take(self, topic: str, stamp_ns: int, message: Any) -> None:
@@ -146,15 +144,14 @@ class MessageBuffer:
             raise self._error("joint_trajectory points", t, "positions", allowed)
         order = [names.index(name) for name in known]
         q = np.array(points)[:, order]
-        self.commanded = True
         if (
             self.every_command
-            or self._sent is None
+            or self.sent is None
             or len(q) > 1
-            or np.abs(q[0] - self._sent).max() >= SAME_POSE
+            or np.abs(q[0] - self.sent).max() >= SAME_POSE
         ):
             self.commands.append((min(t, self._moment(_stamp_ns(message))), q))  # not one to come
-            self._sent = q[-1]
+            self.sent = q[-1]
 
     def _joint_states(self, t: float, told: tuple[int, tuple[float, ...] | None]) -> None:
         """Stamp and positions in the arm's order, from `JointStates`; None: not of this arm."""
@@ -176,7 +173,6 @@ class MessageBuffer:
         turned, turn_variance = self._orientation(t, message.pose.pose.orientation, covariance)
         taken = self._moment(_stamp_ns(message))
         insort(self.sightings, Sighting(taken, xyz, variance, turned, turn_variance), key=_time)
-        self.sighted = True
         self.frames.add(message.header.frame_id)
 
     def _orientation(

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+from collections import deque
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import cache
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,7 +51,7 @@ def offered(depth: int = 10, *, latched: bool = False) -> Qos:
 INTERFACES = "longarm_interfaces"
 
 
-@lru_cache(maxsize=1)
+@cache
 def message_types() -> Typestore:
     """Jazzy's types and, where its message text is found, those of `longarm_interfaces`."""
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -109,19 +110,16 @@ class JointStates:
 
     def __init__(self, names: Sequence[str], types: Typestore) -> None:
         self._names, self._types = tuple(names), types
-        self._layouts: list[_Layout] = []
+        self._layouts: deque[_Layout] = deque(maxlen=8)  # the latest first
 
     def __call__(self, raw: bytes) -> tuple[int, Numbers | None]:
         """Stamp (ns) and positions (n,) in the arm's order; None where one of its joints lacks."""
-        return stamp_of_raw(raw), self._positions(raw)
-
-    def _positions(self, raw: bytes) -> Numbers | None:
+        stamp_ns = stamp_of_raw(raw)
         for known in self._layouts:
             if raw[_STAMP : known.begin] == known.head and raw[_ENCODING] == known.encoding:
-                if known.pick is None:
-                    return None
-                return known.pick(known.numbers.unpack_from(raw, known.begin))
-        return self._parsed(raw)
+                numbers = known.numbers.unpack_from(raw, known.begin)
+                return stamp_ns, known.pick(numbers) if known.pick else None
+        return stamp_ns, self._parsed(raw)
 
     def _parsed(self, raw: bytes) -> Numbers | None:
         message: Any = self._types.deserialize_cdr(raw, KIND)
@@ -130,7 +128,7 @@ class JointStates:
         mine = len(order) == len(self._names)
         layout = self._layout(raw, message, _picker(order) if mine else None)
         if layout is not None:
-            self._layouts = [layout, *self._layouts[: 8 - 1]]
+            self._layouts.appendleft(layout)
         return tuple(float(message.position[k]) for k in order) if mine else None
 
     def _layout(

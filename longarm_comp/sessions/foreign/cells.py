@@ -20,6 +20,7 @@ from longarm_comp.sessions.foreign.units import split_name, unit_of
 
 MOST_CELLS = 20_000_000
 """As text these take some 2 GB."""
+WORKBOOK = (".xlsx", ".xlsm")
 _SEPARATORS = (r"\t", ";", ",", r"\|", r"\s{2,}|\t", r"\s+")
 _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
@@ -84,7 +85,7 @@ Lines = list[tuple[int, list[str]]]
 def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None) -> Cells:
     """Read a table; by default of the only sheet, with the decimal sign that the cells show."""
     where, separator = str(path), ""
-    if path.suffix.lower() in (".xlsx", ".xlsm"):
+    if path.suffix.lower() in WORKBOOK:
         lines, sign, decimal = _sheet(path, sheet), ".", None  # its numbers are no text
     else:
         text = _text(path)
@@ -95,9 +96,8 @@ def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None)
     width = len(lines[first][1])
     names, used = _names(lines[:first], width)
     if not used:
-        raise InputError(
-            where, "header", "none", "a line with the columns' names above the numbers"
-        )
+        allowed = "a line with the columns' names above the numbers"
+        raise InputError(where, "header", "none", allowed)
     for line, row in lines[first:]:
         if len(row) != width:
             raise InputError(where, f"line {line}", f"{len(row)} cells", f"{width} cells")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.csv import LABELS, UNITS, XYZ
+from longarm_comp.sessions.csv import UNITS, XYZ
 from longarm_comp.sessions.foreign.cells import Cells
 from longarm_comp.sessions.foreign.units import (
     ANGLE,
@@ -33,9 +33,6 @@ _EXACT = re.compile(
 _TURNED = re.compile(
     r"(?:q(?:uat(?:ernion)?)?_?[wxyz0]|quat.*|roll|pitch|yaw|r[xyz]|[abc]|o[xyz]|euler.*|rot.*)"
 )
-_POINT = "point"
-"""The user's own number or name of a row."""
-TEXTS = LABELS
 
 
 @dataclass(frozen=True)
@@ -88,7 +85,7 @@ def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str 
     if plain in ("t", "time", "timestamp", "datetime", "clock"):
         return "t_s"
     if plain in ("point", "pointid", "pointno", "pointnr", "pointnumber", "pt", "no", "nr"):
-        return _POINT
+        return "point"  # the user's own number or name of a row
     if plain in ("temp", "temperature"):
         return "temperature_c"
     if plain in ("payload", "row"):

@@ -15,7 +15,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.foreign.cells import Cells
 from longarm_comp.sessions.foreign.units import seconds, split_name
 
-_MARKER = "marker"
 _AXIS = re.compile(r"(?i)(.*?)[ _.:-]*([xyz])")
 _COUNTED = re.compile(r"\d+|\b[A-Za-z]\b")
 
@@ -108,7 +107,7 @@ def melted(cells: Cells, headings: Sequence[str]) -> Cells:
             tip = (row[groups[heading][axis]] for axis in "xyz")
             rows.append((line, (*(row[k] for k in rest), *tip, heading)))
             index.append(cells.index[number] if cells.index else number)
-    names = (*(cells.names[k] for k in rest), *axes, _MARKER)
+    names = (*(cells.names[k] for k in rest), *axes, "marker")
     return replace(cells, names=names, rows=tuple(rows), index=tuple(index))
 
 

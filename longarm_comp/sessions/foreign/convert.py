@@ -16,9 +16,9 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.sessions.csv import XYZ
+from longarm_comp.sessions.csv import LABELS, XYZ
 from longarm_comp.sessions.foreign.cells import Cells, read_cells
-from longarm_comp.sessions.foreign.columns import JOINT, TEXTS, Column, kind_of, turned, understand
+from longarm_comp.sessions.foreign.columns import JOINT, Column, kind_of, turned, understand
 from longarm_comp.sessions.foreign.combine import (
     appended,
     beside_each_other,
@@ -161,17 +161,17 @@ def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _
     if markers:
         cells = melted(cells, markers)
     rotation = _rotation(where, cells, options)
-    apart = () if rotation is None else rotation.columns
+    turned_by = () if rotation is None else rotation.columns
     defaults = _defaults(where, options.units)
-    apart_too = (*apart, *_unit_quaternion(cells))
-    sources = understand(cells, options.given, defaults, options.arm, apart_too)
+    apart = (*turned_by, *_unit_quaternion(cells))
+    sources = understand(cells, options.given, defaults, options.arm, apart)
     _complete(where, cells, sources, options.arm)
     columns: dict[str, np.ndarray] = {c.name: _values(cells, c) for c in sources}
     if cells.index and "index" not in columns:
         columns = {"index": np.array(cells.index), **columns}
     if rotation is not None:
         columns |= _orientation(cells, rotation, defaults)
-    read = {c.place for c in sources} | {cells.names.index(n) for n in apart}
+    read = {c.place for c in sources} | {cells.names.index(n) for n in turned_by}
     left = tuple(n or f"column {k + 1}" for k, n in enumerate(cells.names) if k not in read)
     assumed = tuple(
         c.name
@@ -188,15 +188,13 @@ def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _
 def _together(files: tuple[Path, ...], options: Options) -> tuple[Cells, tuple[str, ...]]:
     """The table of all files, and which rows have no partner."""
     tables = [read_cells(file, options.sheet, options.decimal) for file in files]
-    lonely: tuple[str, ...] = ()
-    if len(tables) == 1:
-        (cells,) = tables
-    elif options.join is None:
-        cells = appended(tables)
-    else:
+    cells, lonely = tables[0], ()
+    if options.join is not None:
+        if len(tables) == 1:
+            raise InputError(cells.where, "--join", options.join, "two files or more")
         cells, lonely = joined(tables, options.join)
-    if options.join is not None and len(tables) == 1:
-        raise InputError(cells.where, "--join", options.join, "two files or more")
+    elif len(tables) > 1:
+        cells = appended(tables)
     return cells if options.sort is None else ordered(cells, options.sort), lonely
 
 
@@ -224,12 +222,10 @@ def _defaults(where: str, names: tuple[str, ...]) -> dict[str, Unit]:
 
 def _rotation(where: str, cells: Cells, options: Options) -> Rotation | None:
     """The orientation to read; columns that look like one need their convention."""
-    if options.rotation not in (None, "none"):
-        assert options.rotation is not None
+    if options.rotation is not None and options.rotation != "none":
         rotation = Rotation.parse(options.rotation, where)
         places = (cells.place(name, "--rotation") for name in rotation.columns)
-        named = tuple(cells.names[place] for place in places)
-        return Rotation(rotation.convention, named, rotation.inverse)
+        return replace(rotation, columns=tuple(cells.names[place] for place in places))
     told = {*options.given, *(name for name in QUATERNION if set(QUATERNION) <= set(cells.names))}
     known = _unit_quaternion(cells)
     looks = [n for n in cells.names if turned(n) or n in known]
@@ -256,7 +252,7 @@ def _complete(where: str, cells: Cells, sources: list[Column], arm: Arm | None) 
 
 def _values(cells: Cells, column: Column) -> np.ndarray:
     texts = cells.column(column.place)
-    if column.name in TEXTS:
+    if column.name in LABELS:
         return np.array(texts)
     clock = seconds(texts) if column.name == "t_s" else None
     if clock is not None:

@@ -13,12 +13,11 @@ from typing import Any
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.sessions.foreign.cells import read_cells
-from longarm_comp.sessions.foreign.columns import TEXTS
+from longarm_comp.sessions.csv import LABELS
+from longarm_comp.sessions.foreign.cells import WORKBOOK, read_cells
 from longarm_comp.sessions.foreign.units import UNITS, Unit, split_name
 from longarm_comp.sessions.table import Table
 
-_WORKBOOK = (".xlsx", ".xlsm")
 _POINT = re.compile(r"(.+_)?([xyz])")
 _JOINT = re.compile(r"(run_up_|ideal_)?(q\d+)")
 _SIDE = re.compile(r"approach_(q\d+)")
@@ -34,7 +33,7 @@ class Like:
                 str(name): (str(held["from"]), UNITS[held["unit"]] if "unit" in held else None)
                 for name, held in data["columns"].items()
             }
-            self.workbook = Path(str(data["source"])).suffix.lower() in _WORKBOOK
+            self.workbook = Path(str(data["source"])).suffix.lower() in WORKBOOK
             self._decimal = str(data["decimal"] or ".")
             self._separator = _plain(str(data["separator"]), self._decimal)
         except (TypeError, KeyError, AttributeError) as error:
@@ -55,7 +54,7 @@ class Like:
             stem, stated = split_name(source)
             name, unit = known.get(source) or known.get(stem) or (source, None)
             unit, texts = stated or unit, cells.column(place)
-            if unit is not None and name not in TEXTS:
+            if unit is not None and name not in LABELS:
                 numbers = [cells.number(text) for text in texts]
                 texts = [
                     text if v is None else repr(v * unit.factor + unit.offset)
@@ -79,7 +78,7 @@ class Like:
         frame = pd.DataFrame(cells, columns=[name for name, _, _ in forms], dtype=object)
         frame = frame.infer_objects()  # numbers get the sign before decimals
         with atomic_path(path) as partial:
-            if Path(path).suffix.lower() in _WORKBOOK:
+            if Path(path).suffix.lower() in WORKBOOK:
                 frame.to_excel(partial, index=False, engine="openpyxl")
             else:
                 frame.to_csv(
