@@ -215,4 +215,4 @@ def driver_rig(folder: Path) -> Iterator[Rig]:
             yield made
         finally:
             stage.end_processes()
-            made.emulator.stop()
+            made.emulator.unplug()

@@ -14,7 +14,7 @@ from some_arms import HOBBY
 
 from longarm_comp.arm_folder.camera_files import SIDES, camera_path
 from longarm_comp.arm_folder.parameter_file import own_parameters
-from longarm_comp.arm_folder.visible import Lens, View, view_beside
+from longarm_comp.arm_folder.visible import View, view_beside
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Box
@@ -195,4 +195,5 @@ def test_the_calibration_beside_an_arm_is_its_lens(hobby: Path, tmp_path: Path) 
         write_camera(camera_path(tmp_path, side), side, info, "")
     view = view_beside(tmp_path / "arm.yaml")
     assert view is not None
-    assert view.lens == Lens(512.0, (399.5, 299.5), (800, 600), pytest.approx(0.17))
+    assert (view.focal_px, view.middle_px, view.size_px) == (512.0, (399.5, 299.5), (800, 600))
+    assert view.baseline_m == pytest.approx(0.17)

@@ -58,9 +58,7 @@ gear_ratio or pinion_radius_m, direction, zero_ticks (reading at joint value 0),
 Every key: docs/ros.md and devices/servo_config.py."""
 _BRIDGE = """The stereo head beside {name}, and the marker on its tip. ASSUMED: hand_eye (where
 the left camera stands), tag_m, gap_m (measure the print), tip_in_marker (0: its middle)."""
-_SIMULATED = (
-    """The simulated {name}. Cameras and marker stand where stereo_bridge.yaml says they do."""
-)
+_SIMULATED = "The simulated {name}. Cameras and marker stand where stereo_bridge.yaml says they do."
 
 
 def arm_file(

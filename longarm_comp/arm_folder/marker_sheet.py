@@ -40,8 +40,10 @@ def sheet(board: Printed) -> tuple[str, Figure]:
     axes.set(xlim=(0, width), ylim=(0, height))
     axes.axis("off")
     left, top = (width - size[0]) / 2, height - _RIM - quiet
-    if isinstance(board, CharucoTarget):
-        _draw_charuco(axes, board, left, top)
+    if isinstance(board, CharucoTarget):  # as OpenCV draws it; its corners are whole pixels
+        grid = board.square_m, board.tag_m, board.columns, board.rows
+        cells = charuco_plate(*grid, board.dictionary).texture
+        _draw(axes, cells, left, top, *size)
     else:
         _draw_tags(axes, board, left, top)
     low = top - size[1] - quiet - 8.0
@@ -83,13 +85,6 @@ def _draw_tags(axes: Axes, board: TagBoard, left: float, top: float) -> None:
         row, column = divmod(index, board.columns)
         cells = cv2.aruco.generateImageMarker(family, board.first_id + index, family.markerSize + 2)
         _draw(axes, cells, left + column * pitch, top - row * pitch, side, side)
-
-
-def _draw_charuco(axes: Axes, board: CharucoTarget, left: float, top: float) -> None:
-    """As OpenCV draws it; its corners are whole pixels."""
-    grid = board.square_m, board.tag_m, board.columns, board.rows
-    plate = charuco_plate(*grid, board.dictionary)
-    _draw(axes, plate.texture, left, top, *(1e3 * side for side in plate.size_m))
 
 
 def _draw(axes: Axes, cells: np.ndarray, left: float, top: float, wide: float, high: float) -> None:

@@ -17,19 +17,9 @@ _TAG_PX = 12.5
 """A tag that looks smaller is not found: geometric mean of its seen sides, px."""
 
 
-@dataclass(frozen=True)
-class Lens:
-    """Two equal cameras side by side."""
-
-    focal_px: float
-    middle_px: tuple[float, float]
-    size_px: tuple[int, int]
-    baseline_m: float
-
-
 @dataclass(frozen=True, eq=False)
 class View:
-    """Two cameras side by side, the left at (4, 4) in the base frame, and a marker on the tip.
+    """Two equal cameras side by side, the left at (4, 4) in the base frame; a marker on the tip.
 
     Attributes:
         tags: (T, 4, 3) corners of the tags with their margin on the tip frame, m.
@@ -39,7 +29,10 @@ class View:
     """
 
     left_in_base: np.ndarray
-    lens: Lens
+    focal_px: float
+    middle_px: tuple[float, float]
+    size_px: tuple[int, int]
+    baseline_m: float
     tags: np.ndarray
     normal: np.ndarray
     tag_m: float
@@ -64,13 +57,13 @@ class View:
             focal_px=simulated["camera.focal_px"],
             size=(simulated["camera.width"], simulated["camera.height"]),
         )
-        lens = Lens(
-            pair.focal_px, (pair.k[0, 2], pair.k[1, 2]), pair.size, simulated["camera.baseline_m"]
-        )
         turn = np.array(bridge["hand_eye.quaternion"])
         return cls(
             quaternion.pose(np.array(bridge["hand_eye.xyz"]), turn),
-            lens,
+            pair.focal_px,
+            (pair.k[0, 2], pair.k[1, 2]),
+            pair.size,
+            simulated["camera.baseline_m"],
             (wide - np.array(bridge["tip_in_marker"])) @ on_tip.T,
             on_tip[:, 2],
             board.tag_m,
@@ -82,8 +75,10 @@ class View:
         p, across = left.p, right.p
         if not p[0] > 0.0 or not across[0] > 0.0:
             return self
-        middle, size = (float(p[2]), float(p[6])), (int(left.width), int(left.height))
-        return replace(self, lens=Lens(float(p[0]), middle, size, -float(across[3] / across[0])))
+        return replace(
+            self, focal_px=p[0], middle_px=(p[2], p[6]), size_px=(left.width, left.height),
+            baseline_m=-across[3] / across[0],
+        )  # fmt: skip
 
     def unseen(self, tips: np.ndarray) -> list[str]:
         """For each of the tip poses (M, 4, 4), base frame: why it is not measured, or "".
@@ -92,13 +87,13 @@ class View:
         """
         local = np.linalg.inv(self.left_in_base) @ tips
         tags = np.einsum("mij,tkj->mtki", local[:, :3, :3], self.tags) + local[:, None, None, :3, 3]
-        found = [self._inside(tags - [k * self.lens.baseline_m, 0.0, 0.0]) for k in (0, 1)]
+        found = [self._inside(tags - [k * self.baseline_m, 0.0, 0.0]) for k in (0, 1)]
         both = (found[0] & found[1]).mean(axis=1) >= self.share
-        middle = tags.mean(axis=(1, 2)) - [0.5 * self.lens.baseline_m, 0.0, 0.0]
+        middle = tags.mean(axis=(1, 2)) - [0.5 * self.baseline_m, 0.0, 0.0]
         normal = local[:, :3, :3] @ self.normal
         depth = np.linalg.norm(middle, axis=1)
         facing = -np.einsum("mi,mi->m", normal, middle) / depth
-        pixels = self.lens.focal_px * self.tag_m / depth * np.sqrt(np.clip(facing, 0.0, 1.0))
+        pixels = self.focal_px * self.tag_m / depth * np.sqrt(np.clip(facing, 0.0, 1.0))
         why = []
         for k in range(len(tips)):
             if not both[k]:
@@ -119,13 +114,13 @@ class View:
 
     def _projected(self, points: np.ndarray) -> np.ndarray:
         ahead = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
-        return np.asarray(self.lens.focal_px * points[..., :2] / ahead + self.lens.middle_px)
+        return np.asarray(self.focal_px * points[..., :2] / ahead + self.middle_px)
 
     def _inside(self, tags: np.ndarray) -> np.ndarray:
         """(M, T) whether all of a tag, corners (M, T, 4, 3) in the camera's frame, is in view."""
         pixels = self._projected(tags)
         with np.errstate(invalid="ignore"):
-            inside = (pixels >= 0.0) & (pixels <= np.array(self.lens.size_px) - 1.0)
+            inside = (pixels >= 0.0) & (pixels <= np.array(self.size_px) - 1.0)
         return np.asarray(inside.all(axis=(-1, -2)))
 
     def _where(self, point: np.ndarray) -> str:
@@ -133,7 +128,7 @@ class View:
         if point[2] <= 0.0:
             return "behind"
         x, y = self._projected(point)
-        width, height = self.lens.size_px
+        width, height = self.size_px
         beside, above = abs(x - width / 2) / width, abs(y - height / 2) / height
         if beside >= above:
             return "to the left" if x < width / 2 else "to the right"

@@ -136,7 +136,7 @@ class Plant:
         self.emulator.start()
 
     def stop(self) -> None:
-        self.emulator.stop()
+        self.emulator.unplug()
 
     def joints(self) -> Array:
         """(n,) true joint positions, rad and m."""

@@ -45,14 +45,6 @@ def _dh_error(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return geometry.DhError(delta)
 
 
-def _base_pose(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    return geometry.BasePose(rng.standard_normal(6) * ([2e-3] * 3 + [4e-3] * 3))
-
-
-def _thermal(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    return geometry.ThermalGrowth(rng.uniform(7e-5, 1.2e-4))
-
-
 def _loose_screw(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     joint = int(rng.choice(np.flatnonzero(_kind(arm, "revolute"))))
     at = rng.uniform(0.35, 0.65)
@@ -78,16 +70,6 @@ def _cable(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return drives.CableDrag(int(joint), (int(one), int(two)), float(rng.choice([-1e-2, 1e-2])))
 
 
-def _droop(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    return drives.ServoDroop(
-        _turning(arm, rng, 1e-3, 4e-3), _turning(arm, rng, 1e-3, 3e-3), friction=0.1
-    )
-
-
-def _backlash(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    return drives.Backlash(_turning(arm, rng, 3e-3, 8e-3), gate=rng.uniform(0.25, 0.45))
-
-
 def _link_stiffness(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     common = rng.uniform(0.15, 0.35)
     return loads.LinkStiffness({b.name: common * rng.uniform(0.7, 1.3) for b in arm.links})
@@ -98,18 +80,14 @@ def _link_mass(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return loads.LinkMass(int(rng.choice(middle)), rng.uniform(0.1, 0.3))
 
 
-def _measured_tilt(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
-    return loads.MeasuredTilt(
-        0, rng.uniform(1e-3, 3e-3, 2), rng.uniform(1500, 4000), rng.uniform(-3e-3, 3e-3, 2)
-    )
-
-
 HIDDEN: dict[str, _Maker] = {
     "joint_zero": _joint_zero,
     "dh_error": _dh_error,
-    "base_pose": _base_pose,
+    "base_pose": lambda arm, rng: geometry.BasePose(
+        rng.standard_normal(6) * ([2e-3] * 3 + [4e-3] * 3)
+    ),
     "gravity_direction": lambda arm, rng: geometry.GravityDirection(0.05 * _signs(rng, 2)),
-    "thermal_growth": _thermal,
+    "thermal_growth": lambda arm, rng: geometry.ThermalGrowth(rng.uniform(7e-5, 1.2e-4)),
     "thermal_softening": lambda arm, rng: loads.ThermalSoftening(rng.uniform(5e-3, 2e-2)),
     "joint_gain": lambda arm, rng: drives.JointGain(
         _turning(arm, rng, 0.01, 0.03) * _signs(rng, arm.n)
@@ -121,8 +99,12 @@ HIDDEN: dict[str, _Maker] = {
     "servo_quantisation": lambda arm, rng: drives.ServoQuantisation(
         2 * np.pi / 1000 * _kind(arm, "revolute")
     ),
-    "servo_droop": _droop,
-    "backlash": _backlash,
+    "servo_droop": lambda arm, rng: drives.ServoDroop(
+        _turning(arm, rng, 1e-3, 4e-3), _turning(arm, rng, 1e-3, 3e-3), friction=0.1
+    ),
+    "backlash": lambda arm, rng: drives.Backlash(
+        _turning(arm, rng, 3e-3, 8e-3), gate=rng.uniform(0.25, 0.45)
+    ),
     "friction_hysteresis": lambda arm, rng: drives.FrictionHysteresis(
         _turning(arm, rng, 2e-3, 6e-3)
     ),
@@ -140,7 +122,9 @@ HIDDEN: dict[str, _Maker] = {
     "creep": lambda arm, rng: loads.Creep(rng.uniform(0.1, 0.3), rng.uniform(1500, 6000)),
     "tip_payload": lambda arm, rng: loads.TipPayload(rng.uniform(0.05, 0.15)),
     "link_mass": _link_mass,
-    "measured_tilt": _measured_tilt,
+    "measured_tilt": lambda arm, rng: loads.MeasuredTilt(
+        0, rng.uniform(1e-3, 3e-3, 2), rng.uniform(1500, 4000), rng.uniform(-3e-3, 3e-3, 2)
+    ),
     "cogging_bump": _cogging,
     "cable_drag": _cable,
     "loose_screw": _loose_screw,
@@ -160,8 +144,7 @@ def draw(name: str, arm: Arm, rng: np.random.Generator, size_mm: float) -> Hidde
 
     Servo steps exist only in a few sizes, so the nearest of them is taken.
     """
-    made: HiddenEffect = sized(hidden(name, arm, 1.0, rng), arm, rng, size_mm)
-    return made
+    return sized(hidden(name, arm, 1.0, rng), arm, rng, size_mm)
 
 
 def moved_tip(

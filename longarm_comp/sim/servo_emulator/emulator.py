@@ -71,7 +71,7 @@ class ServoEmulator:
         load_of: external load from positions; none: unloaded.
         clock: seconds, by which the servos move.
 
-    Use as a context manager, or ``start`` and ``stop``.
+    Use as a context manager, or ``start`` and ``unplug``.
     """
 
     def __init__(
@@ -115,15 +115,11 @@ class ServoEmulator:
         self._thread = threading.Thread(target=self._serve, args=(master,), daemon=True)
         self._thread.start()
 
-    def stop(self) -> None:
-        """Close the pseudo-terminal and remove the link; may be called twice."""
-        self.unplug()
-
     def unplug(self) -> None:
         """Pull the cable: the client's next read or write fails. Servos keep their power.
 
-        The link goes first, as a device file does: the next pseudo-terminal of any program may have
-        the same number, and a client that tries again would take that one.
+        It may be called twice. The link goes first, as a device file does: the next pseudo-terminal
+        of any program may have the same number, and a client that tries again would take that one.
         """
         if self._link is not None:
             self._link.unlink(missing_ok=True)
@@ -146,7 +142,7 @@ class ServoEmulator:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
+        self.unplug()
 
     @contextlib.contextmanager
     def motor(self, servo_id: int) -> Iterator[Motor]:
