@@ -16,22 +16,13 @@ from longarm_comp.math.shaper import Shaper
 _WHERE = "joint trajectory"
 
 
-@dataclass(frozen=True)
-class _WayPoints:
-    """Checked way-points of all joints: times (k,) s, positions and velocities (k, n)."""
+def checked(
+    trajectory: JointTrajectory, config: ServoConfig, start: Array
+) -> tuple[Array, Array, Array | None]:
+    """Times (k,) s, positions and perhaps velocities (k, n) of the way-points, at least one.
 
-    times: Array
-    positions: Array
-    velocities: Array | None
-
-
-def checked(trajectory: JointTrajectory, config: ServoConfig, start: Array) -> _WayPoints | None:
-    """Way-points in the order of ``config``; joints not named stay at ``start`` (n,).
-
-    Returns None for a trajectory without points.
+    They are in the order of ``config``; joints not named stay at ``start`` (n,).
     """
-    if not trajectory.points:
-        return None
     columns = _columns(trajectory.joint_names, tuple(config.joints))
     with_velocities = [p for p in trajectory.points if p.velocities]
     if with_velocities and len(with_velocities) != len(trajectory.points):
@@ -44,8 +35,10 @@ def checked(trajectory: JointTrajectory, config: ServoConfig, start: Array) -> _
         positions[k, columns] = _row(trajectory, k, "positions", point.positions)
         if with_velocities:
             velocities[k, columns] = _row(trajectory, k, "velocities", point.velocities)
-    _within_limits(positions, config)
-    return _WayPoints(times, positions, velocities if with_velocities else None)
+    for column, (name, joint) in zip(positions.T.tolist(), config.joints.items(), strict=True):
+        for k, value in enumerate(column):
+            joint.check_inside(value, _WHERE, f"points[{k}].positions of {name}")
+    return times, positions, velocities if with_velocities else None
 
 
 def _columns(names: tuple[str, ...], known: tuple[str, ...]) -> list[int]:
@@ -83,12 +76,6 @@ def _row(trajectory: JointTrajectory, k: int, field: str, values: tuple[float, .
         if not np.isfinite(value):
             raise InputError(_WHERE, f"points[{k}].{field} of {name}", value, "a finite number")
     return row
-
-
-def _within_limits(positions: Array, config: ServoConfig) -> None:
-    for column, (name, joint) in enumerate(config.joints.items()):
-        for k, value in enumerate(positions[:, column].tolist()):
-            joint.check_inside(value, _WHERE, f"points[{k}].positions of {name}")
 
 
 @dataclass(frozen=True)
@@ -141,7 +128,6 @@ class TakenOver:
     def looked_at(self) -> Array:
         """(N,) s, sorted: 16 times in the blend, and 16 from one way-point to the next."""
         knots = [(0.0, self.blend_s), *pairwise(self.path.times.tolist())]
-        # Each piece is looked at in 16 places
         return np.sort([np.linspace(a, b, 16 + 1)[1:] for a, b in knots], axis=None)
 
     def postures(self) -> Array:
@@ -187,11 +173,9 @@ def plan_path(
 ) -> CubicPath:
     """A path from rest at ``start`` through the way-points to rest, within the velocity limits.
 
-    Segments whose mean velocity is too high are lengthened. Then all segments are lengthened by
-    one factor until the peak velocity is allowed. If the first point has time 0 and differs from
-    ``start``, it is reached at the velocity limit. Without given velocities the slopes are those
-    of Fritsch and Butland (1984). They are monotone between way-points, so the path stays in the
-    box that the way-points span.
+    Segments whose mean velocity is too high are lengthened, then all by one factor until the peak
+    velocity is allowed. A first point at time 0 away from ``start`` is reached at the velocity
+    limit. Without given velocities the slopes are `monotone_slopes`.
 
     Args:
         start: (n,). times: (k,) s, increasing, from 0 or later. positions, velocities: (k, n).

@@ -99,44 +99,40 @@ class TrajectoryFollower:
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Accept a trajectory. It starts with the next step, from the present set-point.
 
-        Joints that it does not name stay where they are. A trajectory without points means to
-        stop smoothly. If the first point has time 0 and is not at the arm, it is reached as fast
-        as the limits allow. A trajectory that is too fast is slowed down evenly, and an event
-        SLOWED reports the factor. It always ends at rest: then an event ARRIVED follows, or SHORT
-        where a joint stands still and is not where it was sent.
+        Joints that it does not name stay where they are; without points it means to stop smoothly.
+        One that is too fast is slowed down (`plan_path`), which an event SLOWED reports. It always
+        ends at rest: then an event ARRIVED follows, or SHORT where a joint stands still and is not
+        where it was sent.
         """
         self._check_ready(now)
-        start = self._start()
-        wanted = checked(trajectory, self._config, start)
+        start, moves = self._start(), bool(trajectory.points)
         replaces = self.state is FollowerState.TRACKING
-        if wanted is None:
+        if moves:
+            times, positions, velocities = checked(trajectory, self._config, start)
+            path = plan_path(start, times, positions, velocities, self._max_velocity)
+            accepted = Accepted(start, positions, path.times[-len(times) :], replaces)
+            self._check_inside(path)
+        else:
             path = self._braking(start)
             accepted = Accepted(start, path.end[None], np.zeros(1), replaces)
-        else:
-            path = plan_path(
-                start, wanted.times, wanted.positions, wanted.velocities, self._max_velocity
-            )
-            passed = path.times[-len(wanted.times) :]
-            accepted = Accepted(start, wanted.positions, passed, replaces)
-            self._check_inside(path)
         # Points of a move: its run-up and its end. More are a path, which is not trimmed
         several = len(trajectory.points) > 2
         taken = self._taken_over(path, start)
         way: TakenOver | InParts = taken
-        if wanted is not None and self._shapes is not None and not accepted.replaces:
+        if moves and self._shapes is not None and not replaces:
             shaper = self._shapes(taken.at, taken.duration)
             way = taken if shaper is None else InParts(taken, shaper)
-        if wanted is not None and self._keeps_out is not None:
+        if moves and self._keeps_out is not None:
             entry = self._keeps_out(way.postures())
             if entry:
                 raise JobError(entry)
         self._set, self._way, self._way_time = start, way, 0.0
-        self._trims = self._trim is not None and bool(trajectory.points) and not several
+        self._trims = self._trim is not None and moves and not several
         self._untrimmed = ""
         if self._trim is not None:
             self._trim.begin(path=several)
         self.state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
-        kind = EventKind.REPLACED if accepted.replaces else EventKind.STARTED
+        kind = EventKind.REPLACED if replaces else EventKind.STARTED
         self._say(kind, f"{len(trajectory.points)} points, {way.duration:.2f} s")
         if path.stretch > 1.001:
             self._say(EventKind.SLOWED, f"{path.stretch:.2f} times slower, for the velocity limits")
@@ -195,7 +191,8 @@ class TrajectoryFollower:
         dt = 0.0 if self._now is None else min(max(now - self._now, 0.0), limit)
         self._now = now if self._now is None else max(now, self._now)
         self._fresh, findings = self._watch.update(self._now, states, self._goals)
-        findings += self._let_go(driven or {})
+        loose = [n for n, i in self._config.ids.items() if (driven or {}).get(i) is False]
+        findings += [JointFault(ServoTrouble.LET_GO, n, "its torque is off") for n in loose]
         goals = None
         if self.state in (FollowerState.TRACKING, FollowerState.HOLDING):
             goals = self._fault(findings) if findings else self._move(dt)
@@ -291,10 +288,6 @@ class TrajectoryFollower:
                 hold[joint.servo_id] = joint.bounded(state.position_ticks)
         self._drop_motion()
         return hold
-
-    def _let_go(self, driven: Mapping[int, bool]) -> list[JointFault]:
-        loose = [name for name, i in self._config.ids.items() if driven.get(i) is False]
-        return [JointFault(ServoTrouble.LET_GO, name, "its torque is off") for name in loose]
 
     def _drop_motion(self) -> None:
         if self._trim is not None:

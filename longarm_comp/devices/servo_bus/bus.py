@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
@@ -75,7 +74,13 @@ class SerialServoBus:
             ServoRejected: a servo refused the read.
         """
         answers = self.ask(ids, self._dialect.state)
-        states = self._states(answers.replies)
+        self._refuse(answers.replies)
+        alarms = self._alarms(answers.replies)
+        states = {
+            i: self._dialect.state_of(reply.data, alarms[i], self._models[i])
+            for i, reply in answers.replies.items()
+            if i in alarms
+        }
         if len(states) < len(set(ids)):
             raise _incomplete(answers, states)
         return states
@@ -89,7 +94,7 @@ class SerialServoBus:
         """
         speeds = speeds_ticks_s or {}
         values = {i: self._dialect.goal_bytes(t, speeds.get(i, 0.0)) for i, t in goals.items()}
-        self._write(self._dialect.goal, values)
+        self._send(self._dialect.sync_write(self._dialect.goal, values))
 
     def torque(self, ids: Sequence[int], on: bool) -> None:
         """Switch the drives of ``ids`` and read back that it happened.
@@ -124,21 +129,15 @@ class SerialServoBus:
         changed = {i: value for i, value in wanted.items() if found[i].data != value}
         if changed:
             self.torque(list(changed), on=False)
-            with self._unlocked(changed):
-                self._write_checked(self._dialect.turns, changed)
-        return sorted(changed)
-
-    @contextmanager
-    def _unlocked(self, ids: Iterable[int]) -> Iterator[None]:
-        """The memory of servos may be changed permanently."""
-        lock = self._dialect.turns_lock
-        if lock is not None:
-            self._write_checked(lock, dict.fromkeys(ids, b"\0"))
-        try:
-            yield
-        finally:
+            lock = self._dialect.turns_lock
             if lock is not None:
-                self._write_checked(lock, dict.fromkeys(ids, b"\1"))
+                self._write_checked(lock, dict.fromkeys(changed, b"\0"))
+            try:
+                self._write_checked(self._dialect.turns, changed)
+            finally:
+                if lock is not None:
+                    self._write_checked(lock, dict.fromkeys(changed, b"\1"))
+        return sorted(changed)
 
     def close(self) -> None:
         """Release the port; torque stays as it is."""
@@ -200,15 +199,6 @@ class SerialServoBus:
             if code:
                 raise ServoRejected("the servo refused the instruction", id=servo_id, code=code)
 
-    def _states(self, replies: Mapping[int, Reply]) -> dict[int, ServoState]:
-        self._refuse(replies)
-        alarms = self._alarms(replies)
-        return {
-            i: self._dialect.state_of(reply.data, alarms[i], self._models[i])
-            for i, reply in replies.items()
-            if i in alarms
-        }
-
     def _alarms(self, replies: Mapping[int, Reply]) -> dict[int, ServoAlarm]:
         """Alarms by id. If the status byte only flags that there is one, the register is read."""
         known = {i: self._dialect.alarms(reply.error) for i, reply in replies.items()}
@@ -221,16 +211,13 @@ class SerialServoBus:
                 known[i] = flags or ServoAlarm.OTHER
         return {i: flags for i, flags in known.items() if flags is not None}
 
-    def _write(self, block: Block, values: Mapping[int, bytes]) -> None:
-        self._send(self._dialect.sync_write(block, values))
-
     def _write_checked(
         self, block: Block, values: Mapping[int, bytes], harmless: bool = False
     ) -> None:
         """Write and read back; write again to servos that did not accept it."""
         wanted = dict(values)
         for _ in range(self._retries + 1):
-            self._write(block, wanted)
+            self._send(self._dialect.sync_write(block, wanted))
             answers = self.ask(list(wanted), block, retries=0)
             taken = [i for i, reply in answers.replies.items() if reply.data == wanted[i]]
             for servo_id in taken:

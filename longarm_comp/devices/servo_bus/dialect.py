@@ -16,6 +16,8 @@ from typing import ClassVar
 
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
+BROADCAST = 0xFE  # id of all servos, which Feetech has taken over from Dynamixel
+
 
 @dataclass(frozen=True, slots=True)
 class Reply:

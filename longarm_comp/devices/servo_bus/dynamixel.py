@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 _HEADER = b"\xff\xff\xfd\x00"
 _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
-_BROADCAST = 0xFE
 _SYNC_READ, _SYNC_WRITE, _STATUS = 0x82, 0x83, 0x55
 _LONGEST = 1024  # bytes that a frame may say it has: a larger number is damage
 _ALERT = 0x80
@@ -76,15 +75,15 @@ class DynamixelX(Dialect):
         return frame + _crc(frame).to_bytes(2, "little")
 
     def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
-        return self.encode(_BROADCAST, _SYNC_READ, _range(block) + bytes(ids))
+        return self.encode(BROADCAST, _SYNC_READ, _range(block) + bytes(ids))
 
     def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
         params = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
-        return self.encode(_BROADCAST, _SYNC_WRITE, _range(block) + params)
+        return self.encode(BROADCAST, _SYNC_WRITE, _range(block) + params)
 
     def frame_length(self, start: bytearray) -> int:
         servo_id, length, kind = start[4], start[5] | start[6] << 8, start[7]
-        known = kind == _STATUS and servo_id < _BROADCAST and 4 <= length <= _LONGEST
+        known = kind == _STATUS and servo_id < BROADCAST and 4 <= length <= _LONGEST
         return length + 7 if known else 0
 
     def reply(self, frame: bytes) -> Reply:

@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 _HEADER = b"\xff\xff"
-_BROADCAST = 0xFE
 _SYNC_READ, _SYNC_WRITE = 0x82, 0x83
 _LONGEST = 250  # bytes that a frame may say it has: a larger number is damage
 
@@ -51,17 +50,15 @@ class FeetechSts(Dialect):
         return _HEADER + body + bytes((_checksum(body),))
 
     def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
-        return self.encode(
-            _BROADCAST, _SYNC_READ, bytes((block.address, block.length)) + bytes(ids)
-        )
+        return self.encode(BROADCAST, _SYNC_READ, bytes((block.address, block.length)) + bytes(ids))
 
     def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
         params = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
-        return self.encode(_BROADCAST, _SYNC_WRITE, bytes((block.address, block.length)) + params)
+        return self.encode(BROADCAST, _SYNC_WRITE, bytes((block.address, block.length)) + params)
 
     def frame_length(self, start: bytearray) -> int:
         servo_id, length = start[2], start[3]
-        return length + 4 if servo_id < _BROADCAST and 2 <= length <= _LONGEST else 0
+        return length + 4 if servo_id < BROADCAST and 2 <= length <= _LONGEST else 0
 
     def reply(self, frame: bytes) -> Reply:
         return Reply(frame[2], frame[4], frame[5:-1], _checksum(frame[2:-1]) == frame[-1])

@@ -45,8 +45,7 @@ def _edge_sigma_px(grey: NDArray[np.uint8], pixels: Array) -> float:
     low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - 4, 0)
     high = np.ceil(pixels.max(axis=0)).astype(int) + 5
     patch = grey[low[1] : high[1], low[0] : high[0]]
-    dark, bright = np.percentile(patch, [5.0, 95.0])
-    return _edge_px(patch, float(bright - dark))
+    return _edge_px(patch, float(np.ptp(np.percentile(patch, [5.0, 95.0]))))
 
 
 def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
@@ -65,9 +64,6 @@ def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
     steepest = float(np.partition(slope.ravel(), -sharp)[-sharp])
     total = height / (steepest * np.sqrt(2 * np.pi)) if steepest > 0.0 else np.inf
     return float(np.sqrt(max(total**2 - _PRESMOOTH_PX**2, 0.0)))
-
-
-_MISSING = {"left": RefusalReason.NOT_FOUND_LEFT, "right": RefusalReason.NOT_FOUND_RIGHT}
 
 
 def found_pair(target: Target, greys: tuple[Grey, Grey], limits: Limits) -> tuple[Corners, Corners]:
@@ -101,5 +97,6 @@ def _unseen(grey: Grey, side: str, limits: Limits) -> StereoRefusal:
         return StereoRefusal(RefusalReason.TOO_BRIGHT, **facts)
     edge_px = _edge_px(grey, float(bright - dark))
     facts["edge_px"] = round(edge_px, 2)
-    blurred = not edge_px <= limits.edge_px
-    return StereoRefusal(RefusalReason.BLURRED if blurred else _MISSING[side], **facts)
+    if not edge_px <= limits.edge_px:
+        return StereoRefusal(RefusalReason.BLURRED, **facts)
+    return StereoRefusal(RefusalReason[f"NOT_FOUND_{side.upper()}"], **facts)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
+from longarm_comp.devices.stereo.camera import Array, StereoRig
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.math.points import kabsch
 
@@ -85,19 +85,14 @@ def stereo_residuals(
 
 def epipolar_px(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
     """Distance (N,) px of the corners from each other's epipolar line (Sampson's approximation)."""
-    essential = _essential(rig.left, rig.right)
+    turn = rig.right.rotation @ rig.left.rotation.T
+    essential = _cross_matrices(rig.right.translation - turn @ rig.left.translation) @ turn
     left, right = rig.left.rays(left_px), rig.right.rays(right_px)
     lines_right, lines_left = left @ essential.T, right @ essential
     off = np.einsum("ni,ni->n", right, lines_right)
     slopes = np.hypot(*lines_right[:, :2].T) ** 2 + np.hypot(*lines_left[:, :2].T) ** 2
     focal = float(np.sqrt(rig.left.k[0, 0] * rig.right.k[0, 0]))
     return focal * np.abs(off) / np.sqrt(slopes)
-
-
-def _essential(left: Camera, right: Camera) -> Array:
-    rotation = right.rotation @ left.rotation.T
-    x, y, z = right.translation - rotation @ left.translation
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation
 
 
 def _linear(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
@@ -139,7 +134,7 @@ class MarkerPose:
         """A point (3,) m fixed to the marker, seen in the rig frame; the pose covariance there."""
         arm = self.transform[:3, :3] @ in_marker
         lever = np.eye(6)
-        lever[:3, 3:] = -_cross_matrices(arm[None])[0]
+        lever[:3, 3:] = -_cross_matrices(arm)
         return self.transform[:3, 3] + arm, lever @ self.covariance @ lever.T
 
 
@@ -197,5 +192,5 @@ def marker_pose(
 
 
 def _cross_matrices(vectors: Array) -> Array:
-    """(N, 3, 3) matrices S with ``S w = v x w`` for v of `vectors` (N, 3)."""
-    return -np.cross(vectors[:, None], np.eye(3))
+    """(..., 3, 3) matrices S with ``S w = v x w`` for v of `vectors` (..., 3)."""
+    return -np.cross(vectors[..., None, :], np.eye(3))

@@ -55,18 +55,17 @@ class BoardView:
         return bool(len(now) and np.linalg.norm(now - then, axis=1).mean() < 1.0)
 
 
-def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None) -> BoardView:
+def view_of(board: Target, left: Grey, right: Grey) -> BoardView:
     """A usable view.
 
     Raises:
         StereoRefusal: with the reason.
     """
-    limits = limits or Limits()
     if left.shape != right.shape:
         raise StereoRefusal(
             RefusalReason.WRONG_SIZE, left=left.shape[::-1], right=right.shape[::-1]
         )
-    seen = found_pair(board, (left, right), limits)
+    seen = found_pair(board, (left, right), Limits())
     ids, left_px, right_px = seen[0].shared(seen[1])
     if len(ids) < FEWEST_CORNERS:
         raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
