@@ -92,8 +92,9 @@ def measure_rows(
                 spent.append(time.process_time() - started)
                 error = seen.point - truth[:3, 3]
                 errors.append(camera_R_base @ error)
-                sigmas.append(np.sqrt(np.diag(seen.covariance_camera)))
-                normalised.append(error @ np.linalg.solve(seen.covariance, error) / 3)
+                covariance = seen.pose_covariance[:3, :3]
+                sigmas.append(np.sqrt(np.diag(camera_R_base @ covariance @ camera_R_base.T)))
+                normalised.append(error @ np.linalg.solve(covariance, error) / 3)
             yield _row(name, depth, pairs, refused, errors, sigmas, normalised, spent)
 
 

@@ -183,7 +183,7 @@ def test_the_lens_of_the_graph_replaces_the_files(hobby: Path) -> None:
     assert view is not None
     arm = Arm.load(hobby / "arm.yaml")
     tips = declared_model(arm).pose(sobol(arm, 40, 0).q)
-    wide = replace(view, lens=replace(view.lens, focal_px=0.3 * view.lens.focal_px))
+    wide = replace(view, focal_px=0.3 * view.focal_px)
     assert all("too far" in text or "turned" in text for text in wide.unseen(tips))
 
 

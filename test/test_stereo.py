@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
-from stereo_head import HEAD, PLATE, eye_for, marker_pose, pair
+from stereo_head import HEAD, PLATE, TAG, eye_for, marker_pose, pair
 
+from longarm_comp.devices.stereo.eye import StereoEye
 from longarm_comp.devices.stereo.found import Limits
 from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
 from longarm_comp.sim import cameras
@@ -41,7 +42,7 @@ def test_error_is_small_unbiased_and_inside_its_covariance(plate: Any, target: A
         seen = eye.measure(*render(truth, plate, HEAD, rng), 0)
         error = seen.point - truth[:3, 3]
         errors.append(HEAD.camera_in_base[:3, :3].T @ error)
-        normalised.append(error @ np.linalg.solve(seen.covariance, error))
+        normalised.append(error @ np.linalg.solve(seen.pose_covariance[:3, :3], error))
     sd = np.std(errors, axis=0, ddof=1)
     assert np.all(np.abs(np.mean(errors, axis=0)) < 3 * sd / np.sqrt(30) + 2e-5)
     assert np.all(sd < [5e-5, 5e-5, 2e-4])
@@ -59,9 +60,10 @@ def test_error_grows_with_the_square_of_depth_and_sigma_says_so() -> None:
     near, far = (
         eye.measure(*render(marker_pose(HEAD, z), PLATE, HEAD, rng), 0) for z in (0.8, 2.4)
     )
-    ratio = np.sqrt(far.covariance_camera[2, 2] / near.covariance_camera[2, 2])
-    assert 6 < ratio < 30
-    assert far.covariance_camera[2, 2] > far.covariance_camera[0, 0]
+    turn = HEAD.camera_in_base[:3, :3]
+    near, far = (np.diag(turn.T @ seen.pose_covariance[:3, :3] @ turn) for seen in (near, far))
+    assert 6 < np.sqrt(far[2] / near[2]) < 30
+    assert far[2] > far[0]
 
 
 def test_charuco_board_is_measured_by_the_same_code() -> None:
@@ -103,10 +105,12 @@ def test_tip_away_from_the_marker_with_the_covariance_of_the_lever() -> None:
         eye_for(tip_in_marker=tip).measure(left, right, 0),
     )
     np.testing.assert_allclose(offset.point, (centre.pose @ [*tip, 1.0])[:3], atol=1e-12)
-    assert np.trace(offset.covariance) > np.trace(centre.covariance)
-    turn = HEAD.camera_in_base[:3, :3]
+    assert np.trace(offset.pose_covariance[:3, :3]) > np.trace(centre.pose_covariance[:3, :3])
+    rig = eye_for().rig
+    bare = StereoEye(rig, TAG, tip_in_marker=tip).measure(left, right, 0)
+    turns = np.kron(np.eye(2), HEAD.camera_in_base[:3, :3])
     np.testing.assert_allclose(
-        offset.covariance, turn @ offset.covariance_camera @ turn.T, atol=1e-15
+        offset.pose_covariance, turns @ bare.pose_covariance @ turns.T, atol=1e-15
     )
 
 

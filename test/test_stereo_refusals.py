@@ -81,7 +81,7 @@ def test_whatever_the_picture_the_answer_is_right_or_a_refusal() -> None:
         measured += 1
         error = seen.point - truth[:3, 3]
         assert np.linalg.norm(error) < 5e-3
-        assert error @ np.linalg.solve(seen.covariance, error) < 8.0**2
+        assert error @ np.linalg.solve(seen.pose_covariance[:3, :3], error) < 8.0**2
     assert measured > 8 and refused > 8
     noise = rng.integers(0, 256, (2, 480, 640), dtype=np.uint8)
     with pytest.raises(StereoRefusal):

@@ -94,8 +94,8 @@ def _of_beams(arm: Arm, q: np.ndarray) -> Iterator[_FolderFinding]:
     joints = []
     for name, number, value in zip(arm.joint_names, arm.commanded, at, strict=True):
         turns = arm.joints[number - 1].type == "revolute"
-        joints.append(f"{name} {math.degrees(value) if turns else 1e3 * value:.0f} ")
-        joints[-1] += "deg" if turns else "mm"
+        said = f"{math.degrees(value):.0f} deg" if turns else f"{1e3 * value:.0f} mm"
+        joints.append(f"{name} {said}")
     said = f"held out to {out.max():.2f} m ({', '.join(joints)}) the tip sags by {sag:.3g} mm. "
     said += "Measure it: twice or half of it means a wrong section, or width and height swapped"
     yield declared("arm.yaml: links", said)

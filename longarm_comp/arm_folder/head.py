@@ -17,8 +17,6 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.sim.cameras import CameraPair
 
-_POSES = 256
-"""Poses of the tip that are looked at."""
 _LEVEL = [
     np.array([math.cos(angle), math.sin(angle), 0.0]).round(12)
     for angle in 0.5 * math.pi + 2 * math.pi * np.arange(16) / 16
@@ -38,7 +36,7 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
     the tip.
     """
     model = declared_model(arm, deflection=False)
-    tips = model.pose(sobol(arm, _POSES, 0).q)
+    tips = model.pose(sobol(arm, 256, 0).q)
     points, turns = tips[:, :3, 3], tips[:, :3, :3]
     given = arm.camera
     axes = _LEVEL

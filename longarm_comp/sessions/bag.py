@@ -52,10 +52,7 @@ class Rows:
         self._passed = False
 
     def close(self, *, everything: bool = False) -> None:
-        """Finish every command whose time is over, so that the buffer can forget it.
-
-        A sighting may be recorded up to `CLOCKS_APART` after it was taken.
-        """
+        """Finish commands whose time is over: a sighting may be recorded `CLOCKS_APART` later."""
         commands = self._buffer.commands
         while len(commands) > 1 and (
             everything or commands[-1][0] >= commands[1][0] + CLOCKS_APART

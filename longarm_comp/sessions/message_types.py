@@ -140,9 +140,8 @@ class JointStates:
         probe = dataclasses.replace(message, position=marks)
         written = bytes(self._types.serialize_cdr(probe, KIND))
         begin = written.find(marks.tobytes()) if count else -1
-        if begin < 0 or written[_ENCODING] != raw[_ENCODING]:
-            return None
-        if written[_STAMP:begin] != raw[_STAMP:begin]:
+        alike = all(written[part] == raw[part] for part in (_ENCODING, slice(_STAMP, begin)))
+        if begin < 0 or not alike:
             return None
         numbers = struct.Struct(f"<{count}d")
         return _Layout(bytes(raw[_ENCODING]), bytes(raw[_STAMP:begin]), begin, numbers, pick)

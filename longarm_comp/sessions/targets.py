@@ -82,16 +82,15 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
         turns = [table.lengths(name, "unit quaternion", blanks=True) for name in QUATERNION]
         quaternion = np.stack(turns, axis=-1)
         length = np.linalg.norm(quaternion, axis=1)
-        for row in range(len(table)):
-            blanks = np.isnan(quaternion[row]).sum()
-            if blanks not in (0, 4) or abs(length[row] - 1) > LENGTH_TOLERANCE:
-                raise table.error(row, "qx", "a quaternion of length 1, or four blanks")
+        free = np.isnan(quaternion).all(axis=1)
+        for row in np.flatnonzero(~free & ~(np.abs(length - 1) <= LENGTH_TOLERANCE)):
+            raise table.error(row, "qx", "a quaternion of length 1, or four blanks")
         quaternion = quaternion / length[:, None]
     sides = read_approach(table, 0)
     approach = np.zeros(len(table)) if sides is None else np.nan_to_num(sides)
     columns, labels = recorded_besides(table, set(known))
     index = table.integers("index") if "index" in table.cells else np.arange(len(table))
-    frame = tuple(cell.strip() for cell in table.cells.get("frame", ()))
+    frame = tuple(table.cells.get("frame", ()))
     for row, name in enumerate(frame):
         if name not in ("", *FRAMES):
             raise table.error(row, "frame", " or ".join(FRAMES))

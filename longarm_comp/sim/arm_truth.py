@@ -10,11 +10,10 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Beam, Tube
 from longarm_comp.core.errors import InputError
-from longarm_comp.sim.context import State, TrueContext
+from longarm_comp.sim.context import Array, State, TrueContext
 from longarm_comp.sim.hidden.base import THETA, D, HiddenEffect, Place
 from longarm_comp.sim.rods import STEPS, Walker, rpy_matrix, settle
 
-Array = np.ndarray
 _AXIS = {"a": 0, "d": 2}
 
 

@@ -14,11 +14,10 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm, Walk
-from longarm_comp.sim.context import State
+from longarm_comp.sim.context import Array, State
 from longarm_comp.sim.hidden.base import THETA, A, D, Place
 from longarm_comp.sim.rods import Walker, rpy_matrix
 
-Array = np.ndarray
 PIECES = 6
 """Of each rod: eight modes are right to 1 % of their frequency, the two lowest to 0.03 %."""
 MODES = 8

@@ -26,17 +26,14 @@ def _x(name: str, number: int, full_load: float, friction: float | None = None) 
     return ServoModel(name, "dynamixel", number, 4096, *turns, full_load, friction)
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        crc = byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
-        table.append(crc)
-    return tuple(table)
+def _divided(crc: int) -> int:
+    """The remainder after eight more bits of 0."""
+    for _ in range(8):
+        crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
 
 
-_CRC_TABLE = _crc_table()
+_CRC_TABLE = tuple(_divided(byte << 8) for byte in range(256))
 
 
 class DynamixelX(Dialect):

@@ -62,11 +62,10 @@ _MATRICES = {
 def calibration_of(rig: StereoRig) -> tuple[CameraInfo, CameraInfo]:
     """Left and right camera of a rig in the raw left frame, with the rectification of both."""
     left, right = rig.left, rig.right
-    turns_and_projections = cv2.stereoRectify(
+    r_left, r_right, p_left, p_right = cv2.stereoRectify(
         left.k, left.d[:5], right.k, right.d[:5], left.size, right.rotation,
         right.translation.reshape(3, 1), alpha=0.0,
     )[:4]  # fmt: skip
-    r_left, r_right, p_left, p_right = turns_and_projections
 
     def of(camera: Camera, r: Any, p: Any) -> CameraInfo:
         d, k, r, p = (tuple(np.ravel(a).tolist()) for a in (camera.d[:5], camera.k, r, p))

@@ -28,11 +28,7 @@ class StereoSighting:
     """The tip as measured from one stereo pair."""
 
     stamp_ns: int  # stamp of the left image
-    point_camera: Array
-    """point_camera, covariance_camera: tip (3,) m and (3, 3) m^2 in the left optical frame."""
-    covariance_camera: Array
-    point: Array  # point, covariance: the same in the base frame
-    covariance: Array
+    point: Array  # (3,) m, tip in the base frame
     pose: Array  # (4, 4) marker in the base frame
     pose_covariance: Array  # (6, 6) of ``[tip; rotation]`` along the base axes, m and rad
     corners: int  # corners that both cameras saw
@@ -52,10 +48,9 @@ class StereoEye:
     limits: Limits = field(default_factory=Limits)
     noise: PixelNoise = field(default_factory=PixelNoise)
     """Assumed noise of a corner, corrected by the residuals of sightings."""
-    _square_px2: float = field(default=0.0, repr=False)
-    _freedom: float = field(default=0.0, repr=False)
 
     def __post_init__(self) -> None:
+        self._square_px2 = self._freedom = 0.0
         self._hand_eye = np.asarray(self.camera_in_base, dtype=float)
         self._tip = np.asarray(self.tip_in_marker, dtype=float)
 
@@ -80,11 +75,7 @@ class StereoEye:
 
     @property
     def expected_noise(self) -> PixelNoise:
-        """The assumed noise, corrected by the residuals of the last sightings.
-
-        One tag leaves 10 degrees of freedom, too few to outweigh an assumption that is four times
-        too large; hundreds of sightings do.
-        """
+        """The assumed noise, corrected by the residuals of the last sightings: one has too few."""
         sigma_px = self.noise.estimate(np.sqrt(self._square_px2), self._freedom)
         return PixelNoise(sigma_px, self.noise.weight)
 
@@ -118,15 +109,11 @@ class StereoEye:
         point, covariance = pose.at(self._tip)
         turn = self._hand_eye[:3, :3]
         turns = np.kron(np.eye(2), turn)
-        in_base = turns @ covariance @ turns.T
         return StereoSighting(
             stamp_ns=stamp_ns,
-            point_camera=point,
-            covariance_camera=covariance[:3, :3],
             point=turn @ point + self._hand_eye[:3, 3],
-            covariance=in_base[:3, :3],
             pose=self._hand_eye @ pose.transform,
-            pose_covariance=in_base,
+            pose_covariance=turns @ covariance @ turns.T,
             corners=corners,
             rms_px=pose.rms_px,
             scale=pose.scale,

@@ -136,18 +136,8 @@ def _linearised(state: Array, dx: Array, dy: Array, values: Array) -> tuple[Arra
     product = edges[0] * edges[1]
     by = [contrast * (rates[0][i] * edges[1] + rates[1][i] * edges[0]) for i in (1, 2, 3)]
     one = np.ones_like(x)
-    jacobian = np.stack(
-        [
-            by[0] - slope_x,
-            by[1] - slope_y,
-            contrast * alongs[0] * edges[1],
-            contrast * alongs[1] * edges[0],
-            by[2],
-            product,
-            one,
-            x,
-            y,
-        ],
-        axis=-1,
+    turns = contrast * alongs[0] * edges[1], contrast * alongs[1] * edges[0]
+    columns = by[0] - slope_x, by[1] - slope_y, *turns, by[2], product, one, x, y
+    return np.stack(columns, axis=-1), values - (
+        level + slope_x * x + slope_y * y + contrast * product
     )
-    return jacobian, values - (level + slope_x * x + slope_y * y + contrast * product)

@@ -10,10 +10,9 @@ from typing import ClassVar, Literal, TypeVar
 import numpy as np
 
 from longarm_comp.core.arm.parts import Beam
-from longarm_comp.sim.context import State
+from longarm_comp.sim.context import Array, State
 from longarm_comp.sim.rods import Walker
 
-Array = np.ndarray
 ALPHA, A, THETA, D = range(4)
 Scaled = TypeVar("Scaled", bound="Dosed")
 

@@ -10,12 +10,11 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import TrueContext
+from longarm_comp.sim.context import Array, TrueContext
 from longarm_comp.sim.hidden import drives, geometry, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.rods import QUICK_STEPS
 
-Array = np.ndarray
 _Maker = Callable[[Arm, np.random.Generator], HiddenEffect]
 
 

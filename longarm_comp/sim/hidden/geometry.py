@@ -7,10 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from longarm_comp.sim.context import State
+from longarm_comp.sim.context import Array, State
 from longarm_comp.sim.hidden.base import THETA, A, D, HiddenEffect
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from longarm_comp.core.arm.parts import Beam
-from longarm_comp.sim.context import State
+from longarm_comp.sim.context import Array, State
 from longarm_comp.sim.hidden.base import HiddenEffect, Place, wound_up
 from longarm_comp.sim.rods import Walker
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

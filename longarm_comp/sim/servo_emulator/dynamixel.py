@@ -8,7 +8,6 @@ from enum import IntEnum
 from longarm_comp.sim.servo_emulator.motor import Motor
 from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire, Told
 
-_BULK_READ = 0x92
 _HARDWARE_BITS = {"voltage": 1, "overheat": 4, "sensor": 8, "current": 16, "overload": 32}
 _SPEED_UNIT = 0.229 * 4096 / 60  # ticks/s
 _EXTENDED = 4
@@ -79,7 +78,7 @@ class DynamixelWire(RegisterWire):
 
     def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
         _, instruction, params = self.parts(frame)
-        if instruction != _BULK_READ:
+        if instruction != Told.BULK_READ:
             return super().answer(frame, devices)
         items = [params[start : start + 5] for start in range(0, len(params) - 4, 5)]
         asked = [(devices[p[0]], self.words(p[1:])) for p in items if p[0] in devices]
@@ -141,19 +140,11 @@ def _refresh(device: Device) -> None:
     device.put(_At.TEMPERATURE, 1, round(motor.temperature_c))
 
 
-def _shifted(register: int) -> int:
-    """The CRC register after eight more zero bits, as the e-Manual's division defines it."""
-    for _ in range(8):
-        register = (register << 1) ^ (0x18005 if register & 0x8000 else 0)
-    return register
-
-
-_SHIFTED = tuple(_shifted(byte << 8) for byte in range(256))
-
-
 def _crc16(data: bytes) -> int:
-    """CRC-16 with polynomial 0x8005, initial value 0, not reflected."""
+    """CRC-16 with polynomial 0x8005, initial value 0, not reflected: the e-Manual's division."""
     register = 0
     for byte in data:
-        register = _SHIFTED[(register >> 8) ^ byte] ^ ((register & 0xFF) << 8)
+        register ^= byte << 8
+        for _ in range(8):
+            register = (register << 1) ^ (0x18005 if register & 0x8000 else 0)
     return register

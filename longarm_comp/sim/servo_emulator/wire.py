@@ -13,9 +13,9 @@ _BROADCAST = 0xFE
 
 
 class Told(IntEnum):
-    """Instructions that Feetech has taken over from Dynamixel."""
+    """Instructions of Dynamixel; all but the last are Feetech's too."""
 
-    PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
+    PING, READ, WRITE, SYNC_READ, SYNC_WRITE, BULK_READ = 1, 2, 3, 0x82, 0x83, 0x92
 
 
 class Device:
