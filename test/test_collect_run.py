@@ -83,7 +83,7 @@ def test_what_is_lost_has_its_likely_cause_and_the_graph_is_told(
     assert view is not None
     plan = sobol(arm, 6, 1)
     tips = declared_model(arm).pose(plan.q)
-    ends = (replace(view, lens=replace(view.lens, size_px=(px, 480))) for px in range(640, 0, -20))
+    ends = (replace(view, size_px=(px, 480)) for px in range(640, 0, -20))
     narrow = next(ending for ending in ends if any(ending.unseen(tips)))
     why = narrow.unseen(tips)
     assert 1 <= sum(map(bool, why)) <= 5

@@ -82,8 +82,8 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
         turns = [table.lengths(name, "unit quaternion", blanks=True) for name in QUATERNION]
         quaternion = np.stack(turns, axis=-1)
         length = np.linalg.norm(quaternion, axis=1)
-        free = np.isnan(quaternion).all(axis=1)
-        for row in np.flatnonzero(~free & ~(np.abs(length - 1) <= LENGTH_TOLERANCE)):
+        good = np.isnan(quaternion).all(axis=1) | (np.abs(length - 1) <= LENGTH_TOLERANCE)
+        for row in np.flatnonzero(~good).tolist():
             raise table.error(row, "qx", "a quaternion of length 1, or four blanks")
         quaternion = quaternion / length[:, None]
     sides = read_approach(table, 0)

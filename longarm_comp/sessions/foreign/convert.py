@@ -188,7 +188,8 @@ def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _
 def _together(files: tuple[Path, ...], options: Options) -> tuple[Cells, tuple[str, ...]]:
     """The table of all files, and which rows have no partner."""
     tables = [read_cells(file, options.sheet, options.decimal) for file in files]
-    cells, lonely = tables[0], ()
+    cells = tables[0]
+    lonely: tuple[str, ...] = ()
     if options.join is not None:
         if len(tables) == 1:
             raise InputError(cells.where, "--join", options.join, "two files or more")
