@@ -14,6 +14,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Time
+from control_msgs.msg import JointComponentTolerance
 from geometry_msgs.msg import PointStamped
 from nodes_bench import Bench, bench
 from rclpy.action import ActionClient, ActionServer, CancelResponse
@@ -154,11 +155,14 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
     end = arm.mid + 0.2 * (arm.upper - arm.lower)
     stage.spin(lambda: planned)  # it knows the joints
     plan = ramp(arm.mid, end)
-    goal = planner.send(names[::-1], plan[:, ::-1], goal_time_tolerance=duration(3.0))
+    hard = [JointComponentTolerance(joint_name=names[0])]
+    further = {"goal_time_tolerance": duration(3.0), "component_path_tolerance": hard}
+    goal = planner.send(names[::-1], plan[:, ::-1], **further)
     planner.ends(goal, GoalStatus.STATUS_SUCCEEDED)
     (got,) = controller.got
     assert planner.fed[-1].joint_names == ["fed back"]
     assert got.goal_time_tolerance == duration(3.0)
+    assert got.component_path_tolerance == hard  # the controller decides of what it cannot do
     sent, names_sent = got.trajectory, list(got.trajectory.joint_names)
     assert abs(stamp_ns(sent.header.stamp) - time.time_ns()) < 60e9 and names_sent == names
     assert sent.header.frame_id == ""

@@ -18,7 +18,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes
-from longarm_comp.core.vibration.ring import along, ring_after, straight
+from longarm_comp.core.vibration.ring import along, ring_after, ring_of_moves, straight
 from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
 from longarm_comp.core.vibration.shaper import shaper_of, shaping, way_modes
 from longarm_comp.sim.arm_truth import TrueArm
@@ -71,6 +71,15 @@ def test_a_mass_on_a_soft_joint_swings_as_by_hand() -> None:
     assert found.hz == pytest.approx([OMEGA / (2.0 * np.pi)], rel=1e-6)
     np.testing.assert_allclose(np.abs(found.tip), [[0.0, 1.0 / np.sqrt(HEAVY), 0.0]], atol=1e-6)
     assert not len(modes(Model(ONE), np.zeros(1)).omega)
+
+
+def test_what_is_as_good_as_rigid_does_not_ring() -> None:
+    """A fit may leave a compliance that is next to nothing."""
+    stiff = Model(ONE).plus(JointCompliance(joint=1, compliance=1e-18))
+    ((found, ring),) = ring_of_moves(stiff, np.array([[0.4]]), 0.5, 0.02)
+    assert len(found.omega) == 0 and ring.size_m() == 0.0
+    visible = 0.5 / (9.81 / 1e-4 * HEAVY * LEVER**2)  # half of the least sag that is seen
+    assert len(modes(Model(ONE).plus(JointCompliance(1, compliance=visible)), ONE.mid).omega) == 1
 
 
 def test_a_payload_slows_the_ring() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
+from copy import copy
 from functools import partial
 from typing import Any
 
@@ -145,12 +146,8 @@ class _TrajectoryCompensator(ArmNode):
         message = trajectory_message(
             self._arm, timed.joints, timed.times, self._stamps.next(), timed.velocities
         )
-        out = graph.FOLLOW.type.Goal(
-            trajectory=message,
-            path_tolerance=goal.request.path_tolerance,
-            goal_tolerance=goal.request.goal_tolerance,
-            goal_time_tolerance=goal.request.goal_time_tolerance,
-        )
+        out = copy(goal.request)  # what else it asks, the controller grants or refuses
+        out.trajectory = message
         start = self._state.joints
         sent = await self._out.send_goal_async(
             out, lambda said: goal.publish_feedback(said.feedback)

@@ -17,9 +17,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.constants import g
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.arm.posture import LineLoads, Lumped, Posture
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.link_deflection import elements
@@ -92,14 +94,15 @@ def _modes(mass: np.ndarray, bend: np.ndarray, carried: np.ndarray) -> Modes:
     """Modes of masses (m,) with a flexibility (m, m); the last of them is the tip, without mass."""
     root = np.sqrt(mass)
     values, shapes = np.linalg.eigh(root[:, None] * bend * root)
-    chosen = np.flatnonzero(values > _STIFF * max(values[-1], 0.0))[::-1][:MODES]
+    chosen = np.flatnonzero(values > _STIFF * max(values[-1], VISIBLE_M / g))[::-1][:MODES]
     omega = 1.0 / np.sqrt(values[chosen])
     moved = ((bend @ (root[:, None] * shapes[:, chosen])) * omega**2).T
     return Modes(omega, moved[:, -3:], moved[:, :-3], mass[:-3], carried[:-3])
 
 
 _STIFF = 1e-4
-"""What yields less, compared with the slowest mode, does not ring: it is 100 times as fast."""
+"""What yields less, compared with the slowest mode or with what sags visibly, does not ring: it is
+100 times as fast."""
 
 
 def _masses_of(posture: Posture) -> list[Lumped]:
