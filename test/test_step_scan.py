@@ -77,6 +77,15 @@ def test_nothing_hidden_shows_no_step(levels: int) -> None:
         assert steps(state) == []
 
 
+def test_fine_steps_are_found_with_their_size() -> None:
+    """As fine as what people round to: more than 1,000 steps in the range."""
+    step = math.radians(0.06)
+    state = looked(session([drives.ServoQuantisation(at(1, step))], n=400, seed=3))
+    assert (ARM.upper[0] - ARM.lower[0]) / step > 1000
+    assert steps(state) == [1]
+    assert 2 * math.pi / state.chosen[0].forms["steps_per_turn"] == pytest.approx(step, rel=1e-3)
+
+
 def test_on_few_levels_a_step_is_not_looked_for() -> None:
     hidden = drives.ServoQuantisation(at(2, math.radians(0.77)))
     rows = session([hidden], n=200, seed=3, levels=5)

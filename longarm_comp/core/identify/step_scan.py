@@ -18,9 +18,9 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.model.model import slots_of
 
-COARSEST, FINEST = 12, 1000
-"""Steps in a joint's range: coarser ones are any function of it, finer ones of usual servos are
-candidates by themselves."""
+COARSEST, FINEST = 12, 5000
+"""Steps in a joint's range: coarser ones are any function of it; the finest are a twentieth of a
+degree in 250 degrees, less than people round to."""
 POSITIONS = 2 * COARSEST
 """Positions at which a joint must have stood: two on each of the coarsest steps."""
 APART, FINER = 0.25, 20
