@@ -64,7 +64,7 @@ def improved(trials: Sequence[Trial]) -> bool:
 NAMESPACE = "longarm_demo"
 """Its own namespace: apart from any real arm on the same network."""
 
-PACE = Pace(sightings=3, dwell_s=0.08, move_s=0.05, look_s=30.0, tolerance=2e-4)
+PACE = Pace(sightings=3, dwell_s=0.05, move_s=0.05, look_s=30.0, tolerance=2e-4)
 """Orders may be as old as a look takes: a busy machine is slow, and no simulated arm does harm."""
 
 
@@ -98,7 +98,7 @@ class DemoSettings:
         given: dict[str, dict[str, Any]] = {
             "servo_driver": {"follower.blend_s": 0.05, "order_max_age_s": PACE.look_s},
             "simulated_arm": {
-                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 10.0,
+                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 15.0,
             },
             "kinematics": {"move_time_s": PACE.move_s, "target_max_age_s": PACE.look_s},
         }  # fmt: skip
