@@ -117,6 +117,18 @@ class Chain:
             self._coupled[joint] = tuple(made)
         return self._coupled[joint]
 
+    @cached_property
+    def own_axes(self) -> list[tuple[int, int, int, float]]:
+        """Of each commanded joint: its row, the station that turns or slides about its axis, the
+        place of this motion in a twist, and how much of it a unit of the joint is."""
+        made = []
+        for row in self.arm.commanded:
+            moved = dict(self.coupled(row))
+            at = row if row in moved else next(iter(moved))
+            axis = 2 if self.arm.joints[at - 1].type == "prismatic" else 5
+            made.append((row, self.rows[at - 1].bearing, axis, moved[at]))
+        return made
+
     def place(self, q: Sequence[Scalar], twists: Twists) -> tuple[list[Frame], list[Scalar]]:
         """Every station's frame in the base frame, and every element's length by station.
 

@@ -273,7 +273,7 @@ class Discovered(_OfFunction, Effect):
         unit = _quotient(COMPONENTS[self.component].unit, self.of.units(arm))
         return with_prior(self.declared(), unit=unit, prior=self.scale)
 
-    @property
+    @cached_property
     def joints(self) -> tuple[int, ...]:
         kind, _, row = self.at.partition(" ")
         return (int(row),) if kind == "joint" else ()

@@ -235,7 +235,7 @@ class _Term:
         """The effect at its place in its form, whatever its parameters' values."""
         return (self.name, *self.placement.values())
 
-    @property
+    @cached_property
     def joints(self) -> tuple[int, ...]:
         """Row ids of the joints among its places; the structure it explains depends on them."""
         kinds = self.allowed_places()

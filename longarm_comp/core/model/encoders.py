@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Chain, Twists
-from longarm_comp.core.arm.spatial import ZERO_TWIST, Scalar
+from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.effect import Bias, Effect
 
 _BEFORE: Mapping[str, frozenset[str]] = {
@@ -41,15 +41,9 @@ def tell_apart(arm: Arm, rows: Iterable[int], one: Effect | Bias, other: Effect 
 
 def seen(chain: Chain, parts: Parts) -> tuple[Scalar, ...]:
     """By how much the encoder of each commanded joint sees it displaced, n scalars (rad or m)."""
-    arm = chain.arm
-    total: list[Scalar] = [0.0] * arm.n
+    total: list[Scalar] = [0.0] * chain.arm.n
     for term, twists in parts:
-        for k, row in enumerate(arm.commanded):
-            if not sees(arm, row, term):
-                continue
-            moved = dict(chain.coupled(row))
-            at = row if row in moved else next(iter(moved))
-            axis = 2 if arm.joints[at - 1].type == "prismatic" else 5
-            twist = twists.get(chain.rows[at - 1].bearing, ZERO_TWIST)
-            total[k] = total[k] + twist[axis] * (1.0 / moved[at])
+        for k, (row, station, axis, unit) in enumerate(chain.own_axes):
+            if station in twists and sees(chain.arm, row, term):
+                total[k] = total[k] + twists[station][axis] * (1.0 / unit)
     return tuple(total)
