@@ -193,12 +193,15 @@ class _Search:
         every = self._offered(fitted, found, others=False)
         return max((bank.pruned, bank.tolerance) for bank in every)
 
-    def _whole(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> float:
+    def _whole(
+        self, fitted: ModelFit, found: Sequence[FoundEffect], near: ModelFit | None = None
+    ) -> float:
         """Log evidence of all effects of an explanation that is fitted.
 
         None is pruned: the columns say little of the arm without an effect that is large in it.
         """
-        return max(bank.standing for bank in self._offered(fitted, found, others=False))
+        every = self._offered(fitted, found, others=False, near=near)
+        return max(bank.standing for bank in every)
 
     def _compared(
         self, state: ExplainedSession
@@ -244,7 +247,7 @@ class _Search:
         try:
             model = _with(self.base, state.fit.model, terms)
             begun = self._begun(model, state.fit, near=state.fit)
-            return self._whole(begun, found)
+            return self._whole(begun, found, near=state.fit)
         except JobError:
             return -math.inf
 
