@@ -17,7 +17,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.constants import g
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
@@ -94,7 +93,7 @@ def _modes(mass: np.ndarray, bend: np.ndarray, carried: np.ndarray) -> Modes:
     """Modes of masses (m,) with a flexibility (m, m); the last of them is the tip, without mass."""
     root = np.sqrt(mass)
     values, shapes = np.linalg.eigh(root[:, None] * bend * root)
-    chosen = np.flatnonzero(values > _STIFF * max(values[-1], VISIBLE_M / g))[::-1][:MODES]
+    chosen = np.flatnonzero(values > _STIFF * max(values[-1], VISIBLE_M / 9.81))[::-1][:MODES]
     omega = 1.0 / np.sqrt(values[chosen])
     moved = ((bend @ (root[:, None] * shapes[:, chosen])) * omega**2).T
     return Modes(omega, moved[:, -3:], moved[:, :-3], mass[:-3], carried[:-3])
