@@ -113,6 +113,16 @@ def test_other_columns_are_context_and_text_is_a_label(tmp_path: Path) -> None:
     assert session.sigma.tolist() == [[0.001, 0.002, 0.003]]
 
 
+def test_times_count_from_the_first_row_by_any_clock(tmp_path: Path) -> None:
+    rows = [f"{row},{since}" for row, since in ((ROW, 1.7e9), (SECOND, 1.7e9 + 30.5))]
+    session = read_csv(written(tmp_path / "a.csv", HEADER + ",t_s", *rows), ARM)
+    assert np.array_equal(session.context().column("t_s"), [0.0, 30.5])
+    assert np.array_equal(session.take([1]).context().column("t_s"), [30.5])
+    later = read_csv(written(tmp_path / "b.csv", HEADER + ",t_s", f"{ROW},1700000100"), ARM)
+    assert np.array_equal(later.context().column("t_s"), [0.0])
+    assert np.array_equal(later.on_clock_of(session).context().column("t_s"), [100.0])
+
+
 def test_covariance_becomes_sigma(tmp_path: Path) -> None:
     header = HEADER + ",cov_xx,cov_yy,cov_zz,cov_xy"
     session = read_csv(written(tmp_path / "s.csv", header, ROW + ",1e-6,4e-6,9e-6,1e-7"), ARM)

@@ -183,7 +183,8 @@ def _inputs(session: Session, units: Sequence[str]) -> tuple[Input, ...]:
     axes = [Input(f"q{j + 1}", unit, session.q[:, j]) for j, unit in enumerate(units)]
     if session.approach.any():
         axes.append(Input("approach", "", session.approach.mean(axis=1)))
-    axes += [Input(k, _UNITS.get(k, ""), v) for k, v in session.columns.items() if np.ptp(v) > 0]
+    recorded = session.context().columns
+    axes += [Input(k, _UNITS.get(k, ""), v) for k, v in recorded.items() if np.ptp(v) > 0]
     return tuple(axes)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -117,7 +118,7 @@ def read_csv(path: str | Path, arm: Arm) -> Session:
     blank = np.full(len(table), np.nan)
     xyz = [table.lengths(k, blanks=True) if k in table.cells else blank for k in XYZ]
     q = table.block(joints, "rad or m")
-    return Session.record(
+    session = Session.record(
         q=np.stack([table.lengths(name, "rad or m") for name in joints], axis=-1),
         xyz=np.stack(xyz, axis=-1),
         index=table.integers("index") if "index" in table.cells else None,
@@ -131,6 +132,7 @@ def read_csv(path: str | Path, arm: Arm) -> Session:
         readings=readings,
         sigmas=sigmas,
     )
+    return session if session.t_s is None else replace(session, begun_s=float(session.t_s[0]))
 
 
 def write_csv(session: Session, path: str | Path) -> None:

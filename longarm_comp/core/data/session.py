@@ -50,6 +50,8 @@ class Session(MeasuredRows):
         sigmas: standard deviations of these, by kind, (N,) each in m or rad.
         touch_distances: known distances between touched points (`core/data/touched.py`).
         blocks: the channels of the equations; a part of a session keeps those of the whole.
+        begun_s: `t_s` of the moment from which effects count the time: a machine's clock may count
+            from 1970.
         lost: why rows of the recording hold no measurement, by index, if known; a part of a session
             keeps those of the whole.
     """
@@ -70,6 +72,7 @@ class Session(MeasuredRows):
     touch_distances: tuple[KnownDistance, ...] = ()
     blocks: tuple[ChannelBlock, ...] = ()
     lost: Mapping[int, str] = field(default_factory=dict)
+    begun_s: float = 0.0
 
     def __post_init__(self) -> None:
         q = _joints(self.source, self.q)
@@ -240,9 +243,12 @@ class Session(MeasuredRows):
         """
         at: _Rows = slice(None) if rows is None else rows
         history = History(self.approach[at].astype(float), self.legs[at])
+        columns = {name: values[at] for name, values in self.columns.items()}
+        if self.t_s is not None:
+            columns["t_s"] = columns["t_s"] - self.begun_s
         return Context(
             **(history.fields() if self.approach.any() else {}),
-            columns={name: values[at] for name, values in self.columns.items()},
+            columns=columns,
             labels={name: values[at] for name, values in self.labels.items()},
         )
 
@@ -254,6 +260,10 @@ class Session(MeasuredRows):
             taken[kind] = {name: held[rows] for name, held in getattr(self, kind).items()}
         sigma = None if self.sigma is None else self.sigma[rows]
         return dataclasses.replace(self, sigma=sigma, **taken)
+
+    def on_clock_of(self, other: Session) -> Session:
+        """The same, with a time that counts from where it does in another session."""
+        return dataclasses.replace(self, begun_s=other.begun_s)
 
     def where(self, label: str, value: str) -> Session:
         """The rows whose text column `label` holds `value`."""

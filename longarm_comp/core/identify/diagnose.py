@@ -89,7 +89,7 @@ def diagnose(
 
     nominal = model or declared_model(arm)
     session = as_fitted(session, nominal)
-    test = None if test is None else as_fitted(test, nominal)
+    test = None if test is None else as_fitted(test.on_clock_of(session), nominal)
     if not any(ORDER in e.inputs for e in nominal.effects):  # what the model holds has happened
         test = None if test is None else _in_order(test, len(session))
         session = _in_order(session)

@@ -52,7 +52,7 @@ def splitting_poses(
     unit = qmc.Sobol(arm.n, seed=seed).random(POOL)
     q = arm.lower + (arm.upper - arm.lower) * unit
     side = sides(POOL)
-    recorded = fit.session.columns
+    recorded = fit.session.context().columns
     typical = {k: np.full(POOL, float(np.median(v))) for k, v in recorded.items()}
     heaviest = float(np.max(recorded["payload_kg"], initial=0.0)) if "payload_kg" in recorded else 0
     if heaviest > 0:

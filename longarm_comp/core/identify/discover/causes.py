@@ -133,7 +133,7 @@ def proposed(fit: ModelFit, found: Sequence[Found], count: int, seed: int) -> np
 
     arm = fit.model.arm
     pool = arm.lower + (arm.upper - arm.lower) * qmc.Sobol(arm.n, seed=seed).random(POOL)
-    recorded = fit.session.columns
+    recorded = fit.session.context().columns
     usual = Context(columns={k: np.full(POOL, float(np.median(v))) for k, v in recorded.items()})
     posture = fit.model.posture(unstack(pool), usual)
     chosen: list[int] = []

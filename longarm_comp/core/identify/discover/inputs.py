@@ -139,9 +139,9 @@ def camera_inputs(points: np.ndarray, session: Session) -> Arguments:
     made: list[Argument] = []
     for axis, values in zip("xyz", points.T, strict=True):
         _add(made, f"{SEEN}{axis}", values, None)
-    for name, values in session.columns.items():
+    for name, values in session.context().columns.items():
         if is_column(name):
-            _add(made, name, values, None)
+            _add(made, name, np.asarray(values), None)
     return Arguments(tuple(made), (), 0)
 
 
