@@ -30,8 +30,6 @@ SIGNIFICANT = 0.005
 """Chance of structure where there is none."""
 WORTH = 0.25
 """Structure below this share of the noise is not worth a verdict."""
-
-
 SMALLEST_M = 5e-5
 """Less at the tip does not matter: no servo and no camera knows better."""
 OF_SPREAD = 2e-4

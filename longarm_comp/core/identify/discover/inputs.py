@@ -34,7 +34,6 @@ FEW_LEVELS = 3
 _FINE = 50
 _FAR = 20.0
 
-
 SEEN = "seen_"
 """What coordinates of the seen point begin with."""
 

@@ -177,9 +177,8 @@ class _Search:
         does not need: else an explanation could not take the place of the same one with more.
         """
         again = self._begun(before.fit.model, now.fit, begun=before.fit)
-        was = self._offered(again, before.found, others=False, near=now.fit)
-        becomes = self._offered(now.fit, now.found, others=False)
-        return max(b.standing for b in becomes) > max(b.standing for b in was) + BETTER
+        was = self._whole(again, before.found, near=now.fit)
+        return self._whole(now.fit, now.found) > was + BETTER
 
     def _begun(self, model: Model, noise_of: ModelFit, **start: ModelFit) -> ModelFit:
         """A model fitted so far that the next step would be small, with the noise of a fit."""
@@ -193,14 +192,12 @@ class _Search:
         every = self._offered(fitted, found, others=False)
         return max((bank.pruned, bank.tolerance) for bank in every)
 
-    def _whole(
-        self, fitted: ModelFit, found: Sequence[FoundEffect], near: ModelFit | None = None
-    ) -> float:
+    def _whole(self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit) -> float:
         """Log evidence of all effects of an explanation that is fitted.
 
         None is pruned: the columns say little of the arm without an effect that is large in it.
         """
-        every = self._offered(fitted, found, others=False, near=near)
+        every = self._offered(fitted, found, others=False, **near)
         return max(bank.standing for bank in every)
 
     def _compared(

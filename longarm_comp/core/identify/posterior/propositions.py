@@ -50,9 +50,8 @@ def propositions(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Propositi
         for (marginal, _), kinds in zip(tops, listed, strict=True):
             weighed = []
             for few in kinds:
-                weighed += _weighed(bank, marginal, [h for h in few if not _geometric(h)])[
-                    :SCREENED
-                ]
+                tried = [h for h in few if not _geometric(h)]
+                weighed += _weighed(bank, marginal, tried)[:SCREENED]
             weighed.sort(key=lambda each: -each[0])
             for worth, h in [*weighed, *_refined(bank, marginal, weighed[:REFINED])]:
                 known = best.get(h)
