@@ -27,8 +27,9 @@ SHORTEST = 1e-3
 STALLED = 3
 """Steps without gain after which a fit ends with the best values it had: where loads and what they
 bend are fitted together, steps may go around the solution for ever."""
-MOST_STEPS = 25
-"""Bound on the Gauss-Newton steps."""
+GAUSS_NEWTON_STEPS = 25
+"""Steps at most: fits of simulated arms take one to six; one that goes around its solution ends by
+`STALLED`."""
 GAIN = 0.1
 """Fall of the cost (minus twice the log posterior) that is a gain."""
 WORSE = 0.1
@@ -131,7 +132,7 @@ def _fit_parts(
         part.look()
     posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
     cost, best, least, stalled = np.inf, now, np.inf, 0
-    for step in range(1, MOST_STEPS + 1):
+    for step in range(1, GAUSS_NEWTON_STEPS + 1):
         gram, moment = np.zeros((len(scale), len(scale))), np.zeros(len(scale))
         for part, mine in zip(parts, maps, strict=True):
             part.weigh(settled=step > 2)
