@@ -24,7 +24,7 @@ from longarm_comp.core.data.commanded import (
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
-from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.effects.effect import Bias, Effect, parameter
 from longarm_comp.core.effects.placements import SensorPlace
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import Creep, ThermalGrowth
@@ -68,7 +68,9 @@ def test_what_no_command_has_is_left_out(term: Effect, rows: Session) -> None:
     bare = declared_model(ARM)
     model = bare.plus(term)
     assert np.abs(errors(model, rows) - errors(bare, rows)).max() > 5e-4
-    assert commanded_errors(model, rows) == pytest.approx(errors(bare, rows), abs=1e-12)
+    left = commanded_errors(model, rows) - errors(bare, rows)
+    frame = left[0] if isinstance(term, Bias) else np.zeros(3)
+    assert left == pytest.approx(np.tile(frame, (len(rows), 1)), abs=1e-12)
     assert [term.name in said for said in not_commanded(model, rows)] == [True]
 
 
@@ -93,6 +95,14 @@ def test_of_a_side_that_was_told_nobody_knows_the_moves_before(rows: Session) ->
     assert np.abs(commanded_errors(model, rows) - errors(model, rows)).max() > 1e-4
     assert not_commanded(model, rows) == ["earlier moves of the joints (friction_hysteresis)"]
     assert np.array_equal(commanded_errors(model, known), errors(model, known))
+
+
+def test_what_moves_all_seen_points_alike_misses_no_target(rows: Session) -> None:
+    """Of a drift that the rows hold, the command is charged with its spread, not with its mean."""
+    model = declared_model(ARM).plus(CameraDrift(x=2e-3, y=1e-3))
+    drift = errors(declared_model(ARM), rows) - errors(model, rows)
+    charged = commanded_errors(model, rows) - errors(model, rows)
+    assert charged == pytest.approx(drift - drift.mean(axis=0), abs=1e-12)
 
 
 def test_the_frame_of_a_sensor_stays() -> None:

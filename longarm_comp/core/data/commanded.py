@@ -12,6 +12,7 @@ import dataclasses
 import numpy as np
 
 from longarm_comp.core.arm.context import NEVER_TOLD
+from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
@@ -20,9 +21,18 @@ from longarm_comp.core.model.model import Model
 MEASURING_SIDE = "(measuring side)"
 
 
-def commanded_errors(model: Model, session: Session) -> np.ndarray:
-    """(M, 3) measured - predicted of the rows that `errors` has, with what a command knows, m."""
-    return errors(as_commanded(model), own_way(session))
+def commanded_errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
+    """(M, 3) measured - predicted of the rows that `errors` has, with what a command knows, m.
+
+    What the measuring side moves all rows by alike is a choice of frame: it misses no target.
+    `near` is a similar model's posture at these rows, as in `errors`.
+    """
+    told, rows = as_commanded(model), own_way(session)
+    missed = errors(told, rows, near)
+    if told.biases == model.biases or not len(missed):
+        return missed
+    seen = errors(dataclasses.replace(told, biases=model.biases), rows, near)
+    return missed - (missed - seen).mean(axis=0)
 
 
 def as_commanded(model: Model) -> Model:

@@ -84,10 +84,10 @@ def practical(
         return []
     model = fitted.model
     tips = model.measured_at(fitted.posture)
-    told, placed = as_commanded(model), held_out.take(held_out.placed)
+    placed = held_out.take(held_out.placed)
     own = own_way(placed)
-    at = posture(model, placed), posture(told, own)
-    after = errors(model, placed, at[0]), errors(told, own, at[1])
+    at = posture(model, placed), posture(as_commanded(model), own)
+    after = errors(model, placed, at[0]), commanded_errors(model, own, at[1])
     made = []
     for terms in findings:
         places = {t.key for t in terms}
@@ -102,7 +102,7 @@ def practical(
             Practical(
                 np.linalg.norm(tips - still, axis=1),
                 Gain.of(errors(less, placed, at[0]), after[0]),
-                Gain.of(errors(as_commanded(less), own, at[1]), after[1]),
+                Gain.of(commanded_errors(less, own, at[1]), after[1]),
             )
         )
     return made
