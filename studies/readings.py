@@ -16,7 +16,7 @@ from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance as SoftJoint
-from longarm_comp.core.effects.drive_errors import ServoDroop
+from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.give import TOLERANCES
 from longarm_comp.core.identify.posterior.found import FoundEffect
@@ -167,7 +167,7 @@ def at_joint(
     place = np.array([float(row == joint) for row in arm.commanded])
     made: HiddenEffect = JointCompliance(1e-3 * place)
     if name == "servo_droop":
-        made = drives.ServoDroop(1e-3 * place, 2e-4 * place, 0.05)
+        made = drives.ServoDroop(1e-3 * place)
     poses = rng.uniform(arm.lower, arm.upper, (60, arm.n))
     sound = TrueArm(arm, steps=2).tip(poses)
     for _ in range(8):
@@ -229,7 +229,7 @@ class SaggingArm:
             CameraPair(position_m=(0.75, -1.7, 0.3), optical_axis=(0.0, 1.0, 0.0)),
             tag_plate(0.06, 0.012, 2, 2),
             mounting([0.0, 0.0, 0.0]),
-            (drives.ServoDroop(2.3e-3 * turns, 3e-4 * turns, 0.05),),
+            (drives.ServoDroop(2.3e-3 * turns), drives.ServoDeadband(3e-4 * turns, 0.05)),
             MotorSpec(encoder_zero_ticks=off),
         )
         self.now = 0.0

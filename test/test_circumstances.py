@@ -24,10 +24,9 @@ from longarm_comp.core.compensation.compensate import Method, Status, compensate
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.effects.catalogue import BUILT_IN
-from longarm_comp.core.effects.drive_errors import ServoDroop
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_term import JointTerm
-from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, ServoDeadband
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import Engine, solve_many
@@ -237,7 +236,7 @@ def play(arm: Arm) -> Model:
         arm,
         (
             Backlash(joint=first, gate=0.3, width=0.01),
-            ServoDroop(joint=second, gate=0.3, sag=0.0, deadband=0.006),
+            ServoDeadband(joint=second, gate=0.3, width=0.012),
             FrictionHysteresis(second, near=0.02, far=0.1, width=0.012, inner=0.003, outer=0.006),
         ),
     )

@@ -178,9 +178,10 @@ def test_compliance_is_a_set_with_servo_droop(data_dir: Path, tmp_path: Path) ->
 
 @pytest.mark.long
 def test_backlash_is_named(data_dir: Path, tmp_path: Path) -> None:
+    """Without readings a servo's deadband does the same, and the set says so."""
     found, left = twin(data_dir, "one_backlash_300", tmp_path)
-    assert found["verdict"] == "named"
-    assert [f["effect"] for f in found["findings"]] == ["backlash"]
+    assert found["verdict"] == "set"
+    assert [set(f["set"]) for f in found["findings"]] == [{"backlash", "servo_deadband"}]
     assert np.linalg.norm(left, axis=1).mean() < 1e-3
 
 

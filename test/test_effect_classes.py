@@ -109,7 +109,7 @@ def test_the_library_is_what_its_classes_say() -> None:
     assert {n: dict(k.scales()) for n, k in BUILT_IN.items() if k.scales()} == {
         "backlash": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
         "cylinder_play": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
-        "servo_droop": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
+        "servo_deadband": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
         "creep": {"time": (100.0, 1e5)},
         "friction_hysteresis": {"near": (0.01, 0.6), "far": (0.01, 0.6)},
     }

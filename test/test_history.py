@@ -20,8 +20,8 @@ from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.compliances import JointCompliance
-from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, ServoDroop
+from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import ThermalGrowth

@@ -22,12 +22,11 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import (
     GearEccentricity,
     JointGain,
-    ServoDroop,
     ServoQuantisation,
 )
 from longarm_comp.core.effects.effect import Effect, parameter

@@ -15,8 +15,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.calibration.linear import sized
-from longarm_comp.core.effects.compliances import JointCompliance
-from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, ServoDroop
+from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.parameters import ALIKE
 from longarm_comp.core.effects.quantities import Span

@@ -25,12 +25,12 @@ from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.rest import RestWatch
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
-from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain, ServoDroop
+from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, ServoDroop
+from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import Encoder
 from longarm_comp.core.effects.masses import TipPayload
-from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, ServoDeadband
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -44,8 +44,9 @@ from longarm_comp.report.write import write_report
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.hidden import drives
+from longarm_comp.sim.hidden.geometry import DhError
 
-DROOP = drives.ServoDroop(at(3, 1.5e-3), at(3, 1e-3), 0.0)
+DROOP = drives.ServoDroop(at(3, 1.5e-3))
 RIVALS = (
     ServoDroop,
     JointCompliance,
@@ -76,9 +77,9 @@ def shown(arm: Arm, term: Effect, q: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("encoder", "term", "seen"),
     [
-        ("motor", ServoDroop(2, sag=1e-3), True),
+        ("motor", ServoDroop(2, compliance=1e-3), True),
         ("motor", JointCompliance(2, compliance=1e-3), False),
-        ("joint", ServoDroop(2, sag=1e-3), True),
+        ("joint", ServoDroop(2, compliance=1e-3), True),
         ("joint", JointCompliance(2, compliance=1e-3), True),
     ],
 )
@@ -92,7 +93,7 @@ def test_an_encoder_sees_what_acts_before_it(encoder: str, term: Effect, seen: b
 def test_readings_move_as_their_columns_say() -> None:
     """Also by what acts through the loads, by the encoder itself, and through its scale."""
     rows = session((DROOP,))
-    terms = (ServoDroop(2, sag=1e-3, deadband=1e-3), JointCompliance(2, compliance=1e-3))
+    terms = (ServoDroop(2, compliance=1e-3), JointCompliance(2, compliance=1e-3))
     off = Encoder(2, zero=0.01, scale=0.1)
     model = Model(ARM, (*terms, *TipPayload.for_arm(ARM))).plus(off)
     at_rows = posture(model, rows)
@@ -109,7 +110,7 @@ def test_readings_move_as_their_columns_say() -> None:
         np.testing.assert_allclose(
             columns[..., k], want, atol=0.02 * max(np.abs(want).max(), 4.0), err_msg=slot.label
         )
-        if slot.parameter.name in ("sag", "mass", "zero", "scale"):
+        if slot.parameter.name in ("compliance", "mass", "zero", "scale"):
             assert np.abs(want).max() > 1e-3, slot.label
 
 
@@ -121,7 +122,7 @@ def test_a_reading_of_a_joint_beside_the_chain_is_its_own() -> None:
     data["joints"][1]["moves"] = False
     arm = Arm.parse(data, "belt")
     q = np.full((1, arm.n), 0.05)
-    off = shown(arm, ServoDroop(2, deadband=1e-3), q)
+    off = shown(arm, ServoDeadband(2, width=2e-3), q)
     assert np.abs(off) == pytest.approx(np.array([[0.0, 1e-3, 0.0]]))
 
 
@@ -140,14 +141,14 @@ def test_rows_without_readings_are_what_they_were() -> None:
 
 
 def test_zero_scale_and_noise_of_every_encoder_are_found() -> None:
-    rows = session((drives.ServoDroop(at(3, 1.5e-3), at(3, 0.0), 0.0),), n=200)
+    rows = session((DROOP,), n=200)
     fitted = fit(Model(ARM, (ServoDroop(3),)).plus(*geometry(ARM, rows)), rows)
     held = {t.joint: t for t in fitted.model.biases if isinstance(t, Encoder)}
     for k, row in enumerate(ARM.commanded):
         assert held[row].zero == pytest.approx(ENCODERS.zero[k], abs=5e-5)
         assert held[row].scale == pytest.approx(1e-3, abs=3e-4)
     droop = next(t for t in fitted.model.effects if isinstance(t, ServoDroop))
-    assert droop.sag == pytest.approx(1.5e-3, rel=0.03)
+    assert droop.compliance == pytest.approx(1.5e-3, rel=0.03)
     assert fitted.sigma[3:] == pytest.approx(np.full(4, ENCODERS.step / np.sqrt(12)), rel=0.2)
 
 
@@ -207,7 +208,7 @@ def test_poses_to_measure_ask_for_nothing_that_readings_tell() -> None:
         model = Model(ARM, (ServoDroop(3), JointCompliance(3)))
         known = Uncertainty.of(model, rows, "position", known=True, sigma=(1.0, 1.0))
         assert known.sigma[0] == pytest.approx(SIGMA, rel=0.4)
-        sag = next(k for k, s in enumerate(known.model.slots) if s.parameter.name == "sag")
+        sag = next(k for k, s in enumerate(known.model.slots) if s.owner.name == "servo_droop")
         x = known.measures(sobol(ARM, 10, 0), "position")
         assert x.shape[1] == (7 if encoders else 3)
         flat = x.reshape(-1, x.shape[2])
@@ -242,6 +243,21 @@ def test_without_a_reading_droop_and_softness_stay_a_set() -> None:
     assert not page.encoders
     said = [s.reason for s in page.splits if "servo_droop" in s.reason]
     assert said and all("(read_q3)" in reason for reason in said)
+
+
+@pytest.mark.parametrize("half", [5e-4, 2e-3])
+def test_play_at_a_vertical_axis_that_leans_is_found_beside_a_soft_joint(half: float) -> None:
+    """The load at joint 1 is that of its lean alone, and decides nothing."""
+    lean = np.zeros((4, ARM.n))
+    lean[0, 0] = 2e-3
+    hidden = soft(2), drives.Backlash(at(1, half), np.inf), DhError(lean)
+    found = diagnose(ARM, session(hidden, n=200, encoders=False)).findings
+    assert {
+        f.where: set(f.names) >= {n}
+        for f, n in zip(
+            sorted(found, key=lambda f: f.where), ("backlash", "joint_compliance"), strict=True
+        )
+    } == {("joint 1",): True, ("joint 2",): True}
 
 
 def test_both_at_one_joint_are_both_found() -> None:
@@ -288,7 +304,7 @@ def test_the_tip_by_readings_needs_no_model_of_the_servos() -> None:
     terms = (ServoDroop(3), JointCompliance(3))
     fitted = fit(Model(ARM, terms).plus(*geometry(ARM, rows)), rows)
     model = with_uncertainty(fitted)
-    worse = drives.ServoDroop(3 * DROOP.yielding, DROOP.deadband, 0.0)
+    worse = drives.ServoDroop(3 * DROOP.yielding)
     fresh = sensed((worse, soft(3)), seed=7)
     by_command = np.linalg.norm(model.tip(fresh.q) - fresh.tip, axis=1).mean()
     arm = by_readings(model)
@@ -300,13 +316,13 @@ def test_the_tip_by_readings_needs_no_model_of_the_servos() -> None:
 
 def test_a_zero_that_runs_together_with_the_droop_does_not_widen_the_tip_by_readings() -> None:
     """Zero, deadband and joint zero of one joint: their sum at the tip is known."""
-    rows = session((DROOP,), n=150)
-    fitted = fit(Model(ARM, (ServoDroop(3),)).plus(*geometry(ARM, rows)), rows)
-    at = {s.label: e for s, e in zip(fitted.slots, fitted.standard_errors, strict=True)}
+    rows = session((DROOP, drives.ServoDeadband(at(3, 1e-3), 0.0)), n=150)
+    fitted = fit(Model(ARM, (ServoDroop(3), ServoDeadband(3))).plus(*geometry(ARM, rows)), rows)
+    off = {s.label: e for s, e in zip(fitted.slots, fitted.standard_errors, strict=True)}
     model = with_uncertainty(fitted)
     arm, q = by_readings(model), session(n=5).q
     said = [expected_miss(arm, v, Context.empty(), arm.tip(v)).expected_m for v in q]
-    assert at["encoder / joint 3 / zero"] > 1e-3
+    assert off["encoder / joint 3 / zero"] > 1e-3
     assert max(said) < 3e-4
 
 

@@ -22,12 +22,12 @@ from longarm_comp.core.effects.compliances import (
     BearingTilt,
     JointCompliance,
     LinkStiffness,
+    ServoDroop,
 )
 from longarm_comp.core.effects.drive_errors import (
     GearEccentricity,
     JointGain,
     PrismaticPitch,
-    ServoDroop,
     ServoQuantisation,
 )
 from longarm_comp.core.effects.geometry_errors import JointZero
@@ -36,7 +36,12 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.masses import GravityDirection, LinkMass, TipPayload
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.placements import BasePose
-from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, TelescopeClearance
+from longarm_comp.core.effects.plays import (
+    Backlash,
+    FrictionHysteresis,
+    ServoDeadband,
+    TelescopeClearance,
+)
 from longarm_comp.core.effects.slow_changes import (
     BaseSettling,
     Creep,
@@ -95,9 +100,10 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
         ],
         0.01,
     ),
-    "servo_droop": (
-        lambda e: _each(TURNING, ServoDroop, sag=e.yielding, deadband=e.deadband),
-        0.6,
+    "servo_droop": (lambda e: _each(TURNING, ServoDroop, compliance=e.yielding), 0.6),
+    "servo_deadband": (
+        lambda e: _each(TURNING, ServoDeadband, width=2 * e.half, gate=e.gate / TORQUE),
+        0.3,
     ),
     "backlash": (lambda e: _each(TURNING, Backlash, width=2 * e.half, gate=e.gate / TORQUE), 0.3),
     "friction_hysteresis": (lambda e: _each(TURNING, FrictionHysteresis, width=2 * e.lag), 0.01),

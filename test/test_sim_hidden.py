@@ -30,7 +30,14 @@ LIBRARY = (
         "telescope_clearance",
     ),
     *("base_compliance", "measured_tilt", "gravity_direction", "backlash", "friction_hysteresis"),
-    *("gear_eccentricity", "joint_gain", "prismatic_pitch", "servo_droop", "servo_quantisation"),
+    *(
+        "gear_eccentricity",
+        "joint_gain",
+        "prismatic_pitch",
+        "servo_droop",
+        "servo_deadband",
+        "servo_quantisation",
+    ),
     *(
         "friction_memory",
         "base_settling",
@@ -163,9 +170,11 @@ def test_friction_stops_short_of_the_command() -> None:
     assert angle(lever(), effect) == pytest.approx(0.0)
 
 
-def test_servo_droop_is_sag_and_the_edge_of_the_deadband() -> None:
-    effect = drives.ServoDroop(np.array([0.001]), np.array([0.004]), friction=0.1)
-    assert angle(lever(), effect) == pytest.approx(-0.004 - 0.001 * 2 * G * 0.5, rel=1e-3)
+def test_a_servo_sags_and_rests_at_the_edge_of_its_deadband() -> None:
+    sag = drives.ServoDroop(np.array([0.001]))
+    edge = drives.ServoDeadband(np.array([0.004]), gate=0.1)
+    assert angle(lever(), sag) == pytest.approx(-0.001 * 2 * G * 0.5, rel=1e-3)
+    assert angle(lever(), edge) == pytest.approx(-0.004, rel=1e-3)
 
 
 def test_servo_steps_gain_and_eccentricity() -> None:

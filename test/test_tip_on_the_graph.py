@@ -22,10 +22,10 @@ from scipy.spatial.transform import Rotation
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.calibration.calibrate import declared_model
-from longarm_comp.core.effects.drive_errors import ServoDroop
+from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_term import typical_loads
-from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
+from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, ServoDeadband
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient, Pace
@@ -159,8 +159,9 @@ def known(arm: Arm, hidden: tuple[HiddenEffect, ...]) -> Model:
                     width = 2 * e.half[j]
                     terms.append(Backlash(row, gate=e.gate / torque, blend=sharp, width=width))
                 elif isinstance(e, drives.ServoDroop):
-                    gate, sag, half = e.friction / torque, e.yielding[j], e.deadband[j]
-                    terms.append(ServoDroop(row, gate, sharp, sag=sag, deadband=half))
+                    terms.append(ServoDroop(row, compliance=e.yielding[j]))
+                elif isinstance(e, drives.ServoDeadband):
+                    terms.append(ServoDeadband(row, e.gate / torque, sharp, width=2 * e.half[j]))
                 elif isinstance(e, drives.FrictionMemory):
                     width = 2 * e.lag[j]  # all of it remembered, nothing by the side alone
                     terms.append(FrictionHysteresis(row, far=reach, width=width, outer=width))
@@ -202,7 +203,9 @@ def test_play_and_droop_whatever_side_the_joints_come_from(
 ) -> None:
     rng = np.random.default_rng(1)
     sides, run_ups = [], 0
-    with commanded(demo_arm_path, "backlash=2.0 servo_droop=3.0", tmp_path) as stage:
+    with commanded(
+        demo_arm_path, "backlash=2.0 servo_droop=3.0 servo_deadband=1.0", tmp_path
+    ) as stage:
         arm = stage.arm
         for _ in range(TRIED):
             if len(sides) == 12:
@@ -226,7 +229,7 @@ def test_friction_that_remembers_the_move_before(
     ros_domain: int, demo_arm_path: Path, tmp_path: Path
 ) -> None:
     rng = np.random.default_rng(2)
-    hidden = "backlash=2.0 servo_droop=3.0 friction_memory=2.0"
+    hidden = "backlash=2.0 servo_droop=3.0 servo_deadband=1.0 friction_memory=2.0"
     done = part_wound = 0
     with commanded(demo_arm_path, hidden, tmp_path) as stage:
         arm = stage.arm

@@ -23,7 +23,7 @@ from longarm_comp.sim.cameras import CameraPair, Conditions, Light, Plate, expos
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
-from longarm_comp.sim.hidden.drives import Backlash, ServoDroop
+from longarm_comp.sim.hidden.drives import Backlash, ServoDeadband, ServoDroop
 from longarm_comp.sim.ringing import Ringing
 from longarm_comp.sim.rods import QUICK_STEPS
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
@@ -32,6 +32,7 @@ from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
+_OF_SERVOS = (ServoDroop, ServoDeadband)
 _SAME = 1e-7  # rad or m: the arm has not moved
 _MOUTH_M = 0.009
 """Radius of a socket's mouth, from which the ball slides in."""
@@ -92,16 +93,16 @@ class Plant:
             names = ", ".join(j.name for j in config.servos.joints)
             raise InputError("plant", "servo joints", names, ", ".join(config.arm.joint_names))
         self.config = config
-        self._behind = tuple(e for e in config.hidden if not isinstance(e, ServoDroop))
-        droops = [e for e in config.hidden if isinstance(e, ServoDroop)]
+        loose = [e for e in config.hidden if isinstance(e, _OF_SERVOS)]
+        self._behind = tuple(e for e in config.hidden if not isinstance(e, _OF_SERVOS))
         by_name = {j.name: j for j in config.servos.joints}
         self._servos = [by_name[name] for name in config.arm.joint_names]
         specs = {
-            j.servo_id: _drooping(config.spec, j, droops, number)
+            j.servo_id: _loose(config.spec, j, loose, number)
             for number, j in enumerate(self._servos)
         }
         self._loads: Mapping[int, float] = {}
-        self._loaded = [j for j in self._servos if j.told or droops]
+        self._loaded = [j for j in self._servos if j.told or loose]
         self.emulator = ServoEmulator(
             config.servos.protocol, config.servos.start_ticks(), specs, link=link,
             load_of=lambda _: self._loads, clock=clock,
@@ -211,19 +212,22 @@ class Plant:
         return left, right
 
 
-def _drooping(
-    spec: MotorSpec, joint: EmulatedJoint, droops: Sequence[ServoDroop], number: int
+def _loose(
+    spec: MotorSpec,
+    joint: EmulatedJoint,
+    effects: Sequence[ServoDroop | ServoDeadband],
+    number: int,
 ) -> MotorSpec:
     """The mechanics of a joint's servo: its data sheet, and a controller that gives way."""
     spec = replace(spec, **joint.sheet)
-    for droop in droops:
-        soft = droop.yielding[number] * joint.full_effort
-        spec = replace(
-            spec,
-            droop_ticks=spec.droop_ticks + soft / abs(joint.travel),
-            dead_band_ticks=spec.dead_band_ticks + droop.deadband[number] / abs(joint.travel),
-            hold_share=droop.friction / joint.full_effort,
-        )
+    tick = abs(joint.travel)
+    for effect in effects:
+        if isinstance(effect, ServoDroop):
+            soft = effect.yielding[number] * joint.full_effort
+            spec = replace(spec, droop_ticks=spec.droop_ticks + soft / tick)
+        else:
+            wide, held = effect.half[number] / tick, effect.gate / joint.full_effort
+            spec = replace(spec, dead_band_ticks=spec.dead_band_ticks + wide, hold_share=held)
     return spec
 
 

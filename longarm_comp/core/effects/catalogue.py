@@ -25,6 +25,7 @@ from longarm_comp.core.effects.compliances import (
     JointCompliance,
     LinkBending,
     LinkStiffness,
+    ServoDroop,
 )
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.drive_errors import (
@@ -32,7 +33,6 @@ from longarm_comp.core.effects.drive_errors import (
     GuideCurvature,
     JointGain,
     PrismaticPitch,
-    ServoDroop,
     ServoQuantisation,
 )
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -57,6 +57,7 @@ from longarm_comp.core.effects.plays import (
     Backlash,
     CylinderPlay,
     FrictionHysteresis,
+    ServoDeadband,
     SlidePlay,
     TelescopeClearance,
 )
@@ -83,7 +84,8 @@ _OURS: tuple[Kind, ...] = (
     *(JointCompliance, BearingTilt, LinkStiffness, TipPayload, LinkMass, TelescopeClearance),
     *(LinkBending, SlidePlay, GuideCurvature, BaseCompliance, BaseSettling, MeasuredTilt),
     *(GravityDirection, Backlash, CylinderPlay, FrictionHysteresis, GearEccentricity, JointGain),
-    *(PrismaticPitch, ServoDroop, ServoQuantisation, ThermalGrowth, ThermalSoftening, Creep),
+    *(PrismaticPitch, ServoDroop, ServoDeadband, ServoQuantisation, ThermalGrowth),
+    *(ThermalSoftening, Creep),
     *(CameraScale, CameraRadial, CameraDrift, Discovered, DiscoveredView),
 )
 BUILT_IN: dict[str, Kind] = {kind.name: kind for kind in _OURS}

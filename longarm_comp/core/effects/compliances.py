@@ -56,6 +56,28 @@ class JointCompliance(JointTerm):
 
 
 @dataclass(frozen=True)
+class ServoDroop(JointCompliance):
+    """The same before the encoder: a proportional controller yields to its load.
+
+    Only a reading of the joint tells it from a soft joint.
+    """
+
+    name = "servo_droop"
+    title = "servo that yields to its load"
+    types = ("revolute", "prismatic")
+    passive = False
+    elastic = False
+    acts = "servo"
+    action = "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
+    actions = by_drive(
+        hydraulic="Add integral action to the valve's controller, or check it for leakage.",
+        motor="Raise the gain of the position controller, or add integral action.",
+        cable="Raise the gain of the position controller, or measure the angle at the joint.",
+    )
+    aliases = ("joint_compliance",)
+
+
+@dataclass(frozen=True)
 class BearingTilt(JointTerm):
     """Lateral elasticity of a joint: its seat turns under the moment across its axis.
 

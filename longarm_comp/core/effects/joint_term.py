@@ -121,13 +121,14 @@ class RestingTerm(JointTerm):
     Attributes:
         gate: threshold of the load under which friction decides the side, as a share of the arm's
             typical torque (`typical_loads`), or of a quarter of its weight for a slide; 0: the
-            load always does.
+            load always does. None is tried below the load that a vertical axis has where its base
+            leans by a few mrad, which would decide by chance.
         blend: share of the threshold over which the side changes over.
     """
 
     loaded = True
 
-    gate: float = form(0.0, lower=0.0, upper=1.0, tried=(0.0, 0.03, 0.075, 0.15, 0.3, 0.75))
+    gate: float = form(0.0, lower=0.0, upper=1.0, tried=(0.01, 0.03, 0.075, 0.15, 0.3, 0.75))
     blend: float = form(1 / 6, lower=0.01, upper=0.5)
 
     def side(self, posture: Posture) -> Scalar:

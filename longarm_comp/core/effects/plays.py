@@ -50,6 +50,18 @@ class Backlash(RestingTerm):
 
 
 @dataclass(frozen=True)
+class ServoDeadband(Backlash):
+    """The same before the encoder: only a reading of the joint tells it from play."""
+
+    name = "servo_deadband"
+    title = "deadband of a servo"
+    acts = "servo"
+    action = "Narrow the deadband of the servo, or add integral action."
+    actions = by_drive(hydraulic="Check the valve for its deadband; add integral action.")
+    aliases = ("backlash",)
+
+
+@dataclass(frozen=True)
 class CylinderPlay(RestingTerm):
     """As `Backlash`, but worn pins shift the cylinder: the joint turns by play over lever."""
 

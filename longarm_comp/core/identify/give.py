@@ -9,6 +9,7 @@ more than it does.
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -24,9 +25,9 @@ GIVE = 0.03
 """Size of what gives way at every place of an arm, in the size of a finding.  On UR5 and three
 Pandas (1, 4, 6) the evidence for it is highest at 0.1 to 0.3; at 0.1 it also stands for single soft
 parts, whose names are lost (`test_explain.py`), and real test rows err no less than at 0.03."""
-LITTLE = 0.003
-"""Size of everything else at every place.  Beside what was found on Justin, UR5 and Pandas the
-evidence is highest at 0.003 to 0.01."""
+LITTLE = 0.005
+"""Size of everything else at every place.  Beside what was found on Justin and UR5 the evidence is
+highest at 0.005 to 0.008."""
 
 
 class Slack(NamedTuple):
@@ -54,10 +55,16 @@ def giving(library: Sequence[Candidate]) -> tuple[Term, ...]:
 
 
 def a_little(columns: FitColumns, library: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
-    """(m, k) whitened columns of what every real arm has, and (k,) the size of each."""
-    every = distinct(library)
+    """(m, k) whitened columns of what every real arm has, and (k,) the size of each.
+
+    The forms of an effect at a place share its size; the same physics by another name has none.
+    """
+    names = {candidate.name for candidate in library}
+    every = [t for t in distinct(library) if names.isdisjoint(t.aliases)]
+    forms = Counter(t.key for t in every)
     slots = slots_of(columns.model.arm, every)
-    return columns.white(every), np.array([GIVE if s.owner.elastic else LITTLE for s in slots])
+    sizes = [GIVE if s.owner.elastic else LITTLE for s in slots]
+    return columns.white(every), sizes / np.sqrt([forms[s.owner.key] for s in slots])
 
 
 def with_give(fitted: ModelFit, library: Sequence[Candidate]) -> ModelFit:

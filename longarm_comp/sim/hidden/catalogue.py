@@ -98,8 +98,9 @@ HIDDEN: dict[str, _Maker] = {
     "servo_quantisation": lambda arm, rng: drives.ServoQuantisation(
         2 * np.pi / 1000 * _kind(arm, "revolute")
     ),
-    "servo_droop": lambda arm, rng: drives.ServoDroop(
-        _turning(arm, rng, 1e-3, 4e-3), _turning(arm, rng, 1e-3, 3e-3), friction=0.1
+    "servo_droop": lambda arm, rng: drives.ServoDroop(_turning(arm, rng, 1e-3, 4e-3)),
+    "servo_deadband": lambda arm, rng: drives.ServoDeadband(
+        _turning(arm, rng, 1e-3, 3e-3), gate=0.1
     ),
     "backlash": lambda arm, rng: drives.Backlash(
         _turning(arm, rng, 3e-3, 8e-3), gate=rng.uniform(0.25, 0.45)

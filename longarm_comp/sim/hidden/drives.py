@@ -97,11 +97,11 @@ class FrictionMemory(HiddenEffect):
 
 
 @dataclass(frozen=True)
-class Backlash(HiddenEffect):
-    """Play: the load lies on one flank where |torque| > gate, else the approach decides."""
+class _Resting(HiddenEffect):
+    """The load lies on one side where |torque| > gate, else the approach decides."""
 
     gated: ClassVar[bool] = True
-    half: Array  # half of the play, (n,), rad or m
+    half: Array  # half of the way from side to side, (n,), rad or m
     gate: float  # torque or force above which the weight decides, N m or N
 
     def held(self, torques: Array, state: State) -> Array | float:
@@ -110,25 +110,30 @@ class Backlash(HiddenEffect):
 
 
 @dataclass(frozen=True)
-class ServoDroop(HiddenEffect):
-    """A proportional servo yields by torque / gain and rests at the edge of its deadband."""
+class Backlash(_Resting):
+    """Play."""
 
-    doses: ClassVar[tuple[str, ...]] = ("yielding", "deadband")
-    gated: ClassVar[bool] = True
+
+@dataclass(frozen=True)
+class ServoDeadband(_Resting):
+    """A servo rests at the edge of its deadband, which its encoder sees."""
+
+    def before(self, torques: Array, state: State) -> Array | float:
+        return self.held(torques, state)
+
+
+@dataclass(frozen=True)
+class ServoDroop(HiddenEffect):
+    """A proportional servo yields by torque / gain."""
+
     yielding: Array  # 1 / proportional gain, (n,), rad/(N m), 0 on sliding joints
-    deadband: Array  # half width, (n,), rad
-    friction: float  # torque below which the approach decides the edge, N m
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
         return wound_up(self.yielding, place, beyond)
 
-    def held(self, torques: Array, state: State) -> Array | float:
-        loaded = np.abs(torques) > self.friction
-        return self.deadband * np.where(loaded, np.sign(torques), -state.approach)
-
     def before(self, torques: Array, state: State) -> Array:
         turning = np.array([j.type == "revolute" for j in state.arm.joints if j.commanded])
-        return turning * self.yielding * torques + self.held(torques, state)
+        return turning * self.yielding * torques
 
 
 @dataclass(frozen=True)
