@@ -40,7 +40,7 @@ def meaning(report: DiagnosisReport) -> str:
         of = "it" if n == 1 else "each of them"
     noise = "Nothing beyond the noise was found; nothing was added."
     if report.written is not None and report.written.model == "with_effects" and not n:
-        noise = "Every joint, seat and link yields a little, which was added; only noise is left."
+        noise = "Every part of the arm is a little off, which was added; only noise is left."
     return {
         "noise": noise,
         "named": f"{explain} what the model lacked.",

@@ -182,7 +182,7 @@ def _summary(found: Diagnosis) -> str:
     gain = f"Held-out mean error {_change(found)}"
     if found.verdict == "noise":
         if found.gives_way:
-            text = "Every joint, seat and link yields a little; the model now holds this. "
+            text = "Every part of the arm is a little off; the model now holds this. "
             return f"{text}Beyond it only noise is left. {gain}."
         text = "After calibration only noise is left; no effect was added."
         return f"{text} {gain} by the calibration."

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from longarm_comp.core.arm.context import PER_JOINT
 from longarm_comp.core.calibration.candidates import Candidate, Term, distinct
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.fit_columns import FitColumns
+from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import slots_of
 
 GIVE = 0.03
@@ -28,6 +30,10 @@ parts, whose names are lost (`test_explain.py`), and real test rows err no less 
 LITTLE = 0.005
 """Size of everything else at every place.  Beside what was found on Justin and UR5 the evidence is
 highest at 0.005 to 0.008."""
+
+
+SEEN = 0.1
+"""Share of the noise below which what is a little off is not in the model: nobody would see it."""
 
 
 class Slack(NamedTuple):
@@ -49,33 +55,54 @@ TOLERANCES = tuple(Slack(form, give) for form in FORMS for give in (True, False)
 """Each as likely as the others; the first two where nothing is in the model."""
 
 
-def giving(library: Sequence[Candidate]) -> tuple[Term, ...]:
-    """The places that give way in every arm."""
-    return tuple(t for t in distinct(library) if t.elastic)
+def little(library: Sequence[Candidate]) -> tuple[Term, ...]:
+    """What every real arm has, in every form; the same physics by another name left out."""
+    names = {candidate.name for candidate in library}
+    return tuple(t for t in distinct(library) if names.isdisjoint(t.aliases))
 
 
 def a_little(columns: FitColumns, library: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
     """(m, k) whitened columns of what every real arm has, and (k,) the size of each.
 
-    The forms of an effect at a place share its size; the same physics by another name has none.
+    The forms of an effect at a place share its size.
     """
-    names = {candidate.name for candidate in library}
-    every = [t for t in distinct(library) if names.isdisjoint(t.aliases)]
+    every = little(library)
     forms = Counter(t.key for t in every)
     slots = slots_of(columns.model.arm, every)
-    sizes = [GIVE if s.owner.elastic else LITTLE for s in slots]
+    sizes = [_size(s.owner) for s in slots]
     return columns.white(every), sizes / np.sqrt([forms[s.owner.key] for s in slots])
 
 
 def with_give(fitted: ModelFit, library: Sequence[Candidate]) -> ModelFit:
-    """A fit with what gives way besides, as much as the rows ask for; same rows and noise."""
+    """A fit with what every arm has besides, as much as the rows ask for; same rows and noise.
+
+    That is every effect of the arm that reads no recorded column, in its first form, where it
+    moves the rows by `SEEN` at least.
+    """
     held = {t.key for t in fitted.model.terms}
-    added = [t for t in giving(library) if t.key not in held]
-    model = fitted.model.plus(*added)
-    keys = {t.key for t in added}
-    small = tuple((s.identity, GIVE) for s in model.slots if s.owner.key in keys)
-    model = dataclasses.replace(model, beyond=(*model.beyond, *small))
+    added: dict[tuple[str, str], Term] = {}
+    for t in little(library):
+        wanted = isinstance(t, Effect) and set(t.inputs) <= set(PER_JOINT)
+        if wanted and t.key not in held and slots_of(fitted.model.arm, [t]):
+            added.setdefault(t.key, t)
+    every = _with(fitted, added)
+    columns, terms = FitColumns(every), {t.key: t for t in every.model.terms}
+    moved = {
+        key: every.whitened(shift_of(every, columns, [terms[key]])[..., None]) for key in added
+    }
+    return _with(
+        fitted, {k: t for k, t in added.items() if np.sqrt((moved[k] ** 2).mean()) >= SEEN}
+    )
+
+
+def _with(fitted: ModelFit, added: Mapping[tuple[str, str], Term]) -> ModelFit:
+    model = fitted.model.plus(*added.values())
+    small = tuple((s.identity, _size(s.owner)) for s in model.slots if s.owner.key in added)
     return fit(
-        model, fitted.session, sigma=fitted.sigma, rho=fitted.rho, weights=fitted.weights,
-        near=fitted,
+        dataclasses.replace(model, beyond=(*model.beyond, *small)), fitted.session,
+        sigma=fitted.sigma, rho=fitted.rho, weights=fitted.weights, near=fitted,
     )  # fmt: skip
+
+
+def _size(owner: Term) -> float:
+    return GIVE if owner.elastic else LITTLE
