@@ -26,7 +26,7 @@ from longarm_comp.nodes.health import RING_SAID
 from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
 
-DROOP = "servo_droop=5.0"
+DROOP = "servo_droop=4.0 servo_deadband=0.7"
 TIP_STANDS = "By the readings the tip is at"
 
 
