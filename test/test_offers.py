@@ -227,16 +227,17 @@ def test_so_do_those_that_stand_in_the_place_of_another() -> None:
     assert "joint_compliance" in judged_ones and "servo_droop" not in judged_ones
 
 
-def test_a_family_pays_for_the_joints_that_it_needs() -> None:
-    """Offered at every joint, true at one, it is as likely as the same physics offered there."""
+def test_a_family_pays_for_the_choice_of_the_joints_that_it_needs() -> None:
+    """Offered at every joint, true at one: the same physics is offered there alone."""
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
     fitted, found = explained_by(rows, JointCompliance(2))
     soft = judged(fitted, [everywhere(Twin), everywhere(JointCompliance)], found, 0.01)[
         "joint_compliance"
     ]
-    assert soft.names["twin"] == pytest.approx(0.5, abs=0.15)
+    choice = len(everywhere(Twin).terms)
+    assert soft.names["twin"] == pytest.approx(1.0 / (1.0 + choice), rel=0.01)
     (rival,) = soft.fitted_rivals
-    assert rival.candidate.where == everywhere(Twin).where
+    assert rival.candidate.where == ("joint 2",), "only what it needs is fitted"
 
 
 def test_a_name_that_is_there_takes_a_further_place_as_one_effect() -> None:
@@ -317,3 +318,12 @@ def test_a_unit_of_a_functions_prior_moves_the_rows_by_one_noise() -> None:
     inside = fitted.weights > 0
     white = FitColumns(fitted).of([term])[inside, :, 0] / fitted.sigma
     assert np.sqrt((white**2).sum() / inside.sum()) == pytest.approx(1.0, rel=0.02)
+
+
+def test_what_was_found_keeps_the_price_of_its_choice() -> None:
+    """A function among many is no likelier because it is in the model by now."""
+    rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
+    fitted, (found,) = explained_by(rows, JointCompliance(2))
+    paid = dataclasses.replace(found, log_prior=-11.0)
+    (bank,) = offered(fitted, (), (), (paid,), [Slack(0.01, False)])
+    assert [bank.bank.offers[k].log_prior for k in bank.known] == [-11.0]

@@ -222,7 +222,8 @@ class _Search:
         here = self._whole(state.fit, sure)
         for k, mine in enumerate(sure):
             worth = {
-                rival.name: self._instead(state, k, rival.candidate) - here
+                rival.name: self._refitted(state, instead(state.found, k, mine.led_by(rival, ())))
+                - here
                 for rival in mine.fitted_rivals
             }
             judged, better = mine.against(worth)
@@ -235,9 +236,8 @@ class _Search:
                 state = replace(state, found=found)
         return state, doubtful, False
 
-    def _instead(self, state: ExplainedSession, number: int, rival: Candidate) -> float:
-        """Log evidence with a rival in the place of one effect, fitted."""
-        found = instead(state.found, number, replace(state.found[number], terms=rival.terms))
+    def _refitted(self, state: ExplainedSession, found: tuple[FoundEffect, ...]) -> float:
+        """Log evidence of other effects than those of a state, fitted to the same noise."""
         terms = _known(state.fit.model, found)
         if len({t.key for t in terms}) < len(terms):
             return -math.inf

@@ -41,12 +41,14 @@ class Rival:
         probability: that it is the cause, given that there is one.
         judged: the name whose evidence it has. Of names that no measurement distinguishes one is
             judged, and all share its probability.
+        log_prior: of it, given that there is an effect, the choice of its places paid.
     """
 
     candidate: Candidate
     log_bayes_factor: float
     probability: float
     judged: str = ""
+    log_prior: float | None = None
 
     @property
     def name(self) -> str:
@@ -70,6 +72,7 @@ class FoundEffect:
         chance: probability of its name, given that it is there.
         rivals: all other names that may stand in its place, the most probable first.
         where: places that explain it nearly alike; its own first.
+        log_prior: as of `Rival`; None: that of any candidate of its name.
     """
 
     terms: tuple[Term, ...]
@@ -78,6 +81,7 @@ class FoundEffect:
     chance: float = 1.0
     rivals: tuple[Rival, ...] = ()
     where: tuple[tuple[str, ...], ...] = ()
+    log_prior: float | None = None
 
     @property
     def name(self) -> str:
@@ -126,8 +130,9 @@ class FoundEffect:
         stays, *goes = softmax([0.0, *worth.values()]).tolist()
         chances = dict(zip(worth, goes, strict=True))
         mine = Rival(
-            Candidate(self.name, self.terms), self.log_bayes_factor, self.chance, self.name
-        )
+            Candidate(self.name, self.terms), self.log_bayes_factor, self.chance, self.name,
+            self.log_prior,
+        )  # fmt: skip
         every = [mine, *self.rivals]
         told = sum(r.probability for r in every if r.judged not in worth) or 1.0
         shared = Counter(r.judged for r in every)
@@ -151,6 +156,7 @@ class FoundEffect:
             terms=first.candidate.terms,
             log_bayes_factor=first.log_bayes_factor,
             chance=first.probability,
+            log_prior=first.log_prior,
             rivals=tuple(sorted(others, key=lambda r: -r.probability)),
         )
 

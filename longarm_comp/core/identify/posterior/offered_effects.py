@@ -75,7 +75,9 @@ class OfferedEffects:
         offers = self._located(best.chosen)
         evidence, values = self.bank.joint(offers)
         every = [
-            FoundEffect(self._terms(e.best, o, v), e.there, self._worth(offers, k))
+            FoundEffect(
+                self._terms(e.best, o, v), e.there, self._worth(offers, k), log_prior=o.log_prior
+            )
             for k, (e, o, v) in enumerate(zip(best.effects, offers, values, strict=True))
         ]
         found = tuple(f for f in every if f.there >= CREDIBLE)
@@ -118,6 +120,7 @@ class OfferedEffects:
                     f,
                     terms=tuple(fitted[t.key] for t in f.terms),
                     there=float(expit(self.standing - without)),
+                    log_prior=offers[k].log_prior,
                 )
                 made.append(self._credible(f, offers, k))
         held = {t.key for f in found for t in f.terms}
@@ -141,26 +144,28 @@ class OfferedEffects:
                     places = tuple(t.where for t in self._terms(n, each))
                     where.setdefault(places, math.exp(min(value, 0.0)))
             elif odds > likeliest.get(offer.name, (-math.inf,))[0]:
-                likeliest[offer.name] = odds, n, offer, rest
+                likeliest[offer.name] = odds, n, tried[int(np.argmax(worth))], rest
         first = [self._named(n, found.terms) for n in self._alike(found.terms)]
-        judged = [(0.0, own, [Candidate(found.name, found.terms), *first])]
-        names = {c.name for c in judged[0][2]}
+        mine = [Candidate(found.name, found.terms), *first]
+        judged = [(0.0, own, offers[k].log_prior, mine)]
+        names = {c.name for c in mine}
         for odds, n, offer, rest in sorted(likeliest.values(), key=lambda r: -r[0]):
             if offer.name in names:
                 continue
             terms = self._terms(n, offer, self.bank.joint([*rest, offer])[1][-1])
             shared = [self._named(each, terms) for each in self._alike(terms) if each not in names]
             factor = own + odds - offer.log_prior + offers[k].log_prior
-            judged.append((odds, factor, [Candidate(offer.name, terms), *shared]))
-            names |= {c.name for c in judged[-1][2]}
-        chances = softmax([odds for odds, _, _ in judged]).tolist()
-        mine, *others = (
-            Rival(candidate, factor, chance / len(alike), alike[0].name)
-            for chance, (_, factor, alike) in zip(chances, judged, strict=True)
+            alike = [Candidate(offer.name, terms), *shared]
+            judged.append((odds, factor, offer.log_prior, alike))
+            names |= {c.name for c in alike}
+        chances = softmax([odds for odds, *_ in judged]).tolist()
+        leader, *others = (
+            Rival(candidate, factor, chance / len(alike), alike[0].name, prior)
+            for chance, (_, factor, prior, alike) in zip(chances, judged, strict=True)
             for candidate in alike
         )
         where = dict(sorted(where.items(), key=lambda w: -w[1]))
-        return dataclasses.replace(found.led_by(mine, others), where=smallest_set(where))
+        return dataclasses.replace(found.led_by(leader, others), where=smallest_set(where))
 
     def _may_stand(
         self, offers: list[Offer], k: int, least: float
@@ -205,9 +210,10 @@ class OfferedEffects:
     def _needed(self, offers: list[Offer], k: int) -> Offer:
         """One of some offers without the places that bring nothing.
 
-        One place more costs as much as the choice among as many places.
+        One place more costs as much as the choice among as many places.  What is left pays for the
+        choice of its places.
         """
-        offers = list(offers)
+        offers, whole = list(offers), offers[k]
         price = math.log(max(len(offers[k].keys), 1))
         here = self.bank.evidence(offers) if len(offers[k].keys) > 1 else 0.0
         while len(offers[k].keys) > 1:
@@ -217,7 +223,8 @@ class OfferedEffects:
             if here - tried[least] >= price:
                 break
             offers[k], here = fewer[least], tried[least]
-        return offers[k]
+        choice = math.comb(len(whole.keys), len(offers[k].keys))
+        return dataclasses.replace(offers[k], log_prior=whole.log_prior - math.log(choice))
 
     def _terms(
         self, number: int, offer: Offer, values: np.ndarray | None = None

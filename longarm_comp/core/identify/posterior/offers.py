@@ -100,6 +100,7 @@ def _listed(
     for f in found:
         if _variant(f.terms) not in offered_now:
             prior = share - math.log(forms[f.name]) if f.name in forms else math.log(UNNAMED)
+            prior = prior if f.log_prior is None else f.log_prior
             listed.append((Candidate(f.name, f.terms), prior, SIZES, CHANCES))
     return listed
 
