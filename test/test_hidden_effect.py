@@ -21,8 +21,8 @@ from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.visible_size import detectable
 from longarm_comp.core.model.model import Model
+from longarm_comp.report.visible_size import detectable
 from longarm_comp.sim.hidden import drives, geometry
 from studies.many import compensated
 

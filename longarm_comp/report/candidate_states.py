@@ -11,7 +11,7 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.plausible import INCREDIBLE
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
-from longarm_comp.core.identify.visible_size import Smallest, detectable
+from longarm_comp.report.visible_size import Smallest, detectable
 
 Label = tuple[str, str]
 

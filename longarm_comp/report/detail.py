@@ -17,7 +17,6 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.link_frames import outline
@@ -28,6 +27,7 @@ from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import ring_of_moves
 from longarm_comp.core.vibration.shaper import USUAL_DAMPING
 from longarm_comp.report.candidate_states import best_forms
+from longarm_comp.report.visible_size import Smallest
 
 SPLITS = 3.0
 """Smallest expected log odds for which poses are worth measuring."""
