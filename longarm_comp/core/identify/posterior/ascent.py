@@ -19,8 +19,6 @@ AT_ONCE = 3
 before what is smaller can be told from it."""
 BETTER = 1.0
 """Log evidence by which an explanation, or a form, must be better to take the place of another."""
-THERE = 0.5
-"""Probability from which on a single effect is there."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,7 @@ def _grown(
     while len(effects) < most:
         count = len(effects)
         effects.append(SingleEffect(np.zeros(len(bank.offers)), np.zeros(len(bank.along))))
-        effects = [e for e in _ascended(bank, effects, closed) if e.there > THERE]
+        effects = [e for e in _ascended(bank, effects, closed) if e.there > 0.5]
         if len(effects) <= count:
             break
     return Explanation(bank, tuple(effects))
@@ -119,9 +117,7 @@ def _ascended(
             rest = taken - was.mean
             held = frozenset(key for n, e in enumerate(effects) if n != k for key in _held(bank, e))
             names = frozenset(
-                bank.offers[e.best].name
-                for n, e in enumerate(effects)
-                if n != k and e.there > THERE
+                bank.offers[e.best].name for n, e in enumerate(effects) if n != k and e.there > 0.5
             )
             now = bank.single(bank.along - bank.gram @ rest, closed, held, names)
             moved = max(moved, float(np.abs(now.q - was.q).max(initial=0.0)))
@@ -138,7 +134,7 @@ def _held(bank: OfferBank, effect: SingleEffect) -> set[Hashable]:
         offer = effect.offers.get(int(number), bank.offers[number])
         for key in offer.keys:
             chance[key] = chance.get(key, 0.0) + float(effect.q[number])
-    return {key for key, p in chance.items() if p > THERE}
+    return {key for key, p in chance.items() if p > 0.5}
 
 
 def _pruned(found: Explanation) -> Explanation:

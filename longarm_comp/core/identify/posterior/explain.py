@@ -39,9 +39,8 @@ from longarm_comp.core.identify.step_scan import scan
 from longarm_comp.core.model.model import Model
 
 ROUNDS = 8
-"""Of posterior and fit, at most, of the library and then of functions; three are usual."""
-REFORMED = 3
-"""Times that forms are moved between two rounds, each time with the rest as it has become."""
+"""Of posterior and fit at most, of the library and then of functions; of forms within one. Three
+are usual."""
 NEAR = 0.3
 """Last step of a fit between rounds, in standard errors: the next would be a tenth of it or less.
 The last fit converges."""
@@ -297,7 +296,7 @@ class _Search:
 
     def _reformed(self, state: ExplainedSession, say: Callable[[str], None]) -> ExplainedSession:
         """Forms on a scale moved to where the evidence is highest, each with the rest as it is."""
-        for _ in range(REFORMED):
+        for _ in range(ROUNDS):
             terms = {t.key: t for f in state.found for t in f.terms}
             moved = {key: self._better_form(state, term) for key, term in terms.items()}
             if all(moved[key].variant == term.variant for key, term in terms.items()):
