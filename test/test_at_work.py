@@ -139,7 +139,7 @@ def test_play_that_grows_is_named_and_learned() -> None:
     (known,) = later.now  # no load tells these apart on this arm
     names = {known.effect, *(name for name, _ in known.rivals)}
     assert "friction_hysteresis" in names
-    assert names <= {"friction_hysteresis", "backlash", "servo_deadband"}
+    assert names <= {"friction_hysteresis", "backlash"}
     again = work.learned(later, 8, 4e-3)  # what wears, wears on
     assert len(again.named) == 1
     assert work.missed(again.model, 4e-3) < 1e-4
@@ -241,7 +241,7 @@ def test_it_does_not_ask_where_no_pose_tells() -> None:
     known = work.learned(work.learned(Learner.of(fitted()), 5), 3, LAG).known
     assert known is not None
     names = [b.changes[0].key[0] for b in known.branches]
-    alike = {"friction_hysteresis", "servo_deadband", "backlash"}
+    alike = {"friction_hysteresis", "backlash"}
     few = [b for b, name in zip(known.branches, names, strict=True) if name in alike]
     assert len(few) >= 2
     even = tuple(dataclasses.replace(b, weight=1.0 / len(few)) for b in few)

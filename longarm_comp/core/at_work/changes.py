@@ -112,9 +112,13 @@ class Parameters:
 
 
 def _possible(arm: Arm, context: Context) -> dict[Key, Effect | Bias]:
-    """One instance of every effect at every place, in the form that is tried first, at none."""
+    """One instance of every effect at every place, in the form that is tried first, at none.
+
+    Of names that no sighting tells apart there is one.
+    """
     made: dict[Key, Effect | Bias] = {}
-    for kind in searched():
+    known = {kind.name for kind in searched()}
+    for kind in (kind for kind in searched() if known.isdisjoint(kind.aliases)):
         for term in (t for group in kind.candidates(arm) for t in group):
             names = [p.name for p in term.parameters(arm)]
             if names and term.key not in made and _told(term, context):
