@@ -29,7 +29,7 @@ Work = tuple[Callable[[], Any], int]  # what is timed, and how many poses it mak
 
 def machine_forward(model: Model, q: np.ndarray) -> Callable[[], None]:
     """Deflected tip pose and Jacobian at joints (N, n), in machine code; N a multiple of 8."""
-    kernel = kernel_of(model, ik.Context.empty().layout)
+    kernel = kernel_of(model, ik.Context().layout)
     width = kernel.code.width
     blocks = np.zeros((len(q) // width, kernel.size, width))
     blocks[:, kernel.slice("trial")] = q.reshape(-1, width, q.shape[1]).swapaxes(1, 2)

@@ -58,7 +58,7 @@ def test_machine_code_is_timed_on_the_model_s_own_poses():
     (blocks,) = [
         c.cell_contents for c in work.__closure__ if isinstance(c.cell_contents, np.ndarray)
     ]
-    kernel = forward.kernel_of(model, forward.ik.Context.empty().layout)
+    kernel = forward.kernel_of(model, forward.ik.Context().layout)
     tip = blocks[:, kernel.slice("out")][:, :3].swapaxes(1, 2).reshape(-1, 3)
     np.testing.assert_allclose(tip, model.tip(q), rtol=0, atol=1e-12)
 

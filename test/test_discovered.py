@@ -186,7 +186,7 @@ def test_outside_its_data_it_stands_still_and_the_command_says_so() -> None:
         found = compensate(model, None, model.tip(row), seed=row, method=Method.DEFLECTION)
         assert found.status is Status.SUCCESS
         assert ("outside the data from which an effect was found: q2 0.9" in found.reason) == said
-    assert [bool(each) for each in outside_data(model, q, Context.empty())] == [False, True]
+    assert [bool(each) for each in outside_data(model, q, Context())] == [False, True]
 
 
 def test_a_command_without_the_column_that_drives_it_is_stale() -> None:

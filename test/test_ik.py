@@ -126,7 +126,7 @@ def test_a_model_is_compiled_when_its_targets_are_worth_it(demo_arm_path, monkey
     model = Model(Arm.load(demo_arm_path), (LinkDeflection(), JointCompliance(2, 1.1e-3)))
     target = model.pose(model.arm.mid + 0.01)
     first = solve(model, target)
-    kernel = kernel_of(model, Context.empty().layout)
+    kernel = kernel_of(model, Context().layout)
     assert not is_compiled(kernel, Engine.AUTO)
     kernel.workload = 100.0
     assert np.allclose(solve(model, target).q, first.q, rtol=0, atol=1e-12)

@@ -171,7 +171,7 @@ def test_a_silent_predictor_is_probed_by_targets_and_ever_less_often(
     for tick in range(100):  # 10 s
         now[0] = 0.1 * tick
         with pytest.raises(NoAnswer, match="does not answer" if tick else "did not answer"):
-            client.ask(arm.mid, Context.empty())
+            client.ask(arm.mid, Context())
     gaps = [b - a for a, b in pairwise(sent[1:])]
     assert gaps == pytest.approx([0.6, 1.1, 2.1, 4.1], abs=0.11)
     caller.answer = lambda number, within_s: PredictError.Response(
@@ -180,11 +180,11 @@ def test_a_silent_predictor_is_probed_by_targets_and_ever_less_often(
     client.probe()
     assert client.answers
     asked = len(sent)
-    client.ask(arm.mid, Context.empty())  # the very next target
+    client.ask(arm.mid, Context())  # the very next target
     assert len(sent) == asked + 1
     caller.present = False
     with pytest.raises(NoAnswer, match="no error_predictor"):
-        client.ask(arm.mid, Context.empty())
+        client.ask(arm.mid, Context())
     assert not client.answers
 
 

@@ -61,6 +61,14 @@ def test_scan_finds_protocol_ids_models_and_two_servos_with_one_id(
     assert "two servos with this id" in shell.out
 
 
+def test_answers_that_come_too_late_are_not_taken_for_a_second_servo(shell: Shell) -> None:
+    with bus("feetech") as emulator:
+        emulator.faults.delays_s[1] = 0.05
+        words = ("--port", emulator.port, "--protocol", "feetech", "--baud", 1000000)
+        found = shell.json("servo", "scan", *words, "--ids", "1-3")
+    assert [(s["servo_id"], s["clash"]) for s in found["servos"]][-2:] == [(2, False), (3, False)]
+
+
 def test_scan_says_what_is_missing(shell: Shell, tmp_path: Path) -> None:
     with bus("feetech") as emulator:
         words = ("--port", emulator.port, "--protocol", "feetech", "--baud", 1000000)

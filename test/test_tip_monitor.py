@@ -45,7 +45,7 @@ def watched(model: Model, off_prediction: float, off_target: float) -> TipMonito
         seen = model.measured(q) + np.array([0.0, 0.0, off_prediction]) + noise
         monitor.aimed(q, model.tip(q) - [0.0, 0.0, off_target])
         rest = RestPose(q, History.unknown(ARM.n), seen, np.full(3, 1e-8))
-        monitor.judge(rest, model, Context.empty())
+        monitor.judge(rest, model, Context())
     return monitor
 
 
@@ -82,7 +82,7 @@ def test_a_pose_that_is_no_target_is_not_judged_by_one(model: Model) -> None:
     monitor.aimed(ARM.mid, np.zeros(3))
     q = ARM.mid + 0.01
     rest = RestPose(q, History.unknown(ARM.n), model.measured(q), np.full(3, 1e-8))
-    monitor.judge(rest, model, Context.empty())
+    monitor.judge(rest, model, Context())
     assert monitor.target_report().facts["targets"] == 0
 
 
@@ -109,7 +109,7 @@ def test_images_of_the_way_that_come_late_are_no_rest_pose() -> None:
 def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -> None:
     """By a model in which nothing bends: only when it is told is asked here."""
     jobs: list[Callable[[], None]] = []
-    known = [Context.empty()]
+    known = [Context()]
     worker = SimpleNamespace(waiting=0, submit=jobs.append)
     state = SimpleNamespace(
         arm=ARM, worker=worker, known=lambda: known[0], driver=SimpleNamespace(acknowledged=True),
@@ -133,7 +133,7 @@ def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -
         return teller.report().message
 
     assert worked() == worked() == "not known, because no move has ended"
-    worker.waiting, known[0] = 0, Context.empty()
+    worker.waiting, known[0] = 0, Context()
     teller.report()
     assert worked() == "by this model nothing bends"
     assert not jobs
@@ -158,7 +158,7 @@ def test_the_tip_by_readings_goes_on_whatever_the_worker_does() -> None:
         every=lambda name, tick: ticks.append(tick),
     )
     state = SimpleNamespace(
-        node=node, worker=Quick(), standing=(Model(ARM), ARM.mid, Context.empty()),
+        node=node, worker=Quick(), standing=(Model(ARM), ARM.mid, Context()),
         stamp=stamp_of(0), base_frame="base",
     )  # fmt: skip
     ReadingsTeller(state)

@@ -133,7 +133,7 @@ def test_machine_code_gives_the_same_numbers(arm):
 def test_every_program_of_the_search_in_machine_code(arm):
     """From states in the midst of a search."""
     model = Model(arm, (LinkDeflection(),))
-    context = Context.empty()
+    context = Context()
     kernel = Kernel(model, context.layout)
     own = works(model, lambda s: context, kernel.row)
     rng = np.random.default_rng(5)
@@ -177,7 +177,7 @@ def test_context_is_an_input_not_a_constant(arm):
         columns={**context.columns, "payload_kg": context.columns["payload_kg"] + 0.3},
     )
     assert kernel_of(model, other.layout) is kernel
-    assert kernel_of(model, Context.empty().take(slice(None)).layout) is not kernel
+    assert kernel_of(model, Context().take(slice(None)).layout) is not kernel
     for some in (context, other):
         rows = kernel.layout.pack(some, N)
         made = evaluated(kernel, q, rows)
@@ -185,7 +185,7 @@ def test_context_is_an_input_not_a_constant(arm):
 
 
 def test_a_kernel_is_kept_by_content(arm):
-    layout = Context.empty().layout
+    layout = Context().layout
     one, same = Model(arm, (LinkDeflection(),)), Model(arm, (LinkDeflection(),))
     assert kernel_of(one, layout) is kernel_of(same, layout)
     assert kernel_of(one.plus(JointZero(1)), layout) is not kernel_of(one, layout)

@@ -166,7 +166,7 @@ def test_far_from_the_rows_the_error_grows() -> None:
     q = np.tile(ARM.mid, (2, 1))
     q[:, 0] = ARM.lower[0], ARM.upper[0]
     here, there = (
-        expected_miss(model, joints, Context.empty(), model.tip(joints)).expected_m for joints in q
+        expected_miss(model, joints, Context(), model.tip(joints)).expected_m for joints in q
     )
     assert there > 1.5 * here
 
@@ -206,7 +206,7 @@ def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
     back = load_model(tmp_path / "model.yaml", ARM)
     for model in (back, load_model(tmp_path / "model.yaml", ARM)):
         target = model.tip(ARM.mid) + 1e-3
-        mine, theirs = (expected_miss(m, ARM.mid, Context.empty(), target) for m in (made, model))
+        mine, theirs = (expected_miss(m, ARM.mid, Context(), target) for m in (made, model))
         assert theirs.expected_m == pytest.approx(mine.expected_m, rel=1e-4)
         assert theirs.p90_m == pytest.approx(mine.p90_m, rel=1e-4)
     assert (tmp_path / "model.yaml").stat().st_size < 40_000

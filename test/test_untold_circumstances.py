@@ -41,11 +41,11 @@ def test_a_model_without_what_nobody_told_is_itself_where_all_is_told(
     models: tuple[Model, Model],
 ) -> None:
     sways, still = models
-    assert sways.told_by(Context.empty()).effects == still.effects
-    assert not still.plus(CameraDrift(x=1e-6)).told_by(Context.empty()).biases  # it needs the time
+    assert sways.told_by(Context()).effects == still.effects
+    assert not still.plus(CameraDrift(x=1e-6)).told_by(Context()).biases  # it needs the time
     assert sways.told_by(TOLD) is sways
     loose = still.plus(Backlash(joint=1, width=1e-3))
-    assert loose.told_by(Context.empty()) is loose  # an unknown side is in the middle of the play
+    assert loose.told_by(Context()) is loose  # an unknown side is in the middle of the play
     with pytest.raises(la.InputError, match="pump_bar"):
         sways.tip(sways.arm.mid)
 

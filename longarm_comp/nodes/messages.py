@@ -253,7 +253,7 @@ def compensation_message(
     answer: Answer, arm: Arm, base_frame: str, *, executed: bool, accepted: bool
 ) -> Compensation:
     """The full record of one target; whether its joints were sent, and taken up by the driver."""
-    context = Context.empty() if answer.arrival is None else answer.arrival.context
+    context = Context() if answer.arrival is None else answer.arrival.context
     sides = {float(side) for side in context.approach}
     published = Compensation(
         header=Header(stamp=answer.target.header.stamp, frame_id=base_frame),

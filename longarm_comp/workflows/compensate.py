@@ -320,7 +320,7 @@ def goals_of(
     if given.ndim not in (2, 3) or given.shape[1:] not in ((3,), (4, 4)) or not len(given):
         allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"
         raise InputError("compensate", "targets", f"shape {given.shape}", allowed)
-    return list(given), context or Context.empty(), np.arange(len(given))
+    return list(given), context or Context(), np.arange(len(given))
 
 
 def _line(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:

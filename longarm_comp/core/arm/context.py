@@ -148,10 +148,6 @@ class Context:
         joints = tuple([len(getattr(self, name)) for name in PER_JOINT])
         return Layout(joints, tuple(sorted(self.columns)), tuple(sorted(self.labels.items())))
 
-    @classmethod
-    def empty(cls) -> Context:
-        return cls()
-
 
 def stacked(contexts: Sequence[Context]) -> Context:
     """The circumstances of M postures from one each, alike but for the history of the joints."""

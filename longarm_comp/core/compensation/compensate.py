@@ -120,7 +120,7 @@ def compensate_many(
         and the context lacks, are reported in `status`, not raised.
     """
     return _Targets(
-        model, predictor, targets, context or Context.empty(),
+        model, predictor, targets, context or Context(),
         ik.checked_seed(model, seed, len(targets), "compensate"),
         position_only or targets.ndim == 2, doubtful, context_at, CompensationOptions(**options),
     ).reach()  # fmt: skip

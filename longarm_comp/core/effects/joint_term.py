@@ -196,7 +196,7 @@ def _largest_moment(arm: Arm) -> float:
     chain = Chain(arm, elements_per_beam=1)
     q = tuple(np.ascontiguousarray(poses.T))
     frames, lengths = chain.place(q, {})
-    posture = Posture(chain, q, Context.empty(), frames, lengths, arm.gravity_mps2)
+    posture = Posture(chain, q, Context(), frames, lengths, arm.gravity_mps2)
     moments = [posture.moment(posture.bearing(row)) for row in arm.commanded]
     each = np.array([[np.broadcast_to(part, _POSES) for part in moment] for moment in moments])
     return float(np.sqrt((each**2).sum(axis=1).mean(axis=1).max()))

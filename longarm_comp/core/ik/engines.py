@@ -26,7 +26,7 @@ from longarm_comp.core.model.model import Model
 
 _FEW = 6  # number of targets up to which floats are faster than arrays
 _CHUNK = 4096  # targets at a time: a compromise between calls and cache
-NOTHING = Context.empty().layout
+NOTHING = Context().layout
 
 
 class Engine(Enum):
@@ -47,7 +47,7 @@ def warm_up(model: Model | None = None, context: Context | None = None) -> None:
     """Compile models on their first use from now on, which takes a second each; a given one now."""
     _LongLived.now = True
     if model is not None:
-        kernel_of(model, (context or Context.empty()).layout).code  # noqa: B018 - is kept
+        kernel_of(model, (context or Context()).layout).code  # noqa: B018 - is kept
 
 
 def is_compiled(kernel: Kernel, engine: Engine) -> bool:

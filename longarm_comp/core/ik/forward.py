@@ -20,7 +20,7 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
     Returns:
         (M, 4, 4), base frame.
     """
-    context = context or Context.empty()
+    context = context or Context()
     kernel = _compiled(model, context)
     if kernel is None or not len(q):
         return model.pose(q, context)

@@ -153,7 +153,7 @@ def solve_many(
     if axes is not None:
         targets[:, 3:] = axes
     q, report = run(
-        model, context or Context.empty(), engine, 3 if axes is None else 6, targets, start,
+        model, context or Context(), engine, 3 if axes is None else 6, targets, start,
         (lower, upper), restart_points(arm.n, max(max_starts - 1, 0)), float(tol), _MAX_ITERATIONS,
     )  # fmt: skip
     position, angle = report[:, 0], report[:, 1]

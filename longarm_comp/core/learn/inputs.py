@@ -123,7 +123,7 @@ def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Co
         row, joint = np.argwhere(~np.isfinite(q))[0]
         raise InputError(where, f"q{joint + 1} of row {row}", q[row, joint], "a finite number")
     if context is None:
-        return q, Context.empty()
+        return q, Context()
     for name in filter(context.has, INPUT_KINDS["context"]):
         per_joint = name in PER_JOINT
         value = np.asarray(getattr(context, name) if per_joint else context.columns[name], float)

@@ -252,7 +252,7 @@ class Expander:
     def __call__(self, q: np.ndarray, context: Context | None = None) -> Expansion:
         """Predict at joints (n,) and around them."""
         predictor, n = self._predictor, len(q)
-        context = context or Context.empty()
+        context = context or Context()
         found = predictor.predict(q[None], context)
         x = predictor.encoding.standardise(predictor.encoding.raw(q[None], context))
         z = np.tanh(with_ones(x) @ self._hidden)[0]
@@ -291,7 +291,7 @@ class Nearby:
         The expansion is around the first of them. The others are extrapolated from it, also
         beyond its reach.
         """
-        joints, given = q[0], context or Context.empty()
+        joints, given = q[0], context or Context()
         held = self._held
         if held is None or not (
             (np.abs(joints - held[0]) <= held[2].reach).all() and given == held[1]

@@ -20,7 +20,7 @@ def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.n
 
     Effects of circumstances that the context does not hold are left out.
     """
-    context = context or Context.empty()
+    context = context or Context()
     model = model.told_by(context)
     posture = model.posture(unstack(q), context)
     points = [stack(frame.p) for frame in (*posture.frames, model.tip_frame(posture))]

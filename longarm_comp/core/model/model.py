@@ -188,7 +188,7 @@ class Model:
 
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
         """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
-        context = context or Context.empty()
+        context = context or Context()
         return self._passed(self.unsagged(q, context), self.load_passes)
 
     def posture_near(self, known: Posture, close: bool = False) -> Posture:

@@ -28,7 +28,7 @@ def touch_pool(
     """
     if not points:
         raise InputError("plan", "points", "none", "names and places (m) of points to touch")
-    model = model.told_by(Context.empty())
+    model = model.told_by(Context())
     arm, parts, names = model.arm, [], []
     each = max(count // len(points), 2)
     for name, place in points.items():

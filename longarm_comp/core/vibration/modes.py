@@ -70,7 +70,7 @@ def modes_along(
     Between these masses and flexibility go along cubics.  Effects of circumstances that the context
     does not hold are left out.
     """
-    context = context or Context.empty()
+    context = context or Context()
     model = model.told_by(context)
     # Of all beams together, at least; twice as many change the first frequencies by less than 1 %
     each = -(-12 // max(1, len(model.arm.links)))

@@ -146,25 +146,43 @@ def usable_ports() -> list[tuple[str, str]]:
 
 
 def look(line: SerialPort, dialect: Dialect, servo_id: int) -> FoundServo | None:
-    """One id. A twin's model number is the same and its state is not, so both are read."""
+    """One id.
+
+    An answer that comes too late from the id before hides one, or looks like a second servo.  So
+    where the line was disturbed, the id is asked once more when the line is quiet.
+    """
+    found, disturbed = _looked(line, dialect, servo_id)
+    if disturbed:
+        while line.receive(1):
+            pass
+        again, _ = _looked(line, dialect, servo_id)
+        found = again or found
+    return found
+
+
+def _looked(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[FoundServo | None, bool]:
+    """What answers, and whether anything came beside.
+
+    A twin's model number is the same and its state is not, so both are read.
+    """
     bus = SerialServoBus(line, dialect, {}, retries=1)
-    first = bus.ask([servo_id], dialect.model)
+    counters, first = bus.counters, bus.ask([servo_id], dialect.model)
     if first.silent:
-        return None
+        return None, counters.stray_frames + counters.stale_bytes > 0
     states = [bus.ask([servo_id], dialect.state, retries=0) for _ in range(_LOOKS)]
     damaged = sum(servo_id not in answers.replies for answers in [first, *states])
-    counters = bus.counters
-    doubled = counters.stray_frames + counters.stale_bytes > 0 and not counters.timeouts
+    stray = counters.stray_frames + counters.stale_bytes > 0
     reply = first.replies.get(servo_id)
     number = int.from_bytes(reply.data, "little") if reply else 0
     version = bus.ask([servo_id], dialect.firmware).replies.get(servo_id)
-    return FoundServo(
+    found = FoundServo(
         servo_id,
         number,
         next((model.name for model in dialect.models if model.model_number == number), ""),
         ".".join(map(str, version.data)) if version else "",
-        damaged >= _DAMAGED or doubled,
+        damaged >= _DAMAGED or (stray and not counters.timeouts),
     )
+    return found, stray or found.clash
 
 
 def renumber(found: Scan, servo_id: int) -> int:
