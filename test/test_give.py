@@ -16,9 +16,10 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, LinkBending
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.identify import give
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import CALIBRATED, WITH_EFFECTS, Diagnosis
-from longarm_comp.core.identify.give import GIVE, LITTLE, a_little
+from longarm_comp.core.identify.give import GIVE, LITTLE, a_little, with_give
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, slots_of
 
@@ -113,6 +114,20 @@ def test_what_else_is_off_is_in_the_model_too_and_what_is_not_stays_out() -> Non
     assert diagnosis.verdict == "noise"
     added = {t.key for t in diagnosis.model.terms if not t.geometry}
     assert {("joint_gain", "joint 2"), ("joint_gain", "joint 4")} <= added and len(added) < 5
+
+
+def test_what_is_a_little_off_needs_no_recorded_column(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm that grows when warm is no reason to ask every command for the temperature."""
+    rows = rows_of(giving_way(GIVE), 120)
+    warmth = 20.0 + 8.0 * np.sin(np.arange(120) / 9.0)
+    grown = rows.xyz * (1.0 + 1.1e-5 * (warmth - 20.0)[:, None])
+    rows = dataclasses.replace(rows, xyz=grown, columns={"temperature_c": warmth})
+    search = diagnose(ARM, rows).search
+    assert "thermal_growth" in {c.name for c in search.candidates}
+    monkeypatch.setattr(give, "LITTLE", 1.0)  # now its column would move the rows
+    added = with_give(search.fit, search.candidates).model.effects
+    assert "joint_gain" in {t.name for t in added}
+    assert not any("temperature_c" in t.inputs for t in added)
 
 
 def test_the_sentence_says_that_parts_are_off() -> None:
