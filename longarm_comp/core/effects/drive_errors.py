@@ -11,10 +11,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import form, parameter
-from longarm_comp.core.effects.joint_term import (
-    JointTerm,
-    by_drive,
-)
+from longarm_comp.core.effects.joint_term import JointTerm, by_drive
 
 
 @dataclass(frozen=True)

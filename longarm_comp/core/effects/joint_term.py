@@ -121,8 +121,8 @@ class RestingTerm(JointTerm):
     Attributes:
         gate: threshold of the load under which friction decides the side, as a share of the arm's
             typical torque (`typical_loads`), or of a quarter of its weight for a slide; 0: the
-            load always does. None is tried below the load that a vertical axis has where its base
-            leans by a few mrad, which would decide by chance.
+            load always does. None is offered below the load that a vertical axis has where its
+            base leans by a few mrad, which would decide by chance.
         blend: share of the threshold over which the side changes over.
     """
 

@@ -32,7 +32,7 @@ LITTLE = 0.005
 highest at 0.005 to 0.008."""
 
 
-SEEN = 0.1
+OF_NOISE = 0.1
 """Share of the noise below which what is a little off is not in the model: nobody would see it."""
 
 
@@ -77,7 +77,7 @@ def with_give(fitted: ModelFit, library: Sequence[Candidate]) -> ModelFit:
     """A fit with what every arm has besides, as much as the rows ask for; same rows and noise.
 
     That is every effect of the arm that reads no recorded column, in its first form, where it
-    moves the rows by `SEEN` at least.
+    moves the rows by `OF_NOISE` at least.
     """
     held = {t.key for t in fitted.model.terms}
     added: dict[tuple[str, str], Term] = {}
@@ -91,7 +91,7 @@ def with_give(fitted: ModelFit, library: Sequence[Candidate]) -> ModelFit:
         key: every.whitened(shift_of(every, columns, [terms[key]])[..., None]) for key in added
     }
     return _with(
-        fitted, {k: t for k, t in added.items() if np.sqrt((moved[k] ** 2).mean()) >= SEEN}
+        fitted, {k: t for k, t in added.items() if np.sqrt((moved[k] ** 2).mean()) >= OF_NOISE}
     )
 
 

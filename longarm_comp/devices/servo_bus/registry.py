@@ -168,10 +168,10 @@ def _looked(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[FoundSer
     bus = SerialServoBus(line, dialect, {}, retries=1)
     counters, first = bus.counters, bus.ask([servo_id], dialect.model)
     if first.silent:
-        return None, counters.stray_frames + counters.stale_bytes > 0
+        return None, bool(counters.stray_frames or counters.stale_bytes)
     states = [bus.ask([servo_id], dialect.state, retries=0) for _ in range(_LOOKS)]
     damaged = sum(servo_id not in answers.replies for answers in [first, *states])
-    stray = counters.stray_frames + counters.stale_bytes > 0
+    stray = bool(counters.stray_frames or counters.stale_bytes)
     reply = first.replies.get(servo_id)
     number = int.from_bytes(reply.data, "little") if reply else 0
     version = bus.ask([servo_id], dialect.firmware).replies.get(servo_id)
