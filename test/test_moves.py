@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from read_arm import ARM as HEAVY
 from small_arm import ARM, measured
 
 from longarm_comp.core.arm.context import PER_JOINT, Context
@@ -18,6 +21,7 @@ from longarm_comp.core.arm.moves import plan_move, run_up_lengths, wanted_sides
 from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.compensation.expected import expected_miss
+from longarm_comp.core.effects.joint_term import joint_load, typical_loads
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.compensate import compensate
@@ -101,7 +105,7 @@ def arrive(model: Model, start: np.ndarray | None, target: np.ndarray, **more: A
     options = CompensationOptions(Method.DEFLECTION, run_up=more.pop("run_up", True))
     return compensate_move(
         model, None, target, start=start, history=History.unknown(ARM.n), context_after=context,
-        seed=ARM.mid, options=options, **more,
+        seed=model.arm.mid, options=options, **more,
     )  # fmt: skip
 
 
@@ -122,6 +126,23 @@ def test_a_short_move_lands_where_the_arm_goes(loose: Model, rng: np.random.Gene
             assert abs(run_up[j]) >= LENGTH[j] * 0.999
         for j in (2, 3):  # joints without play do not turn round for it
             assert found.move.side[j] * (found.outcome.command - start)[j] >= 0
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 2.0])
+def test_a_joint_arrives_against_its_load_so_that_the_threshold_does_not_matter(
+    rng: np.random.Generator, share: float
+) -> None:
+    true = Backlash(4, gate=0.2, width=0.02)
+    loose, believed = Model(HEAVY, (true,)), Model(HEAVY, (replace(true, gate=share * 0.2),))
+    goals = HEAVY.mid + 0.8 * (HEAVY.upper - HEAVY.lower) * (rng.random((20, 4)) - 0.5)
+    loads = joint_load(loose.unsagged(tuple(goals.T), Context()), 4)
+    torque = typical_loads(HEAVY)[1]
+    assert (np.abs(loads) > 0.2 * torque).any() and (np.abs(loads) < 0.2 * torque).any()
+    for goal, way in itertools.product(goals, (-0.3, 0.3)):
+        target = Model(HEAVY).tip(goal)
+        found = arrive(believed, goal + way, target)
+        truly = loose.tip(found.outcome.command, Context(tuple(found.move.side)))
+        np.testing.assert_allclose(truly, target, rtol=0, atol=1e-5)
 
 
 def test_switched_off_the_side_follows_from_the_move(loose: Model) -> None:

@@ -66,17 +66,23 @@ def plan_move(arm: Arm, start: np.ndarray | None, q: np.ndarray, wanted: np.ndar
 
 
 def wanted_sides(
-    arm: Arm, start: np.ndarray | None, q: np.ndarray, known: np.ndarray
+    arm: Arm,
+    start: np.ndarray | None,
+    q: np.ndarray,
+    known: np.ndarray,
+    sure: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """(n,) side to arrive from: the one that the data know, has room, and needs least extra way.
+    """(n,) side to arrive from: that the data know, has room, is sure, and needs least extra way.
 
     Args:
         start, q: as in `plan_move`.
+        sure: (n,) sides at which the effects are surest; 0: either.
         known: (n, 2) weight of what the data know of arrivals from above (-1) and from below (+1).
     """
     length = run_up_lengths(arm)
     room = np.stack([q + length <= arm.upper, q - length >= arm.lower], axis=-1)
     forward = np.ones(len(q), bool) if start is None else q > start
+    forward = np.where(np.equal(sure, 0.0), forward, np.greater(sure, 0.0))
     joints, natural = np.arange(len(q)), forward.astype(int)
     usable = known * room
     # A side that the data know so many times better is worth a longer way

@@ -95,7 +95,7 @@ def compensate_move(
             position_only=position_only, locked=options.locked, max_starts=options.starts,
         )  # fmt: skip
         if sides is None and options.run_up:
-            wanted = _chosen(model, start, first.q, matters)
+            wanted = _chosen(model, start, first.q, matters, context_after(history))
         move = move_to(first.q)
         arrived = history.after(move.points, start)
     # Commands that are tried until one arrives as it assumes; the last assumes less
@@ -145,12 +145,20 @@ def compensate_apart(
 
 
 def _chosen(
-    model: Model, start: np.ndarray | None, q: np.ndarray, matters: dict[str, tuple[int, ...]]
+    model: Model,
+    start: np.ndarray | None,
+    q: np.ndarray,
+    matters: dict[str, tuple[int, ...]],
+    context: Context,
 ) -> np.ndarray:
     """Sides (n,) for the joints whose side matters; 0 for the others."""
     joints = sorted({joint for held in matters.values() for joint in held})
-    wanted = np.zeros(model.arm.n)
+    wanted, sure = np.zeros((2, model.arm.n))
     if joints:
+        posture = model.unsagged(tuple(q), context)
+        for effect in model.effects:
+            for joint, side in effect.sure_sides(posture).items():
+                sure[joint] = side
         known = np.array(model.arrivals or np.ones((model.arm.n, 2)), float)
-        wanted[joints] = wanted_sides(model.arm, start, q, known)[joints]
+        wanted[joints] = wanted_sides(model.arm, start, q, known, sure)[joints]
     return wanted

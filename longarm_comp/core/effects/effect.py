@@ -320,6 +320,13 @@ class Effect(_Term, ABC):
         """What of each of N postures lies outside the data that it was found in, in words."""
         return [()] * posture.count
 
+    def sure_sides(self, posture: Posture) -> Mapping[int, Scalar]:
+        """By commanded joint (0-based), the side of arrival at which the effect is surest.
+
+        +1 from below, -1 from above, 0: either.
+        """
+        return {}
+
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         """Masses that this effect adds to the arm (kg at a point of a station)."""
         return ()

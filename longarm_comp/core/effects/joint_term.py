@@ -149,6 +149,13 @@ class RestingTerm(JointTerm):
 
         return posture.once(("side", self.joint, self.gate, self.blend), found)
 
+    def sure_sides(self, posture: Posture) -> Mapping[int, Scalar]:
+        """Arriving against its load, the joint rests where the load pushes it below the threshold
+        too, however far the threshold is known."""
+        load = self.load(posture)
+        settled = -spatial.sign(load) * (abs(load) > _RESTING)
+        return {posture.arm.commanded.index(self.joint): settled}
+
 
 def joint_load(posture: Posture, joint: int) -> Scalar:
     """Gravity torque (N m) about, or force (N) along, the z axis of a row's joint, by virtual work
