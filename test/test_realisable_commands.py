@@ -20,6 +20,7 @@ from longarm_comp.core.compensation.compensate import commandable, compensate
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Method, Status
 from longarm_comp.core.compensation.target_frame import placement
+from longarm_comp.core.effects.drive_errors import ServoQuantisation
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.learn.predictor import Expansion, Nearby, Prediction
 from longarm_comp.core.model.declared_model import declared_model
@@ -84,6 +85,22 @@ def test_commands_stand_on_steps_and_the_tip_on_its_target(
     rounded = model.arm.steps * np.rint(plain.command / model.arm.steps)
     left, was = (np.linalg.norm(model.tip(q) - targets, axis=1) for q in (made.command, rounded))
     assert left.mean() < 0.12e-3 < 1.5e-3 < was.mean()
+
+
+def test_steps_that_were_found_count_as_declared_ones(
+    demo_arm_path: Path, model: Model, joints: np.ndarray
+) -> None:
+    arm = Arm.load(demo_arm_path)
+    rows = zip(arm.commanded, model.arm.steps, strict=True)
+    found = [ServoQuantisation.of_step(arm, row, step) for row, step in rows]
+    stands = declared_model(arm).plus(found[0])
+    made = compensated(stands, None, model.tip(joints), method=Method.DEFLECTION)
+    k = made.command / model.arm.steps
+    assert np.abs(k - np.rint(k))[:, 0].max() < 1e-6 < np.abs(k - np.rint(k))[:, 1:].min()
+    for effect in found[1:]:
+        stands = stands.plus(effect)
+    made = compensated(stands, None, model.tip(joints), method=Method.DEFLECTION)
+    assert off_steps(model, made.command) < 1e-6
 
 
 def test_the_learned_error_is_that_of_the_chosen_joints(model: Model, joints: np.ndarray) -> None:

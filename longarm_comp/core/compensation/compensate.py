@@ -160,11 +160,17 @@ def judged(
 
 
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
-    """Where the servos can stand; None: nothing is known of it, or it is not asked for."""
-    if realisable is False or (realisable is True and not model.arm.steps.any()):
-        return None
-    lattice = Lattice.of(model.arm) if realisable is True else realisable
-    return lattice if lattice.step.any() else None
+    """Where the servos can stand, by the arm or by steps that were found; None: that is not known,
+    or not asked for."""
+    if isinstance(realisable, Lattice):
+        lattice = realisable
+    else:
+        arm, steps = model.arm, model.arm.steps.copy()
+        for effect in model.effects:
+            for row in effect.joints if effect.step(arm) else ():
+                steps[arm.commanded.index(row)] = effect.step(arm)
+        lattice = dataclasses.replace(Lattice.of(arm), step=steps)
+    return lattice if realisable and lattice.step.any() else None
 
 
 @dataclass

@@ -124,7 +124,7 @@ class ServoQuantisation(JointTerm):
     title = "servo steps"
     types = ("revolute", "prismatic")
     acts = "servo"
-    action = "Nothing to repair: declare the steps in arm.yaml; finer ones need another servo."
+    action = "Nothing to repair: commands keep to the steps; finer ones need another servo."
     continuous = False
     stepped = True
     free_levels = 3  # of steps of an unknown size
@@ -145,10 +145,9 @@ class ServoQuantisation(JointTerm):
         if not self.step_m and self.steps_per_turn in (0, *_STEPS_PER_TURN):
             return 0.0
         number = arm.commanded.index(self.joint)
-        return math.log(4.0 * float(arm.upper[number] - arm.lower[number]) / self._step(arm))
+        return math.log(4.0 * float(arm.upper[number] - arm.lower[number]) / self.step(arm))
 
-    def _step(self, arm: Arm) -> float:
-        """The step, rad or m; 0 where there is none."""
+    def step(self, arm: Arm) -> float:
         if self.steps_per_turn:
             return 2 * math.pi / self.steps_per_turn
         return self.step_m or arm.joints[self.joint - 1].step
@@ -182,7 +181,7 @@ class ServoQuantisation(JointTerm):
         return f"{self.steps_per_turn:.6g} steps a turn, {360 / self.steps_per_turn:.3g}° each"
 
     def twists(self, posture: Posture) -> Twists:
-        step = self._step(posture.arm)
+        step = self.step(posture.arm)
         if not step:
             return {}
         q = self.command(posture)

@@ -277,6 +277,10 @@ class _Term:
         """The instance at a joint with steps of a size (rad or m); of a `stepped` effect."""
         raise NotImplementedError(cls.name)
 
+    def step(self, arm: Arm) -> float:
+        """Size of the steps (rad or m) that its joint stands at; 0: it has none."""
+        return 0.0
+
     def price(self, arm: Arm) -> float:
         """Log of the number of forms that this one was chosen among, beside `candidates`."""
         return 0.0
