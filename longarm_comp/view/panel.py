@@ -119,7 +119,7 @@ class Panel:
         self._places = {"state": gui.add_html("")}
         for button in STOPS:
             made = gui.add_button(button.label, color=button.colour, hint=button.hint)
-            made.on_click(partial(_pressed, press, button))
+            made.on_click(lambda _, button=button: press(button))
         named = {button.label: button for button in RELEASES}
         hints = "\n".join(f"{button.label}: {button.hint}" for button in RELEASES)
         group = gui.add_button_group("", tuple(named), hint=hints)
@@ -156,10 +156,6 @@ class Panel:
 
 
 _STYLE = "font-size:0.85em;line-height:1.4;padding:0 0.75em;overflow-wrap:anywhere"
-
-
-def _pressed(press: Callable[[Button], None], button: Button, _: object) -> None:
-    press(button)
 
 
 def _line(text: str, colour: str, head: bool) -> str:
