@@ -219,8 +219,7 @@ class ArmClient(GraphClient):
             told = [xyz for ns, xyz in self.sightings if ns > after_ns]
             seen[:] = [xyz for xyz in told if np.isfinite(xyz).all()]
             lost = not seen and len(told) >= 2 * pace.sightings
-            return len(seen) >= pace.sightings or lost or time.monotonic() > end
+            return len(seen) >= pace.sightings or lost
 
-        end = time.monotonic() + pace.look_s
-        self.until(over, pace.look_s + 60.0, "sightings")
+        self.wait(over, pace.look_s)
         return after_ns, seen

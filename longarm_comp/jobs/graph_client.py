@@ -106,13 +106,21 @@ class GraphClient:
         Args:
             what: is waited for, in words; or makes the whole message of an end without it.
         """
-        end = time.monotonic() + within_s
+        found = self.wait(condition, within_s)
+        if not found:
+            raise JobError(
+                f"{what}: not within {within_s:g} s" if isinstance(what, str) else what()
+            )
+        return found
+
+    def wait(self, condition: Callable[[], Any], at_most_s: float) -> Any:
+        """Spin until a condition is truthy or the time is over; its last value."""
+        end = time.monotonic() + at_most_s
         while not (found := condition()):
             if self.stop.is_set():
                 raise Interrupted("interrupted")
             if time.monotonic() > end:
-                late = f"{what}: not within {within_s:g} s" if isinstance(what, str) else what()
-                raise JobError(late)
+                break
             self.executor.spin_once(timeout_sec=0.01)
         return found
 
@@ -127,8 +135,7 @@ class GraphClient:
 
     def spin(self, seconds: float) -> None:
         """Serve callbacks for a number of seconds. Raises Interrupted."""
-        end = time.monotonic() + seconds
-        self.until(lambda: time.monotonic() >= end, seconds + 60.0, "waiting")
+        self.wait(lambda: False, seconds)
 
     def call(
         self, client: Any, request: Any, within_s: float = _ANSWER_S, *, again: bool = False

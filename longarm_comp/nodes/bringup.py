@@ -216,30 +216,23 @@ class BringUp:
 
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
         """Parameters that override the file; ``bus``: link to the simulated servo bus."""
-        arm = {"arm": str(self.arm.absolute())}
-        servos = str(self.file("servo_driver").absolute())
-        said = self.set.get("servo_driver", {}).get("trim")
-        trim = read_parameters(self.file("servo_driver")).get("trim", False)
-        port = bus if self.sim else self.port
-        per_node: dict[str, dict[str, Any]] = {
-            "kinematics": arm
-            | {"servos": servos}
-            | _path("model", self.model)
-            | _path("effects", *self.effects)
-            | ({"trimmed": True} if (trim if said is None else said) else {})
-            | ({"shaped": True} if self.shaping else {}),
-            "error_predictor": arm
-            | _path("model", self.model)
-            | _path("predictor", self.predictor),
-            "servo_driver": arm
-            | ({"shaping": True} | _path("model", self.model) if self.shaping else {})
-            | ({"bus.port": port} if port else {})
-            | (_PATIENT if self.sim else {}),
+        arm, model = _path("arm", self.arm), _path("model", self.model)
+        effects, file = _path("effects", *self.effects), self.file("servo_driver")
+        servos = _path("servos", file)
+        driver = {**read_parameters(file), **self.set.get("servo_driver", {})}
+        trimmed = {"trimmed": True} if driver.get("trim") else {}
+        shaped = {"shaped": True} if self.shaping else {}
+        shaping = {"shaping": True} | model if self.shaping else {}
+        wire = bus if self.sim else self.port
+        port = {"bus.port": wire} if wire else {}
+        values: dict[str, Any] = {
+            "kinematics": arm | servos | model | effects | trimmed | shaped,
+            "error_predictor": arm | model | _path("predictor", self.predictor),
+            "servo_driver": arm | shaping | port | (_PATIENT if self.sim else {}),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
-            PATHS: arm | _path("model", self.model) | _path("effects", *self.effects),
-            "simulated_arm": arm | {"servos": servos, "port": bus},
-        }
-        values = per_node[node]
+            PATHS: arm | model | effects,
+            "simulated_arm": arm | servos | {"port": bus},
+        }[node]
         if self.sim and self.speed != 1.0:
             values |= self._faster(node)
         return values | dict(self.set.get(node, {}))

@@ -86,13 +86,13 @@ class Compensator:
         try:
             return self._compensate(name, request)
         except Refusal as refusal:
-            return self.refused(name, request, refusal.status, refusal.reason)
+            return self.refused(name, request, refusal.status, str(refusal))
         except StaleContext as error:
             return self.refused(name, request, Status.STALE_CONTEXT, str(error))
         except InputError as error:
             return self.refused(name, request, Status.BAD_TARGET, str(error))
         except Exception as error:
-            self._node.survived(error)
+            self._node.health.fault(error)
             text = f"{type(error).__name__}: {error}"
             return self.refused(name, request, Status.INTERNAL_ERROR, text)
 

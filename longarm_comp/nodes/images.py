@@ -43,13 +43,6 @@ def _converted(code: int) -> Callable[[Grey], Grey]:
     return lambda numbers: np.asarray(cv2.cvtColor(numbers, code), dtype=np.uint8)
 
 
-_BAYER = {
-    "rggb": _converted(cv2.COLOR_BayerRGGB2GRAY),
-    "bggr": _converted(cv2.COLOR_BayerBGGR2GRAY),
-    "gbrg": _converted(cv2.COLOR_BayerGBRG2GRAY),
-    "grbg": _converted(cv2.COLOR_BayerGRBG2GRAY),
-}
-
 # Names of sensor_msgs/image_encodings.hpp. Of YUV the brightness Y is every second byte.
 ENCODINGS: dict[str, _PixelFormat] = {
     **dict.fromkeys(("mono8", "8UC1"), _PixelFormat(1, _sample(0))),
@@ -60,11 +53,11 @@ ENCODINGS: dict[str, _PixelFormat] = {
     "rgba8": _PixelFormat(4, _converted(cv2.COLOR_RGBA2BGR)),
     **dict.fromkeys(("yuv422", "uyvy"), _PixelFormat(2, _sample(1))),
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), _PixelFormat(2, _sample(0))),
-    **{f"bayer_{order}8": _PixelFormat(1, convert) for order, convert in _BAYER.items()},
-    **{
-        f"bayer_{order}16": _PixelFormat(1, convert, wide=True) for order, convert in _BAYER.items()
-    },
 }
+for _order in ("rggb", "bggr", "gbrg", "grbg"):
+    _brightness = _converted(getattr(cv2, f"COLOR_Bayer{_order.upper()}2GRAY"))
+    ENCODINGS[f"bayer_{_order}8"] = _PixelFormat(1, _brightness)
+    ENCODINGS[f"bayer_{_order}16"] = _PixelFormat(1, _brightness, wide=True)
 
 
 def pixels_of(message: Image) -> Grey:

@@ -30,7 +30,6 @@ from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.devices import joint_path as devices
 from longarm_comp.devices.servo_arm import ServoReading
-from longarm_comp.devices.servo_follower import Accepted
 from longarm_interfaces.msg import Compensation, DriverState, Motion
 from longarm_interfaces.srv import Compensate
 
@@ -41,7 +40,6 @@ class Refusal(LongarmError):  # noqa: N818
     def __init__(self, status: Status, reason: str) -> None:
         super().__init__(reason)
         self.status = status
-        self.reason = reason
 
 
 def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
@@ -161,12 +159,19 @@ def trajectory_message(
     """
     message = JointTrajectory(header=Header(stamp=stamp), joint_names=list(arm.joint_names))
     due = times * np.arange(1, len(points) + 1) if np.ndim(times) == 0 else np.asarray(times)
-    speeds = np.zeros((len(points), 0)) if velocities is None else velocities
-    message.points = [
-        JointTrajectoryPoint(positions=q, velocities=v, time_from_start=duration(at))
-        for q, v, at in zip(points.tolist(), speeds.tolist(), due.tolist(), strict=True)
-    ]
+    message.points = points_message(points, due, velocities)
     return message
+
+
+def points_message(
+    points: np.ndarray, times: np.ndarray, velocities: np.ndarray | None = None
+) -> list[JointTrajectoryPoint]:
+    """Way-points (k, n) that are due at times (k,), s, perhaps with velocities (k, n)."""
+    speeds = np.zeros((len(points), 0)) if velocities is None else velocities
+    return [
+        JointTrajectoryPoint(positions=q, velocities=v, time_from_start=duration(at))
+        for q, v, at in zip(points.tolist(), speeds.tolist(), times.tolist(), strict=True)
+    ]
 
 
 def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
@@ -340,11 +345,3 @@ def readings_message(readings: Mapping[str, ServoReading], stamp: Time) -> Joint
         velocity=[joint.velocity for joint in joints],
         effort=[] if all(map(math.isnan, efforts)) else efforts,
     )
-
-
-def points_of(taken: Accepted) -> list[JointTrajectoryPoint]:
-    """The way-points of an accepted trajectory."""
-    return [
-        JointTrajectoryPoint(positions=row, time_from_start=duration(at))
-        for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
-    ]

@@ -36,7 +36,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders
 from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, THIS_INSTANCE, WARN, Report
-from longarm_comp.nodes.messages import points_of, readings_message, trajectory_of
+from longarm_comp.nodes.messages import points_message, readings_message, trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.orders import FollowServer, Intake
@@ -157,18 +157,16 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Torque off, back to unconfigured."""
         self._release()
         return super().on_cleanup(state)
+
+    on_error = on_cleanup
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._autostart = False
         self._release()
         return super().on_shutdown(state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque off, back to unconfigured."""
-        self._release()
-        return super().on_error(state)
 
     @property
     def _machine(self) -> ServoArm:
@@ -278,7 +276,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         message = Motion(header=joints.header, id=name, event=event, message=why, joints=joints)
         if taken is not None:
             message.start = JointState(name=self.names, position=taken.start.tolist())
-            message.points = points_of(taken)
+            message.points = points_message(taken.points, taken.times)
         self._motions.publish(message)
         if self._follow is not None:
             self._follow.told(event, name, why)

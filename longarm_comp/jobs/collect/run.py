@@ -119,9 +119,9 @@ class Progress:
         return self.done / max(1, self.total)
 
     @property
-    def lost(self) -> list[str]:
-        """Why the marker was lost, for each visit at which it was."""
-        return [why for why in self.made.values() if why]
+    def lost(self) -> dict[int, str]:
+        """Visits of this run at which the marker was lost, and why."""
+        return {index: why for index, why in self.made.items() if why}
 
     @property
     def seen(self) -> int:
@@ -133,7 +133,8 @@ class Progress:
         """How often the marker was lost, and why; empty if never."""
         if not self.lost:
             return ""
-        return f"marker lost at {len(self.lost)} of {len(self.made)} poses: {in_words(self.lost)}"
+        why = in_words(self.lost.values())
+        return f"marker lost at {len(self.lost)} of {len(self.made)} poses: {why}"
 
     def __str__(self) -> str:
         if self.state != "running":
@@ -216,12 +217,12 @@ def collect(
         try:
             run.drive([visit for visit in todo if visit.index not in done], give_up)
         except JobError as error:
-            if run.lost == run.made and not done:
+            if run.now().lost == run.made and not done:
                 bag.discard()  # nothing in it is worth going on with
             with client.putting_back():
                 run.ended("ended", str(error))
             raise
-    return Collected(len(run.made), len(done), len(todo), run.lost, run.blocked)
+    return Collected(len(run.made), len(done), len(todo), run.now().lost, run.blocked)
 
 
 class _Run:
@@ -242,18 +243,9 @@ class _Run:
         """Visits in the bag, of this run: why the marker was lost there, or ""."""
         self.blocked: dict[int, str] = {}
 
-    @property
-    def lost(self) -> dict[int, str]:
-        """Those at which the marker was not seen, and why."""
-        return {index: why for index, why in self.made.items() if why}
-
     def drive(self, left: list[Visit], give_up: int) -> None:
         self._client.ready()
-        end = time.monotonic() + _CIRCUMSTANCES_S
-        self._client.until(
-            lambda: not self._recorder.waits_for() or time.monotonic() > end,
-            _CIRCUMSTANCES_S + 60.0, "circumstances",
-        )  # fmt: skip
+        self._client.wait(lambda: not self._recorder.waits_for(), _CIRCUMSTANCES_S)
         half = max(5, len(left) // 2)
         while left:
             visit = self._next(left)
@@ -263,10 +255,11 @@ class _Run:
             self._visit = visit
             self._tell()
             self._make(visit)
-            if self.lost == self.made and not self._before and 0 < give_up <= len(self.made):
-                raise JobError(f"{self._now().losses}. {_HINT}")
-            if len(self.lost) > half:
-                raise JobError(f"the marker is not seen at most poses. {self._now().losses}")
+            now = self.now()
+            if now.lost == self.made and not self._before and 0 < give_up <= len(self.made):
+                raise JobError(f"{now.losses}. {_HINT}")
+            if len(now.lost) > half:
+                raise JobError(f"the marker is not seen at most poses. {now.losses}")
         self._visit = None
         self.ended("done")
 
@@ -357,7 +350,7 @@ class _Run:
 
         self._client.until(takes, float("inf"), "driver")
 
-    def _now(self, state: str = "running", why: str = "") -> Progress:
+    def now(self, state: str = "running", why: str = "") -> Progress:
         visit, made = self._visit, len(self.made)
         each = self._driving_s / made if made else float("nan")
         done = self._before + made
@@ -367,6 +360,6 @@ class _Run:
         )  # fmt: skip
 
     def _tell(self, state: str = "running", why: str = "") -> None:
-        now = self._now(state, why)
+        now = self.now(state, why)
         self._show(now)
         self._publisher.publish(progress_message(now, self._client.node.get_namespace()))
