@@ -30,7 +30,7 @@ FOUND_S = 10.0
 """A node that is there is found, and has reported, within it, also on a busy machine."""
 _ASK_AGAIN_S = 0.25, 2.0
 """Pauses after which a request that may be served twice is sent again: the first, and the longest;
-each is twice the one before, and another server begins them anew."""
+each is twice the one before."""
 
 _GET = Service("~/get_parameters", GetParameters)
 _SET = Service("~/set_parameters", SetParameters)
@@ -50,24 +50,19 @@ def drivers(node: Node) -> int:
 class Call:
     """A request to a service on its way, which is sent again as `GraphClient.call` says."""
 
-    def __init__(self, node: Node, client: Any, request: Any, *, again: bool) -> None:
-        self._node, self._client, self._request, self._again = node, client, request, again
+    def __init__(self, client: Any, request: Any, *, again: bool) -> None:
+        self._client, self._request, self._again = client, request, again
         self._asked: list[Any] = []
         self._send(_ASK_AGAIN_S[0])
 
     def _send(self, pause_s: float) -> None:
-        self._servers = self._node.count_services(self._client.srv_name)
         self._sent, self._pause = time.monotonic(), pause_s
         self._asked.append(self._client.call_async(self._request))
 
     def answer(self) -> Any:
         """The response; None while there is none."""
-        first, longest = _ASK_AGAIN_S
-        servers, self._servers = self._servers, self._node.count_services(self._client.srv_name)
-        if self._again and self._servers > servers:
-            self._send(first)
-        elif self._again and time.monotonic() - self._sent > self._pause:
-            self._send(min(2.0 * self._pause, longest))
+        if self._again and time.monotonic() - self._sent > self._pause:
+            self._send(min(2.0 * self._pause, _ASK_AGAIN_S[1]))
         return next((future.result() for future in self._asked if future.done()), None)
 
     def close(self) -> None:
@@ -146,11 +141,11 @@ class GraphClient:
         server that was killed for some seconds more.
 
         Args:
-            again: ask again where no answer came for a while, or another server has come; for
-                requests that may be served twice.
+            again: ask again where no answer came for a while; for requests that may be served
+                twice.
         """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
-        asked = Call(self.node, client, request, again=again)
+        asked = Call(client, request, again=again)
         try:
             return self.until(asked.answer, within_s, f"no answer of {client.srv_name}")
         finally:

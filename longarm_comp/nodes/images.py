@@ -138,22 +138,18 @@ def same_camera(a: Calibration, b: Calibration) -> bool:
 class ImageInlet:
     """A subscription that is ``reliable`` where that is wanted and the publishers offer it.
 
-    A reliable subscription hears no best-effort publisher, and says nothing of it.
+    A reliable subscription hears no best-effort publisher, and says nothing of it. ``watch``: of
+    images that the middleware has lost or that a full queue has dropped.
     """
 
     def __init__(
         self, node: Node, topic: Topic, take: Callable[[Any], None], *, reliable: bool
     ) -> None:
         self._node, self._topic, self._take = node, topic, take
-        self._reliable, self._watch = reliable, SequenceWatch()
+        self._reliable, self.watch = reliable, SequenceWatch()
         self._subscription: Any = None
         self._how: ReliabilityPolicy | None = None
         self.adapt()
-
-    @property
-    def lost(self) -> int:
-        """Images that the middleware has lost or that a full queue has dropped."""
-        return self._watch.lost
 
     @property
     def reliability(self) -> str:
@@ -173,5 +169,5 @@ class ImageInlet:
         self._subscription = self._topic.subscription(self._node, self._hear, listens=wanted)
 
     def _hear(self, message: Any, info: Any) -> None:
-        self._watch.taken([info["publication_sequence_number"] or 0], full=True)
+        self.watch.taken([info["publication_sequence_number"] or 0], full=True)
         self._take(message)

@@ -28,6 +28,7 @@ from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.compensate import Compensation as Outcome
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.ik.solver import position_of
 from longarm_comp.devices import joint_path as devices
 from longarm_comp.devices.servo_arm import ServoReading
 from longarm_interfaces.msg import Compensation, DriverState, Motion
@@ -63,7 +64,7 @@ def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
 
 def pose_message(target: np.ndarray) -> Pose:
     """A (4, 4) pose, or a (3,) position with the identity as orientation."""
-    x, y, z = (target if target.ndim == 1 else target[:3, 3]).tolist()
+    x, y, z = position_of(target).tolist()
     message = Pose(position=Point(x=x, y=y, z=z))
     if target.ndim == 2:
         message.orientation = quaternion_message(quaternion.from_rotation(target[:3, :3]))

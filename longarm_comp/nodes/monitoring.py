@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
-from longarm_comp.core.compensation.drift import Monitor
+from longarm_comp.core.compensation.drift import Monitor, Verdict
 from longarm_comp.core.compensation.expected import TipByReadings, tip_by_readings
 from longarm_comp.core.data.rest import JOINT_REST, RestPose, RestWatch
 from longarm_comp.core.errors import InputError
@@ -82,6 +82,11 @@ class ReadingsTeller:
 
 EVIDENCE = "evidence (1 warns)"
 """Name of the fact on /diagnostics that says how near to a warning the test is."""
+
+
+def _facts(counted: str, verdict: Verdict) -> dict[str, object]:
+    """Of a sequential test, for diagnostics; ``counted``: what its samples are."""
+    return {counted: verdict.samples, EVIDENCE: round(verdict.evidence, 3)}
 
 
 def _mm(vector: np.ndarray) -> str:
@@ -195,7 +200,7 @@ class TipMonitor:
     def servo_report(self) -> Report:
         """Whether joints stand where they were sent, for diagnostics."""
         verdict = self._servos.verdict()
-        facts = {"moves": verdict.samples, EVIDENCE: round(verdict.evidence, 3)}
+        facts = _facts("moves", verdict)
         if verdict.drifted:
             said = f"the joints' readings differ from the commands: {verdict.finding}"
             return Report(WARN, said, facts)
@@ -204,11 +209,7 @@ class TipMonitor:
     def target_report(self) -> Report:
         """Whether tips come to rest at their targets, for diagnostics."""
         verdict = self._at_target.verdict()
-        facts = {
-            "targets": verdict.samples,
-            EVIDENCE: round(verdict.evidence, 3),
-            "last": self._last_miss,
-        }
+        facts = _facts("targets", verdict) | {"last": self._last_miss}
         if not verdict.drifted:
             return Report(OK, "tips come to rest at their targets", facts)
         if self._monitor.verdict().drifted:
@@ -234,12 +235,8 @@ class TipMonitor:
 
     def report(self) -> Report:
         verdict = self._monitor.verdict()
-        facts = {
-            "rest poses": verdict.samples,
-            EVIDENCE: round(verdict.evidence, 3),
-            "last": self._last,
-            "outside the training data": self._outside,
-        }
+        outside = {"last": self._last, "outside the training data": self._outside}
+        facts = _facts("rest poses", verdict) | outside
         if verdict.drifted:
             return Report(WARN, f"{verdict.finding}; run: {self._advice}", facts)
         return Report(OK, "residuals are as expected", facts)

@@ -208,7 +208,7 @@ class _StereoBridge(ArmNode):
             "pairs": self._pairer.pairs,
             **dict(sorted(self.tally.counts.items())),
             **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
-            **{f"lost on the way: {s.name.lower()}": i.lost for s, i in self._inlets.items()},
+            **{f"lost on the way: {s.name.lower()}": i.watch.lost for s, i in self._inlets.items()},
             "calibration": self._calibration(),
             **{f"images {s.name.lower()}": i.reliability for s, i in self._inlets.items()},
         }
