@@ -137,15 +137,16 @@ class ArmClient(GraphClient):
             self._reached |= message.event == Motion.REACHED
             self._refused = message.message if message.event == Motion.REFUSED else ""
 
-    def driver_takes(self) -> bool:
+    def driver_takes(self, *, held: bool = False) -> bool:
         """Whether the driver tells that it takes trajectories; true of one that never tells.
 
         Raises:
-            DriverStopped: it is held, in fault or in emergency stop.
+            DriverStopped: it is in fault, in emergency stop, or, unless ``held`` allows it, held.
         """
         if self._driver is None:
             return self.node.count_publishers(self._states.topic_name) == 0
-        if self._driver.state in _STOPPED:
+        stopped = self._driver.state in _STOPPED
+        if stopped and not (held and self._driver.state == DriverState.HOLDING):
             raise DriverStopped(self._driver)
         return self._driver.state in (DriverState.READY, DriverState.MOVING)
 

@@ -9,7 +9,6 @@ from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
@@ -68,9 +67,8 @@ class Recorder:
         if "header" in message.get_fields_and_field_types():
             self._stamped.add(name)
         self._bag.offers[name] = offered(topic.depth, latched=topic.latched)
-        qos = QoSProfile(depth=2000, reliability=topic.listens)
-        self._node.create_subscription(
-            topic.type, topic.name, lambda raw: self.put(name, kind, bytes(raw)), qos, raw=True
+        topic.subscription(
+            self._node, lambda raw: self.put(name, kind, bytes(raw)), depth=2000, raw=True
         )
 
     def put(self, topic: str, kind: str, raw: bytes) -> None:

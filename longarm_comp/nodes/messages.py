@@ -238,6 +238,7 @@ class Answer:
         name: id of the target.
         model_hash, predictor_hash: SHA-256 of the files in use; empty without one.
         arrival: the computation; None for a target that was refused before it.
+        sent, accepted: whether its joints were sent, and taken up by the driver.
     """
 
     name: str
@@ -249,22 +250,22 @@ class Answer:
     model_hash: str
     predictor_hash: str = ""
     arrival: Arrival | None = None
+    sent: bool = False
+    accepted: bool = False
 
     @property
     def outcome(self) -> Outcome | None:
         return None if self.arrival is None else self.arrival.outcome
 
 
-def compensation_message(
-    answer: Answer, arm: Arm, base_frame: str, *, executed: bool, accepted: bool
-) -> Compensation:
-    """The full record of one target; whether its joints were sent, and taken up by the driver."""
+def compensation_message(answer: Answer, arm: Arm, base_frame: str) -> Compensation:
+    """The full record of one target."""
     context = Context() if answer.arrival is None else answer.arrival.context
     sides = {float(side) for side in context.approach}
     published = Compensation(
         header=Header(stamp=answer.target.header.stamp, frame_id=base_frame),
         id=answer.name,
-        accepted=accepted,
+        accepted=answer.accepted,
         target=answer.target,
         position_only=answer.position_only,
         status=int(answer.status),
@@ -280,7 +281,7 @@ def compensation_message(
         predictor_hash=answer.predictor_hash,
     )
     _fill(published, answer, arm, base_frame)
-    if executed and answer.outcome is not None:
+    if answer.sent and answer.outcome is not None:
         published.executed = joints_message(arm, answer.outcome.command, answer.target.header.stamp)
     return published
 

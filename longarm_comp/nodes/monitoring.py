@@ -6,7 +6,6 @@ import contextlib
 import shlex
 import threading
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,24 +44,17 @@ class ReadingsTeller:
         self._state = state
         self.last: TipByReadings | None = None
         self._before: np.ndarray | None = None
-        self._waits = False
         self._tips = graph.TIP_BY_READINGS.publisher(state.node)
         state.node.every("readings.period_s", self._tick)
 
     def _tick(self) -> None:
-        """One at a time: targets must not wait behind many."""
+        """One waits at most: targets must not wait behind many."""
         now = self._state.standing
         q, before = None if now is None else now[1], self._before
         self._before = q
         rests = q is not None and before is not None and np.abs(q - before).max() <= JOINT_REST
-        if rests and not self._waits:
-            self._waits = True  # before the worker can be done with it
-            if not self._state.worker.submit(self._in_turn):
-                self._waits = False
-
-    def _in_turn(self) -> None:
-        self._waits = False
-        self.tell()
+        if rests:
+            self._state.worker.submit_once(self.tell)
 
     def tell(self) -> TipByReadings | None:
         """Compute and publish it now; None while joints or circumstances are not known."""
@@ -270,11 +262,11 @@ class RingTeller:
 
     def _begin(self) -> None:
         if self._due is not None and not self._state.worker.waiting:
-            self._state.worker.submit(partial(self._compute, self._due))
+            self._state.worker.submit_once(self._compute)
 
-    def _compute(self, move: Any) -> None:
-        state, context = self._state, self._state.known()
-        if move is not self._due or context is None:
+    def _compute(self) -> None:
+        state, context, move = self._state, self._state.known(), self._due
+        if move is None or context is None:
             return
         self._due = None
         try:

@@ -128,14 +128,12 @@ class _StereoBridge(ArmNode):
         if known is not None and same_camera(known, message):
             return
         self._infos[side] = message
-        if self._files:  # the message names the camera's frame
-            self._calibrate(self._files)
-            return
+        cameras = self._files or self._infos  # beside files, a message names its camera's frame
         self._eye = None
-        if len(self._infos) < 2:
+        if len(cameras) < 2:
             return
         try:
-            self._calibrate(self._infos)
+            self._calibrate(cameras)
         except LongarmError as error:
             self._refuse(error, None)
 

@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -281,7 +282,9 @@ class _Run:
             except DriverStopped as stopped:
                 if not stopped.held:
                     raise
-                self._wait_for_driver(str(stopped))
+                self._tell("waiting", str(stopped))
+                takes = partial(self._client.driver_takes, held=True)
+                self._client.until(takes, math.inf, "driver")
                 begun_s = time.monotonic()
         why = row.lost.get(visit.index, "")
         self.made[visit.index] = "" if row.located[0] else self._causes.of(visit.q, why)
@@ -336,19 +339,6 @@ class _Run:
             why[visit.index] = found
         self.blocked = why
         return None
-
-    def _wait_for_driver(self, why: str) -> None:
-        self._tell("waiting", why)
-
-        def takes() -> bool:
-            try:
-                return self._client.driver_takes()
-            except DriverStopped as stopped:
-                if not stopped.held:
-                    raise
-                return False
-
-        self._client.until(takes, float("inf"), "driver")
 
     def now(self, state: str = "running", why: str = "") -> Progress:
         visit, made = self._visit, len(self.made)
