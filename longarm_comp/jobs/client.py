@@ -18,7 +18,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.graph_client import GraphClient, drivers
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns
-from longarm_comp.nodes.messages import joints_of, sighting_of, trajectory_message
+from longarm_comp.nodes.messages import driver_words, joints_of, sighting_of, trajectory_message
 from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_interfaces.msg import DriverState, Motion
 
@@ -47,22 +47,17 @@ class Pace:
             raise InputError("collect", "--sightings", self.sightings, "at least 1")
 
 
+_STOPPED = (DriverState.HOLDING, DriverState.FAULT, DriverState.ESTOP)
+
+
 class DriverStopped(JobError):  # noqa: N818
     """The driver is held (`held`: somebody means to go on), in fault or in emergency stop."""
 
     def __init__(self, state: DriverState) -> None:
         self.held = state.state == DriverState.HOLDING
         leads_on = "`longarm status` tells more, `longarm reset` leads on"
-        super().__init__(
-            f"the driver {_STOPPED[state.state]} ({leads_on})", said=state.message or "nothing"
-        )
-
-
-_STOPPED = {
-    DriverState.HOLDING: "is held",
-    DriverState.FAULT: "stopped with a fault",
-    DriverState.ESTOP: "is in emergency stop",
-}
+        why = f"the driver is {driver_words(state.state)} ({leads_on})"
+        super().__init__(why, said=state.message or "nothing")
 
 
 class ArmClient(GraphClient):

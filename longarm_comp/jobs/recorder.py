@@ -102,7 +102,6 @@ class Recorder:
         return moment(stamp_of_raw(raw), received)
 
     def drop(self) -> None:
-        """Drop the waiting messages, but for those that still hold."""
         last = {entry[0]: entry for entry in self.waiting if entry[0] in self._held}
         self.waiting = list(last.values())
 

@@ -80,7 +80,6 @@ class Report:
     facts: Mapping[str, object] = field(default_factory=dict)
 
     def status(self, name: str, namespace: str) -> DiagnosticStatus:
-        """As it is published."""
         values = [KeyValue(key=key, value=str(value)) for key, value in self.facts.items()]
         return DiagnosticStatus(
             level=self.level, name=name, message=self.message, hardware_id=namespace, values=values
@@ -104,7 +103,6 @@ class Tally:
 
     @property
     def facts(self) -> dict[str, object]:
-        """Both, for diagnostics."""
         return {**self.counts, "last refusal": self.last}
 
 

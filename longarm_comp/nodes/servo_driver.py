@@ -76,7 +76,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         given = declare_sections(self, SECTIONS)
         self._config = ServoConfig.parse(given, "parameters of servo_driver")
         self._keeps_out, self._shapes = self._rules_of(p)
-        self._trim = p["trim"]
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self._arm: ServoArm | None = None
         self._active = False
@@ -98,9 +97,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         # Pause between two messages of the state, s. It is also told when it changes
         steady_timer(self, 0.5, self._tell_state)
         self.health.parts |= {"servo bus": self._bus_report, "arm": self._arm_report}
-        if self._autostart:
-            self._start()
-            steady_timer(self, p["retry_s"], self._start)
+        self._start()
+        steady_timer(self, p["retry_s"], self._start)
         self._tell_change()
 
     def close(self) -> bool:
@@ -132,7 +130,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
-            self._arm = ServoArm(self._config, self._keeps_out, self._shapes, self._trim)
+            self._arm = ServoArm(self._config, self._keeps_out, self._shapes, self.p["trim"])
         except LongarmError as error:
             return self._failed(error)
         self._fault = ""
