@@ -18,11 +18,9 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64, String
 
 from longarm_comp.arm_folder.visible import View
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.rest import NO_REST
 from longarm_comp.core.data.session import Session
@@ -31,7 +29,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import entered
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
 from longarm_comp.jobs.collect.visits import Visit, in_words
-from longarm_comp.jobs.graph_client import GraphClient, Reports
+from longarm_comp.jobs.graph_client import Reports
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
@@ -145,37 +143,6 @@ class Progress:
         return "; ".join(filter(None, (poses, self.losses)))
 
 
-class Causes:
-    """Why the marker is lost: by the cameras' geometry, or as `stereo_bridge` says.
-
-    ``view``: cameras by the files beside arm.yaml; their lens is replaced by the graph's.
-    """
-
-    def __init__(self, client: GraphClient, arm: Arm, view: View | None) -> None:
-        self._model, self._view = declared_model(arm), view
-        self._reports = Reports(client)
-        self._infos: dict[str, CameraInfo] = {}
-        graph.LEFT_INFO.subscription(client.node, lambda m: self._on_info("left", m))
-        graph.RIGHT_INFO.subscription(client.node, lambda m: self._on_info("right", m))
-
-    def of(self, q: np.ndarray, recorded: str = "") -> str:
-        """The likely cause at joints q (n,); ``recorded`` is what the recording says."""
-        if recorded == NO_REST:
-            return recorded
-        why = "" if self._view is None else self._view.unseen(self._model.pose(q[None]))[0]
-        if why:
-            return why
-        near = "in view, but " if self._view is not None else ""
-        said = self._reports.said("stereo_bridge", "stereo")
-        why = said.removeprefix(MARKER_LOST)
-        return near + (why.partition(" (")[0] if why != said else "not seen")
-
-    def _on_info(self, side: str, message: CameraInfo) -> None:
-        self._infos[side] = message
-        if self._view is not None and len(self._infos) == 2:
-            self._view = self._view.through(self._infos["left"], self._infos["right"])
-
-
 @dataclass(frozen=True)
 class Collected:
     """How many visits were made now and before, of all that are planned.
@@ -214,7 +181,7 @@ def collect(
     done = visited(path, todo, client.arm.n) if begun else set()
     with SegmentedBag(path, resume=resume) as bag:
         run = _Run(client, Recorder(client.node, bag), pace or Pace(), progress,
-                   Causes(client, client.arm, view), len(done), len(todo))  # fmt: skip
+                   view, len(done), len(todo))  # fmt: skip
         try:
             run.drive([visit for visit in todo if visit.index not in done], give_up)
         except JobError as error:
@@ -231,10 +198,11 @@ class _Run:
 
     def __init__(
         self, client: ArmClient, recorder: Recorder, pace: Pace,
-        progress: Callable[[Progress], None], causes: Causes, before: int, total: int,
+        progress: Callable[[Progress], None], view: View | None, before: int, total: int,
     ) -> None:  # fmt: skip
         self._client, self._recorder, self._pace = client, recorder, pace
-        self._show, self._causes, self._before, self._total = progress, causes, before, total
+        self._show, self._before, self._total = progress, before, total
+        self._view, self._reports = view, Reports(client)
         self._payload = client.node.create_publisher(Float64, "payload", 5)
         self._publisher = graph.COLLECT_PROGRESS.publisher(client.node)
         self._model = declared_model(client.arm)
@@ -287,9 +255,22 @@ class _Run:
                 self._client.until(takes, math.inf, "driver")
                 begun_s = time.monotonic()
         why = row.lost.get(visit.index, "")
-        self.made[visit.index] = "" if row.located[0] else self._causes.of(visit.q, why)
+        self.made[visit.index] = "" if row.located[0] else self._cause(visit.q, why)
         self._driving_s += time.monotonic() - begun_s
         self._tell()
+
+    def _cause(self, q: np.ndarray, recorded: str) -> str:
+        """Why the marker is likely lost at joints q (n,): as the recording says, or by the cameras'
+        geometry, or as `stereo_bridge` says."""
+        if recorded == NO_REST:
+            return recorded
+        why = "" if self._view is None else self._view.unseen(self._model.pose(q[None]))[0]
+        if why:
+            return why
+        near = "in view, but " if self._view is not None else ""
+        said = self._reports.said("stereo_bridge", "stereo")
+        why = said.removeprefix(MARKER_LOST)
+        return near + (why.partition(" (")[0] if why != said else "not seen")
 
     def _visit_row(self, visit: Visit) -> Session:
         """Drive to one pose, look, and keep it; the row as the bag holds it.
