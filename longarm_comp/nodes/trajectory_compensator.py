@@ -74,7 +74,7 @@ class _TrajectoryCompensator(ArmNode):
         p = self.p
         if not graph.HAS_FOLLOW:
             raise InputError(where(self), "control_msgs", "missing", "install ROS's control_msgs")
-        self._state = ArmState(self, capacity=4)
+        self._state = ArmState(self, capacity=5)
         self._files, self._method = self._state.files, Method(p["method"])
         self._arm, self._controller = self._state.arm, p["controller"]
         self._limits = self._limits_of(p)
@@ -86,9 +86,8 @@ class _TrajectoryCompensator(ArmNode):
         )
         self._server = graph.FOLLOW_PLANNED.server(self, self._serve)
         self._planned = graph.PLANNED_JOINTS.publisher(self)
-        self._due = self._ready = False
-        self._worker.idle = self._tell_planned
-        self.every("planned_period_s", self._fall_due)
+        self._ready = False
+        self.every("planned_period_s", lambda: self._worker.submit_once(self._tell_planned))
         self.on_change((p["model"],), self._worker, self._files.reload)
         self.health.parts |= {"paths": self._report, "model": self._files.report}
         self._worker.start()
@@ -220,19 +219,14 @@ class _TrajectoryCompensator(ArmNode):
             speeds = np.vstack([np.zeros(len(start)), speeds])
         return PlannedPath.of_joints(self._arm, np.array(times), joints, speeds if fast else None)
 
-    def _fall_due(self) -> None:
-        self._due = True
-        self._worker.wake()
-
-    def _tell_planned(self) -> bool:
+    def _tell_planned(self) -> None:
         """Publish the joints at which the declared arm's tip is where the real one is.
 
         What the next path needs is compiled then.
         """
-        due, self._due = self._due, False
         q, model = self._state.joints, physics_of(self._files.loaded.model, self._method)
-        if not due or q is None or self._state.doubt:
-            return due
+        if q is None or self._state.doubt:
+            return
         stamp = self.get_clock().now().to_msg()
         with contextlib.suppress(StaleContext):
             context = self._state.context(model=model)
@@ -240,7 +234,6 @@ class _TrajectoryCompensator(ArmNode):
             planned = as_planned(self._files.rigid, model, q, context)
             self._planned.publish(joints_message(self._arm, planned, stamp))
             self._ready = True
-        return True
 
     def _report(self) -> Report:
         facts = self.tally.facts
