@@ -16,7 +16,6 @@ from longarm_comp.view.words import (
     PageState,
     Part,
     Picture,
-    SeenTip,
 )
 
 DECLARED = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5], [1.0, 0.0, 0.5]])
@@ -33,7 +32,8 @@ def at_rest() -> PageState:
         PageState(
             heard=19.9,
             picture=Picture(DECLARED, HANGING, TARGET, None, 19.8),
-            tip=SeenTip(SEEN, 19.9),
+            tip=SEEN,
+            tip_at=19.9,
             answer=LastAnswer("SUCCESS", "", JOINTS),
         )
         .with_joints(JOINTS, 10.0)
@@ -52,7 +52,7 @@ def test_errors_of_an_arm_at_rest() -> None:
 
 def test_there_is_no_error_without_a_sighting_of_now() -> None:
     state = at_rest()
-    lost = replace(state, tip=SeenTip(np.full(3, math.nan), 19.9))
+    lost = replace(state, tip=np.full(3, math.nan))
     for blind, now in ((replace(state, tip=None), 20.0), (lost, 20.0), (state, 24.0)):
         assert blind.missed(now) == blind.unpredicted(now) == "no camera sees the tip"
         assert words.sections(blind, now, "/", "")["tip"][0].endswith(": no camera sees the tip")
@@ -63,11 +63,11 @@ def test_there_is_no_error_while_the_arm_moves(old: str) -> None:
     """Picture and sighting must both be later than the last movement, and a little more."""
     moved = at_rest().with_joints({"a": 0.11, "b": -0.2}, 19.5)
     assert moved.missed(20.0) == moved.unpredicted(20.0) == "the arm moves"
-    assert moved.picture is not None and moved.tip is not None
-    later = {"picture": replace(moved.picture, at=21.0), "tip": replace(moved.tip, at=21.0)}
-    assert replace(moved, **later).resting
-    later[old] = replace(later[old], at=20.0)  # type: ignore[type-var]
-    assert not replace(moved, **later).resting
+    assert moved.picture is not None
+    for late, rests in ((21.0, True), (20.0, False)):
+        at = {"picture": 21.0, "tip": 21.0, old: late}
+        picture = replace(moved.picture, at=at["picture"])
+        assert replace(moved, picture=picture, tip_at=at["tip"]).resting == rests
 
 
 def test_a_servo_that_trembles_does_not_move_and_one_that_creeps_does() -> None:

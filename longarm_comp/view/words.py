@@ -26,14 +26,6 @@ class Picture:
     at: float
 
 
-@dataclass(frozen=True, eq=False)
-class SeenTip:
-    """The tip as the cameras see it, (3,) m; NaN where the marker is lost."""
-
-    xyz: np.ndarray
-    at: float
-
-
 @dataclass(frozen=True)
 class LastAnswer:
     """What became of the last target: status, reason, joints sent by name (none: not sent)."""
@@ -81,6 +73,7 @@ class PageState:
 
     Attributes:
         heard: when any message came last; None before the first.
+        tip: (3,) m, as the cameras saw it last, and when; NaN where the marker was lost.
         joints: last reading by name, rad and m.
         read: when the joints were read last; None before the first.
         moved: when a joint moved last by more than `JOINT_REST`.
@@ -92,7 +85,8 @@ class PageState:
 
     heard: float | None = None
     picture: Picture | None = None
-    tip: SeenTip | None = None
+    tip: np.ndarray | None = None
+    tip_at: float = -math.inf
     joints: Mapping[str, float] = field(default_factory=dict)
     read: float | None = None
     moved: float = -math.inf
@@ -131,17 +125,17 @@ class PageState:
 
     def seen_tip(self, now: float) -> np.ndarray | None:
         """(3,) m where the tip is seen now; None where it is not."""
-        if self.tip is None or now - self.tip.at >= 3.0 or np.isnan(self.tip.xyz).any():
+        if self.tip is None or now - self.tip_at >= 3.0 or np.isnan(self.tip).any():
             return None
-        return self.tip.xyz
+        return self.tip
 
     @property
     def resting(self) -> bool:
         """Whether picture and sighting are both of the arm at rest."""
-        if self.picture is None or self.tip is None:
+        if self.picture is None:
             return False
         # A picture is a half second old, and a sighting some frames
-        return min(self.picture.at, self.tip.at) > self.moved + 0.6
+        return min(self.picture.at, self.tip_at) > self.moved + 0.6
 
     def missed(self, now: float) -> np.ndarray | str:
         """tip - target (3,) m, where the arm rests at its target and is seen; else why not."""
@@ -153,7 +147,7 @@ class PageState:
             return "no target was heard since this page was opened"
         if self.picture.target is None or not _same_joints(self.answer.sent, self.joints):
             return "the arm is not at the last target"
-        return self.tip.xyz - self.picture.target
+        return self.tip - self.picture.target
 
     def unpredicted(self, now: float) -> np.ndarray | str:
         """tip - predicted tip (3,) m, where the arm rests and is seen; else why not."""
