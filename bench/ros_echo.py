@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import sys
+from types import SimpleNamespace
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
@@ -26,6 +27,7 @@ class Echo(Node):
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("echo")
+        self.health = SimpleNamespace(fault=lambda error: self.get_logger().error(str(error)))
         self._out = self.create_publisher(JointTrajectory, "echo_trajectory", QoSProfile(depth=100))
         self.create_subscription(PoseStamped, "echo_target", self._on_target, QoSProfile(depth=100))
         self.create_service(
@@ -46,10 +48,6 @@ class Echo(Node):
 
     def close(self) -> None:
         """Nothing was started."""
-
-    def survived(self, error: Exception) -> None:
-        """Tell."""
-        self.get_logger().error(str(error))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from longarm_comp.jobs import graph_client
 from longarm_comp.jobs.graph_client import GraphClient
 
 
@@ -57,10 +56,7 @@ def servers(tmp_path: Path) -> Iterator[Servers]:
             made.close()
 
 
-def test_a_request_is_sent_again_to_a_server_that_comes_after_it(
-    servers: Servers, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(graph_client, "_ASK_AGAIN_S", (1e9, 1e9))
+def test_a_request_is_sent_again_to_a_server_that_comes_after_it(servers: Servers) -> None:
     servers.offer("dead")
     with GraphClient(name="asker") as client:
         service = client.node.create_client(Trigger, "ask")
@@ -68,11 +64,11 @@ def test_a_request_is_sent_again_to_a_server_that_comes_after_it(
 
         def sent(request: Any) -> Any:
             asked.append(request)
-            if len(asked) == 1:
+            if len(asked) == 2:
                 servers.executor.add_node(servers.offer("alive"))
                 threading.Thread(target=servers.executor.spin, daemon=True).start()
             return own(request)
 
         own, service.call_async = service.call_async, sent
         assert client.call(service, Trigger.Request(), 60.0, again=True).success
-    assert len(asked) == 2
+    assert len(asked) >= 2

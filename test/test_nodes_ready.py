@@ -138,17 +138,16 @@ def test_ready_means_compiled_and_the_predictor_probed_also_after_its_return(
 
 
 class Eager:
-    """A worker that has done a job before `submit` returns."""
+    """A worker that has done a job before `submit_once` returns."""
 
-    def submit(self, job: Callable[[], None]) -> bool:
+    def submit_once(self, job: Callable[[], None]) -> None:
         job()
-        return True
 
 
 def test_a_worker_that_is_quick_is_asked_again(stage: Bench) -> None:
     probed, rehearsed = [], []
     predictor = SimpleNamespace(answers=False, probe=lambda: probed.append(1))
-    kinds = iter(["one model", "one model", "another", "another"])
+    kinds = iter([*["one model"] * 4, *["another"] * 4])  # told to a look, and to what it begins
     compute = SimpleNamespace(kind=lambda: next(kinds), rehearse=lambda: rehearsed.append(1))
     state = SimpleNamespace(
         node=stage.node, worker=Eager(), predictor=predictor, p={"compiled": True}

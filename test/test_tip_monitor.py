@@ -110,7 +110,7 @@ def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -
     """By a model in which nothing bends: only when it is told is asked here."""
     jobs: list[Callable[[], None]] = []
     known = [Context()]
-    worker = SimpleNamespace(waiting=0, submit=jobs.append)
+    worker = SimpleNamespace(waiting=0, submit_once=jobs.append)
     state = SimpleNamespace(
         arm=ARM, worker=worker, known=lambda: known[0], driver=SimpleNamespace(acknowledged=True),
         files=SimpleNamespace(loaded=SimpleNamespace(model=Model(ARM))),
@@ -140,14 +140,13 @@ def test_a_ring_that_could_not_be_computed_at_once_is_told_later(missing: str) -
 
 
 class Quick:
-    """A worker that has done a job before `submit` returns, or takes none."""
+    """A worker that has done a job before `submit_once` returns, or takes none."""
 
     takes = True
 
-    def submit(self, job: Callable[[], None]) -> bool:
+    def submit_once(self, job: Callable[[], None]) -> None:
         if self.takes:
             job()
-        return self.takes
 
 
 def test_the_tip_by_readings_goes_on_whatever_the_worker_does() -> None:

@@ -16,7 +16,6 @@ from longarm_comp.view.words import (
     PageState,
     Part,
     Picture,
-    SeenTip,
 )
 
 DECLARED = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5], [1.0, 0.0, 0.5]])
@@ -33,7 +32,8 @@ def at_rest() -> PageState:
         PageState(
             heard=19.9,
             picture=Picture(DECLARED, HANGING, TARGET, None, 19.8),
-            tip=SeenTip(SEEN, 19.9),
+            tip=SEEN,
+            tip_at=19.9,
             answer=LastAnswer("SUCCESS", "", JOINTS),
         )
         .with_joints(JOINTS, 10.0)
@@ -45,29 +45,29 @@ def test_errors_of_an_arm_at_rest() -> None:
     state = at_rest()
     np.testing.assert_allclose(state.missed(20.0), [0.0, 0.003, -0.004])
     np.testing.assert_allclose(state.unpredicted(20.0), [0.0, 0.003, -0.006])
-    assert words.tip_at_target(state, 20.0) == "tip − target: 5.00 mm (x +0.00, y +3.00, z -4.00)"
-    assert words.tip_as_predicted(state, 20.0).startswith("tip − predicted: 6.71 mm (x ")
+    at_target, as_predicted, *_ = words.sections(state, 20.0, "/", "")["tip"]
+    assert at_target == "tip − target: 5.00 mm (x +0.00, y +3.00, z -4.00)"
+    assert as_predicted.startswith("tip − predicted: 6.71 mm (x ")
 
 
 def test_there_is_no_error_without_a_sighting_of_now() -> None:
     state = at_rest()
-    lost = replace(state, tip=SeenTip(np.full(3, math.nan), 19.9))
+    lost = replace(state, tip=np.full(3, math.nan))
     for blind, now in ((replace(state, tip=None), 20.0), (lost, 20.0), (state, 24.0)):
-        assert blind.missed(now) is None and blind.unpredicted(now) is None
-        assert words.tip_at_target(blind, now) == "tip − target: no camera sees the tip"
+        assert blind.missed(now) == blind.unpredicted(now) == "no camera sees the tip"
+        assert words.sections(blind, now, "/", "")["tip"][0].endswith(": no camera sees the tip")
 
 
 @pytest.mark.parametrize("old", ["picture", "tip"])
 def test_there_is_no_error_while_the_arm_moves(old: str) -> None:
     """Picture and sighting must both be later than the last movement, and a little more."""
     moved = at_rest().with_joints({"a": 0.11, "b": -0.2}, 19.5)
-    assert moved.missed(20.0) is None and moved.unpredicted(20.0) is None
-    assert words.tip_as_predicted(moved, 20.0) == "tip − predicted: the arm moves"
-    assert moved.picture is not None and moved.tip is not None
-    later = {"picture": replace(moved.picture, at=21.0), "tip": replace(moved.tip, at=21.0)}
-    assert replace(moved, **later).resting
-    later[old] = replace(later[old], at=20.0)  # type: ignore[type-var]
-    assert not replace(moved, **later).resting
+    assert moved.missed(20.0) == moved.unpredicted(20.0) == "the arm moves"
+    assert moved.picture is not None
+    for late, rests in ((21.0, True), (20.0, False)):
+        at = {"picture": 21.0, "tip": 21.0, old: late}
+        picture = replace(moved.picture, at=at["picture"])
+        assert replace(moved, picture=picture, tip_at=at["tip"]).resting == rests
 
 
 def test_a_servo_that_trembles_does_not_move_and_one_that_creeps_does() -> None:
@@ -87,8 +87,9 @@ def test_the_miss_is_of_the_target_that_the_joints_were_sent_to() -> None:
     unsent = replace(state, answer=LastAnswer("UNREACHABLE", "3 mm missing", {}))
     foreign = replace(state, answer=LastAnswer("SUCCESS", "", {"c": 0.1}))
     for other in (elsewhere, unsent, foreign, replace(state, answer=None)):
-        assert other.missed(20.0) is None and other.unpredicted(20.0) is not None
-    assert words.tip_at_target(elsewhere, 20.0).endswith("the arm is not at the last target")
+        assert isinstance(other.missed(20.0), str)
+        assert not isinstance(other.unpredicted(20.0), str)
+    assert elsewhere.missed(20.0) == "the arm is not at the last target"
     assert words.target(unsent) == "Last target: UNREACHABLE, nothing sent: 3 mm missing."
 
 

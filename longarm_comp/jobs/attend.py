@@ -67,14 +67,9 @@ class Attendant:
             driver = self._driver is not None or DRIVER not in named
             return driver and named <= set(self._reports.nodes)
 
-        try:
-            client.until(heard, FOUND_S, "reports")
-        except JobError as late:
-            if client.stop.is_set():
-                raise
-            silent = DiagnosticStatus(
-                level=DiagnosticStatus.STALE, message=f"does not report: {late}"
-            )
+        if not client.wait(heard, FOUND_S):
+            said = f"does not report within {FOUND_S:g} s"
+            silent = DiagnosticStatus(level=DiagnosticStatus.STALE, message=said)
             for name in there() - set(self._reports.nodes):
                 self._reports.nodes[name] = {"process": silent}
         driver, reports = self._driver, self._reports

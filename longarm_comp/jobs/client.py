@@ -18,7 +18,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.graph_client import GraphClient, drivers
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns
-from longarm_comp.nodes.messages import joints_of, sighting_of, trajectory_message
+from longarm_comp.nodes.messages import driver_words, joints_of, sighting_of, trajectory_message
 from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_interfaces.msg import DriverState, Motion
 
@@ -47,22 +47,17 @@ class Pace:
             raise InputError("collect", "--sightings", self.sightings, "at least 1")
 
 
+_STOPPED = (DriverState.HOLDING, DriverState.FAULT, DriverState.ESTOP)
+
+
 class DriverStopped(JobError):  # noqa: N818
     """The driver is held (`held`: somebody means to go on), in fault or in emergency stop."""
 
     def __init__(self, state: DriverState) -> None:
         self.held = state.state == DriverState.HOLDING
         leads_on = "`longarm status` tells more, `longarm reset` leads on"
-        super().__init__(
-            f"the driver {_STOPPED[state.state]} ({leads_on})", said=state.message or "nothing"
-        )
-
-
-_STOPPED = {
-    DriverState.HOLDING: "is held",
-    DriverState.FAULT: "stopped with a fault",
-    DriverState.ESTOP: "is in emergency stop",
-}
+        why = f"the driver is {driver_words(state.state)} ({leads_on})"
+        super().__init__(why, said=state.message or "nothing")
 
 
 class ArmClient(GraphClient):
@@ -137,15 +132,16 @@ class ArmClient(GraphClient):
             self._reached |= message.event == Motion.REACHED
             self._refused = message.message if message.event == Motion.REFUSED else ""
 
-    def driver_takes(self) -> bool:
+    def driver_takes(self, *, held: bool = False) -> bool:
         """Whether the driver tells that it takes trajectories; true of one that never tells.
 
         Raises:
-            DriverStopped: it is held, in fault or in emergency stop.
+            DriverStopped: it is in fault, in emergency stop, or, unless ``held`` allows it, held.
         """
         if self._driver is None:
             return self.node.count_publishers(self._states.topic_name) == 0
-        if self._driver.state in _STOPPED:
+        stopped = self._driver.state in _STOPPED
+        if stopped and not (held and self._driver.state == DriverState.HOLDING):
             raise DriverStopped(self._driver)
         return self._driver.state in (DriverState.READY, DriverState.MOVING)
 
@@ -219,8 +215,7 @@ class ArmClient(GraphClient):
             told = [xyz for ns, xyz in self.sightings if ns > after_ns]
             seen[:] = [xyz for xyz in told if np.isfinite(xyz).all()]
             lost = not seen and len(told) >= 2 * pace.sightings
-            return len(seen) >= pace.sightings or lost or time.monotonic() > end
+            return len(seen) >= pace.sightings or lost
 
-        end = time.monotonic() + pace.look_s
-        self.until(over, pace.look_s + 60.0, "sightings")
+        self.wait(over, pace.look_s)
         return after_ns, seen

@@ -30,7 +30,7 @@ FOUND_S = 10.0
 """A node that is there is found, and has reported, within it, also on a busy machine."""
 _ASK_AGAIN_S = 0.25, 2.0
 """Pauses after which a request that may be served twice is sent again: the first, and the longest;
-each is twice the one before, and another server begins them anew."""
+each is twice the one before."""
 
 _GET = Service("~/get_parameters", GetParameters)
 _SET = Service("~/set_parameters", SetParameters)
@@ -50,24 +50,19 @@ def drivers(node: Node) -> int:
 class Call:
     """A request to a service on its way, which is sent again as `GraphClient.call` says."""
 
-    def __init__(self, node: Node, client: Any, request: Any, *, again: bool) -> None:
-        self._node, self._client, self._request, self._again = node, client, request, again
+    def __init__(self, client: Any, request: Any, *, again: bool) -> None:
+        self._client, self._request, self._again = client, request, again
         self._asked: list[Any] = []
         self._send(_ASK_AGAIN_S[0])
 
     def _send(self, pause_s: float) -> None:
-        self._servers = self._node.count_services(self._client.srv_name)
         self._sent, self._pause = time.monotonic(), pause_s
         self._asked.append(self._client.call_async(self._request))
 
     def answer(self) -> Any:
         """The response; None while there is none."""
-        first, longest = _ASK_AGAIN_S
-        servers, self._servers = self._servers, self._node.count_services(self._client.srv_name)
-        if self._again and self._servers > servers:
-            self._send(first)
-        elif self._again and time.monotonic() - self._sent > self._pause:
-            self._send(min(2.0 * self._pause, longest))
+        if self._again and time.monotonic() - self._sent > self._pause:
+            self._send(min(2.0 * self._pause, _ASK_AGAIN_S[1]))
         return next((future.result() for future in self._asked if future.done()), None)
 
     def close(self) -> None:
@@ -106,13 +101,21 @@ class GraphClient:
         Args:
             what: is waited for, in words; or makes the whole message of an end without it.
         """
-        end = time.monotonic() + within_s
+        found = self.wait(condition, within_s)
+        if not found:
+            raise JobError(
+                f"{what}: not within {within_s:g} s" if isinstance(what, str) else what()
+            )
+        return found
+
+    def wait(self, condition: Callable[[], Any], at_most_s: float) -> Any:
+        """Spin until a condition is truthy or the time is over; its last value."""
+        end = time.monotonic() + at_most_s
         while not (found := condition()):
             if self.stop.is_set():
                 raise Interrupted("interrupted")
             if time.monotonic() > end:
-                late = f"{what}: not within {within_s:g} s" if isinstance(what, str) else what()
-                raise JobError(late)
+                break
             self.executor.spin_once(timeout_sec=0.01)
         return found
 
@@ -127,8 +130,7 @@ class GraphClient:
 
     def spin(self, seconds: float) -> None:
         """Serve callbacks for a number of seconds. Raises Interrupted."""
-        end = time.monotonic() + seconds
-        self.until(lambda: time.monotonic() >= end, seconds + 60.0, "waiting")
+        self.wait(lambda: False, seconds)
 
     def call(
         self, client: Any, request: Any, within_s: float = _ANSWER_S, *, again: bool = False
@@ -139,11 +141,11 @@ class GraphClient:
         server that was killed for some seconds more.
 
         Args:
-            again: ask again where no answer came for a while, or another server has come; for
-                requests that may be served twice.
+            again: ask again where no answer came for a while; for requests that may be served
+                twice.
         """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
-        asked = Call(self.node, client, request, again=again)
+        asked = Call(client, request, again=again)
         try:
             return self.until(asked.answer, within_s, f"no answer of {client.srv_name}")
         finally:

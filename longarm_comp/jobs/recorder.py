@@ -9,7 +9,6 @@ from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 
 from longarm_comp.jobs.graph_client import GraphClient
 from longarm_comp.nodes import interfaces as graph
@@ -68,9 +67,8 @@ class Recorder:
         if "header" in message.get_fields_and_field_types():
             self._stamped.add(name)
         self._bag.offers[name] = offered(topic.depth, latched=topic.latched)
-        qos = QoSProfile(depth=2000, reliability=topic.listens)
-        self._node.create_subscription(
-            topic.type, topic.name, lambda raw: self.put(name, kind, bytes(raw)), qos, raw=True
+        topic.subscription(
+            self._node, lambda raw: self.put(name, kind, bytes(raw)), depth=2000, raw=True
         )
 
     def put(self, topic: str, kind: str, raw: bytes) -> None:
@@ -104,7 +102,6 @@ class Recorder:
         return moment(stamp_of_raw(raw), received)
 
     def drop(self) -> None:
-        """Drop the waiting messages, but for those that still hold."""
         last = {entry[0]: entry for entry in self.waiting if entry[0] in self._held}
         self.waiting = list(last.values())
 

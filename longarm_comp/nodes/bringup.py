@@ -40,27 +40,19 @@ _GENTLE_S, _FIRM_S = 6.0, 2.0
 
 
 @dataclass
-class _Process:
-    command: Sequence[str]
-    process: subprocess.Popen[bytes]
-    started: float
-    deaths: int = 0
-
-
-@dataclass
 class Supervisor:
     """Processes by name. Use as a context manager."""
 
     commands: Mapping[str, Sequence[str]]  # program and arguments of each
     respawn: bool = True  # restart a process that ends, except after exit code 2 (bad input)
     say: Callable[[str], None] = lambda text: None  # called with a message on every start and end
-    _children: dict[str, _Process] = field(default_factory=dict)
+    _children: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+    _begun: dict[str, float] = field(default_factory=dict)  # monotonic s
 
     def __enter__(self) -> Supervisor:
         try:
-            for name, command in self.commands.items():
-                self._children[name] = _Process(command, _start(command), time.monotonic())
-                self.say(f"{name} started, pid {self._children[name].process.pid}")
+            for name in self.commands:
+                self._start(name, "started")
         except BaseException:
             self.stop()
             raise
@@ -70,24 +62,27 @@ class Supervisor:
         self.stop()
 
     def pid(self, name: str) -> int:
-        return self._children[name].process.pid
+        return self._children[name].pid
 
-    def deaths(self, name: str) -> int:
-        """How often a node has died and was restarted."""
-        return self._children[name].deaths
+    def _start(self, name: str, why: str) -> None:
+        """Start in a session of its own, so that Ctrl-C reaches only the supervisor."""
+        self._begun[name] = time.monotonic()
+        self._children[name] = subprocess.Popen(
+            self.commands[name], env={**os.environ, GUARD: str(os.getpid())},
+            start_new_session=True, stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+        self.say(f"{name} {why}, pid {self.pid(name)}")
 
     def look(self) -> None:
         for name, child in self._children.items():
-            code = child.process.poll()
+            code = child.poll()
             if code is None:
                 continue
             if code == InputError.exit_code or not self.respawn:
                 raise JobError(f"{name} ended", exit_code=code)
-            if time.monotonic() - child.started < 1.0:
-                continue
-            child.deaths += 1
-            child.process, child.started = _start(child.command), time.monotonic()
-            self.say(f"{name} ended ({_how(code)}), started again, pid {child.process.pid}")
+            if time.monotonic() - self._begun[name] >= 1.0:
+                how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+                self._start(name, f"ended ({how}), started again")
 
     def run(self, stop: threading.Event) -> None:
         """Restart processes until the event is set. Raises as `look`."""
@@ -96,32 +91,17 @@ class Supervisor:
 
     def stop(self) -> None:
         """End all processes by SIGINT, then SIGTERM, then SIGKILL; returns when all are gone."""
-        processes = [child.process for child in self._children.values()]
+        processes = list(self._children.values())
         for number, patience in ((signal.SIGINT, _GENTLE_S), (signal.SIGTERM, _FIRM_S)):
-            _send(processes, number)
+            for process in processes:
+                process.send_signal(number)
             deadline = time.monotonic() + patience
             for process in processes:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(max(0.0, deadline - time.monotonic()))
-        _send(processes, signal.SIGKILL)
         for process in processes:
+            process.kill()
             process.wait()
-
-
-def _start(command: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Start in a session of its own, so that Ctrl-C reaches only the supervisor."""
-    env = {**os.environ, GUARD: str(os.getpid())}
-    return subprocess.Popen(command, env=env, start_new_session=True, stdin=subprocess.DEVNULL)
-
-
-def _send(processes: Sequence[subprocess.Popen[bytes]], number: int) -> None:
-    for process in processes:
-        if process.poll() is None:
-            process.send_signal(number)
-
-
-def _how(code: int) -> str:
-    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
 REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
@@ -216,30 +196,23 @@ class BringUp:
 
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
         """Parameters that override the file; ``bus``: link to the simulated servo bus."""
-        arm = {"arm": str(self.arm.absolute())}
-        servos = str(self.file("servo_driver").absolute())
-        said = self.set.get("servo_driver", {}).get("trim")
-        trim = read_parameters(self.file("servo_driver")).get("trim", False)
-        port = bus if self.sim else self.port
-        per_node: dict[str, dict[str, Any]] = {
-            "kinematics": arm
-            | {"servos": servos}
-            | _path("model", self.model)
-            | _path("effects", *self.effects)
-            | ({"trimmed": True} if (trim if said is None else said) else {})
-            | ({"shaped": True} if self.shaping else {}),
-            "error_predictor": arm
-            | _path("model", self.model)
-            | _path("predictor", self.predictor),
-            "servo_driver": arm
-            | ({"shaping": True} | _path("model", self.model) if self.shaping else {})
-            | ({"bus.port": port} if port else {})
-            | (_PATIENT if self.sim else {}),
+        arm, model = _path("arm", self.arm), _path("model", self.model)
+        effects, file = _path("effects", *self.effects), self.file("servo_driver")
+        servos = _path("servos", file)
+        driver = {**read_parameters(file), **self.set.get("servo_driver", {})}
+        trimmed = {"trimmed": True} if driver.get("trim") else {}
+        shaped = {"shaped": True} if self.shaping else {}
+        shaping = {"shaping": True} | model if self.shaping else {}
+        wire = bus if self.sim else self.port
+        port = {"bus.port": wire} if wire else {}
+        values: dict[str, Any] = {
+            "kinematics": arm | servos | model | effects | trimmed | shaped,
+            "error_predictor": arm | model | _path("predictor", self.predictor),
+            "servo_driver": arm | shaping | port | (_PATIENT if self.sim else {}),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
-            PATHS: arm | _path("model", self.model) | _path("effects", *self.effects),
-            "simulated_arm": arm | {"servos": servos, "port": bus},
-        }
-        values = per_node[node]
+            PATHS: arm | model | effects,
+            "simulated_arm": arm | servos | {"port": bus},
+        }[node]
         if self.sim and self.speed != 1.0:
             values |= self._faster(node)
         return values | dict(self.set.get(node, {}))

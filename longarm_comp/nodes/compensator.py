@@ -19,7 +19,6 @@ from longarm_comp.core.compensation.result import CompensationOptions
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.codegen import Compiled
-from longarm_comp.core.learn.predictor import Nearby
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import entered
 from longarm_comp.nodes.arm_state import ArmState
@@ -35,7 +34,6 @@ from longarm_comp.nodes.messages import (
     target_of,
 )
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
@@ -56,7 +54,7 @@ class Compensator:
 
     def __init__(self, state: ArmState, twins: Twins) -> None:
         self._node, self._files, self._state, p = state.node, state.files, state, state.p
-        self._predictor, self._twins = state.predictor, twins
+        self._twins = twins
         self._declared = declared_model(state.arm)
         self._frames = FrameListener(state.node, p["frames.wait_s"], state.node.tally.count)
         self._base_frame = state.base_frame
@@ -86,13 +84,13 @@ class Compensator:
         try:
             return self._compensate(name, request)
         except Refusal as refusal:
-            return self.refused(name, request, refusal.status, refusal.reason)
+            return self.refused(name, request, refusal.status, str(refusal))
         except StaleContext as error:
             return self.refused(name, request, Status.STALE_CONTEXT, str(error))
         except InputError as error:
             return self.refused(name, request, Status.BAD_TARGET, str(error))
         except Exception as error:
-            self._node.survived(error)
+            self._node.health.fault(error)
             text = f"{type(error).__name__}: {error}"
             return self.refused(name, request, Status.INTERNAL_ERROR, text)
 
@@ -121,27 +119,18 @@ class Compensator:
             ),
             options=options,
         )  # fmt: skip
-        client, why = self._predictor if options.method.learned else None, ""
-        if client is not None and not client.present:
-            client, why = None, ": no error_predictor is running"
-        try:
-            near = None
-            if client is not None:  # mostly one call a target
-                near = Nearby(partial(client.ask, deflection=options.method.physics))
-            arrival = compensate(near)
-        except NoAnswer as absent:
-            client, why = None, f": {absent.reason}"
-            arrival = compensate(None)
+        arrival, used, why = self._state.predictor.tried(options.method, compensate)
         outcome = arrival.outcome
-        status = outcome.status
-        reason = outcome.reason + (why if status is Status.NO_PREDICTOR else "")
+        status, reason = outcome.status, outcome.reason
+        if status is Status.NO_PREDICTOR:
+            reason += f": {why}"
         if outcome.success:
             path = np.vstack([start, arrival.move.points])
             entry = entered(self._declared, path)
             status, reason = (Status.KEPT_OUT, entry) if entry else (status, reason)
         return Answer(
             name, given, request.position_only, status, reason, options.method.value,
-            loaded.file_hash, "" if client is None else client.file_hash, arrival,
+            loaded.file_hash, used, arrival,
         )  # fmt: skip
 
     def _target(self, request: Compensate.Request) -> tuple[PoseStamped, np.ndarray]:
@@ -202,17 +191,14 @@ class Readiness:
         if self._compiled:
             ik.warm_up()
         self._prepared: Hashable = None
-        self._busy = self._probed = False
+        self._probed = False
         steady_timer(state.node, 0.25, self.look)
         self.look()
 
     def look(self) -> None:
-        """Prepare what is not at hand."""
-        needed, _ = self._needed()
-        if not self._busy and (needed != self._prepared or not self._predictor.answers):
-            self._busy = True  # before the worker can have done it
-            if not self._worker.submit(partial(self._prepare, needed)):
-                self._busy = False
+        """Have the worker prepare what is not at hand."""
+        if self._needed()[0] != self._prepared or not self._predictor.answers:
+            self._worker.submit_once(self._prepare)
 
     def _needed(self) -> tuple[Hashable, str]:
         """What the programs of the next target depend on; why that is not known, or nothing."""
@@ -221,7 +207,8 @@ class Readiness:
         except StaleContext as unknown:
             return self._prepared, str(unknown)
 
-    def _prepare(self, needed: Hashable) -> None:
+    def _prepare(self) -> None:
+        needed, _ = self._needed()
         try:
             self._predictor.probe()
             self._probed = True
@@ -229,7 +216,6 @@ class Readiness:
                 self._compute.rehearse()
         finally:
             self._prepared = needed  # also after a fault, which every target would repeat
-            self._busy = False  # last: the next look would prepare the same again
 
     def report(self) -> Report:
         """Whether the next target takes its ordinary time, for diagnostics."""

@@ -11,6 +11,7 @@ from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik.solver import position_of
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import BASE_LINK, Placed, exaggerated, link_frames, outline
 from longarm_comp.nodes import interfaces as graph
@@ -81,8 +82,8 @@ class Markers:
 
     def on_answer(self, answer: Answer) -> None:
         if answer.outcome is not None and answer.status.success:
-            self._target = _position(answer.outcome.target)
-            self._pseudo = _position(answer.outcome.pseudo_target)
+            self._target = answer.outcome.position
+            self._pseudo = position_of(answer.outcome.pseudo_target)
 
     def on_tip(self, message: PoseWithCovarianceStamped) -> None:
         tip, _ = sighting_of(message)
@@ -130,7 +131,3 @@ class Markers:
         if not marker.points:
             marker.action = Marker.DELETE
         return marker
-
-
-def _position(target: np.ndarray) -> np.ndarray:
-    return target if target.ndim == 1 else target[:3, 3]

@@ -92,7 +92,7 @@ class _ErrorPredictor(ArmNode):
             response.message = str(error)
             response.sigma = math.inf  # a predictor is loaded, but the request was invalid
         except Exception as error:
-            self.survived(error)
+            self.health.fault(error)
             response.message = f"{type(error).__name__}: {error}"
         return response
 

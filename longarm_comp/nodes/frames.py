@@ -36,8 +36,8 @@ class FrameTeller:
 
     def __init__(self, node: Node) -> None:
         self._moving = graph.TF.publisher(node) if graph.HAS_TF else None
-        self._standing: Any = None
-        self._node = node
+        self._standing = graph.TF_STATIC.publisher(node) if graph.HAS_TF else None
+        self._clock = node.get_clock()
 
     def tell(self, frames: Sequence[Placed], stamp: Time) -> None:
         if self._moving is not None:
@@ -45,12 +45,8 @@ class FrameTeller:
 
     def tell_static(self, frames: Sequence[Placed]) -> None:
         """Publish where frames are at all times, instead of those that were told before."""
-        if not graph.HAS_TF:
-            return
-        if self._standing is None:
-            self._standing = graph.TF_STATIC.publisher(self._node)
-        stamp = self._node.get_clock().now().to_msg()
-        self._standing.publish(self._message(frames, stamp))
+        if self._standing is not None:
+            self._standing.publish(self._message(frames, self._clock.now().to_msg()))
 
     @property
     def listeners(self) -> int:

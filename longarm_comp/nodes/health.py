@@ -14,7 +14,6 @@ from rclpy.node import Node
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import steady_timer
-from longarm_comp.nodes.interfaces import DIAGNOSTICS
 from longarm_comp.nodes.params import Param
 
 _ALONE = 3
@@ -63,13 +62,8 @@ RING_SAID = "ring"
 PERIOD = Param("diagnostics_period_s", 1.0, "time between two reports on /diagnostics", 0.05, 60.0)
 """A parameter of every node."""
 
-OK, WARN, ERROR, STALE = (
-    DiagnosticStatus.OK,
-    DiagnosticStatus.WARN,
-    DiagnosticStatus.ERROR,
-    DiagnosticStatus.STALE,
-)
-
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 
 INSTANCE = "instance"
 """Value of the part `process`: which process reports, as a restarted one has the same name."""
@@ -86,7 +80,6 @@ class Report:
     facts: Mapping[str, object] = field(default_factory=dict)
 
     def status(self, name: str, namespace: str) -> DiagnosticStatus:
-        """As it is published."""
         values = [KeyValue(key=key, value=str(value)) for key, value in self.facts.items()]
         return DiagnosticStatus(
             level=self.level, name=name, message=self.message, hardware_id=namespace, values=values
@@ -110,7 +103,6 @@ class Tally:
 
     @property
     def facts(self) -> dict[str, object]:
-        """Both, for diagnostics."""
         return {**self.counts, "last refusal": self.last}
 
 
@@ -120,7 +112,7 @@ class Health:
     def __init__(self, node: Node, period_s: float) -> None:
         self._node = node
         self.parts: dict[str, Callable[[], Report]] = {"process": self._process}
-        self._publisher = DIAGNOSTICS.publisher(node)
+        self._publisher = graph.DIAGNOSTICS.publisher(node)
         self._timer = steady_timer(node, period_s, self.publish)
         self.faults = 0
         self.last_fault = ""

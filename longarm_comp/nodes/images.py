@@ -43,13 +43,6 @@ def _converted(code: int) -> Callable[[Grey], Grey]:
     return lambda numbers: np.asarray(cv2.cvtColor(numbers, code), dtype=np.uint8)
 
 
-_BAYER = {
-    "rggb": _converted(cv2.COLOR_BayerRGGB2GRAY),
-    "bggr": _converted(cv2.COLOR_BayerBGGR2GRAY),
-    "gbrg": _converted(cv2.COLOR_BayerGBRG2GRAY),
-    "grbg": _converted(cv2.COLOR_BayerGRBG2GRAY),
-}
-
 # Names of sensor_msgs/image_encodings.hpp. Of YUV the brightness Y is every second byte.
 ENCODINGS: dict[str, _PixelFormat] = {
     **dict.fromkeys(("mono8", "8UC1"), _PixelFormat(1, _sample(0))),
@@ -60,11 +53,11 @@ ENCODINGS: dict[str, _PixelFormat] = {
     "rgba8": _PixelFormat(4, _converted(cv2.COLOR_RGBA2BGR)),
     **dict.fromkeys(("yuv422", "uyvy"), _PixelFormat(2, _sample(1))),
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), _PixelFormat(2, _sample(0))),
-    **{f"bayer_{order}8": _PixelFormat(1, convert) for order, convert in _BAYER.items()},
-    **{
-        f"bayer_{order}16": _PixelFormat(1, convert, wide=True) for order, convert in _BAYER.items()
-    },
 }
+for _order in ("rggb", "bggr", "gbrg", "grbg"):
+    _brightness = _converted(getattr(cv2, f"COLOR_Bayer{_order.upper()}2GRAY"))
+    ENCODINGS[f"bayer_{_order}8"] = _PixelFormat(1, _brightness)
+    ENCODINGS[f"bayer_{_order}16"] = _PixelFormat(1, _brightness, wide=True)
 
 
 def pixels_of(message: Image) -> Grey:
@@ -145,22 +138,18 @@ def same_camera(a: Calibration, b: Calibration) -> bool:
 class ImageInlet:
     """A subscription that is ``reliable`` where that is wanted and the publishers offer it.
 
-    A reliable subscription hears no best-effort publisher, and says nothing of it.
+    A reliable subscription hears no best-effort publisher, and says nothing of it. ``watch``: of
+    images that the middleware has lost or that a full queue has dropped.
     """
 
     def __init__(
         self, node: Node, topic: Topic, take: Callable[[Any], None], *, reliable: bool
     ) -> None:
         self._node, self._topic, self._take = node, topic, take
-        self._reliable, self._watch = reliable, SequenceWatch()
+        self._reliable, self.watch = reliable, SequenceWatch()
         self._subscription: Any = None
         self._how: ReliabilityPolicy | None = None
         self.adapt()
-
-    @property
-    def lost(self) -> int:
-        """Images that the middleware has lost or that a full queue has dropped."""
-        return self._watch.lost
 
     @property
     def reliability(self) -> str:
@@ -180,5 +169,5 @@ class ImageInlet:
         self._subscription = self._topic.subscription(self._node, self._hear, listens=wanted)
 
     def _hear(self, message: Any, info: Any) -> None:
-        self._watch.taken([info["publication_sequence_number"] or 0], full=True)
+        self.watch.taken([info["publication_sequence_number"] or 0], full=True)
         self._take(message)

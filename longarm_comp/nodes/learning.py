@@ -98,7 +98,8 @@ class Learning:
         if learner.unexplained:
             said = "something changed that no known effect explains: run longarm diagnose"
             return Report(WARN, said, facts)
-        found = "; ".join(f"{n.text}, since {_clock(n.since_s)}" for n in learner.now)
+        now = [f"{n.text}, since {datetime.fromtimestamp(n.since_s):%H:%M}" for n in learner.now]
+        found = "; ".join(now)
         state = "frozen" if learner.frozen else "learning"
         if self._asked is not None:
             found += f"; {self._asked.text}"
@@ -106,7 +107,3 @@ class Learning:
 
 
 _OFF = "nothing is learned at work: its parameter `learning` is false"
-
-
-def _clock(at_s: float) -> str:
-    return datetime.fromtimestamp(at_s).strftime("%H:%M")

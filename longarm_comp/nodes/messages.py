@@ -28,9 +28,9 @@ from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.compensate import Compensation as Outcome
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.ik.solver import position_of
 from longarm_comp.devices import joint_path as devices
 from longarm_comp.devices.servo_arm import ServoReading
-from longarm_comp.devices.servo_follower import Accepted
 from longarm_interfaces.msg import Compensation, DriverState, Motion
 from longarm_interfaces.srv import Compensate
 
@@ -41,7 +41,6 @@ class Refusal(LongarmError):  # noqa: N818
     def __init__(self, status: Status, reason: str) -> None:
         super().__init__(reason)
         self.status = status
-        self.reason = reason
 
 
 def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
@@ -65,7 +64,7 @@ def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
 
 def pose_message(target: np.ndarray) -> Pose:
     """A (4, 4) pose, or a (3,) position with the identity as orientation."""
-    x, y, z = (target if target.ndim == 1 else target[:3, 3]).tolist()
+    x, y, z = position_of(target).tolist()
     message = Pose(position=Point(x=x, y=y, z=z))
     if target.ndim == 2:
         message.orientation = quaternion_message(quaternion.from_rotation(target[:3, :3]))
@@ -161,12 +160,19 @@ def trajectory_message(
     """
     message = JointTrajectory(header=Header(stamp=stamp), joint_names=list(arm.joint_names))
     due = times * np.arange(1, len(points) + 1) if np.ndim(times) == 0 else np.asarray(times)
-    speeds = np.zeros((len(points), 0)) if velocities is None else velocities
-    message.points = [
-        JointTrajectoryPoint(positions=q, velocities=v, time_from_start=duration(at))
-        for q, v, at in zip(points.tolist(), speeds.tolist(), due.tolist(), strict=True)
-    ]
+    message.points = points_message(points, due, velocities)
     return message
+
+
+def points_message(
+    points: np.ndarray, times: np.ndarray, velocities: np.ndarray | None = None
+) -> list[JointTrajectoryPoint]:
+    """Way-points (k, n) that are due at times (k,), s, perhaps with velocities (k, n)."""
+    speeds = np.zeros((len(points), 0)) if velocities is None else velocities
+    return [
+        JointTrajectoryPoint(positions=q, velocities=v, time_from_start=duration(at))
+        for q, v, at in zip(points.tolist(), speeds.tolist(), times.tolist(), strict=True)
+    ]
 
 
 def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
@@ -232,6 +238,7 @@ class Answer:
         name: id of the target.
         model_hash, predictor_hash: SHA-256 of the files in use; empty without one.
         arrival: the computation; None for a target that was refused before it.
+        sent, accepted: whether its joints were sent, and taken up by the driver.
     """
 
     name: str
@@ -243,22 +250,22 @@ class Answer:
     model_hash: str
     predictor_hash: str = ""
     arrival: Arrival | None = None
+    sent: bool = False
+    accepted: bool = False
 
     @property
     def outcome(self) -> Outcome | None:
         return None if self.arrival is None else self.arrival.outcome
 
 
-def compensation_message(
-    answer: Answer, arm: Arm, base_frame: str, *, executed: bool, accepted: bool
-) -> Compensation:
-    """The full record of one target; whether its joints were sent, and taken up by the driver."""
+def compensation_message(answer: Answer, arm: Arm, base_frame: str) -> Compensation:
+    """The full record of one target."""
     context = Context() if answer.arrival is None else answer.arrival.context
     sides = {float(side) for side in context.approach}
     published = Compensation(
         header=Header(stamp=answer.target.header.stamp, frame_id=base_frame),
         id=answer.name,
-        accepted=accepted,
+        accepted=answer.accepted,
         target=answer.target,
         position_only=answer.position_only,
         status=int(answer.status),
@@ -274,7 +281,7 @@ def compensation_message(
         predictor_hash=answer.predictor_hash,
     )
     _fill(published, answer, arm, base_frame)
-    if executed and answer.outcome is not None:
+    if answer.sent and answer.outcome is not None:
         published.executed = joints_message(arm, answer.outcome.command, answer.target.header.stamp)
     return published
 
@@ -340,11 +347,3 @@ def readings_message(readings: Mapping[str, ServoReading], stamp: Time) -> Joint
         velocity=[joint.velocity for joint in joints],
         effort=[] if all(map(math.isnan, efforts)) else efforts,
     )
-
-
-def points_of(taken: Accepted) -> list[JointTrajectoryPoint]:
-    """The way-points of an accepted trajectory."""
-    return [
-        JointTrajectoryPoint(positions=row, time_from_start=duration(at))
-        for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
-    ]

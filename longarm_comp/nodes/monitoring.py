@@ -6,7 +6,6 @@ import contextlib
 import shlex
 import threading
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
-from longarm_comp.core.compensation.drift import Monitor
+from longarm_comp.core.compensation.drift import Monitor, Verdict
 from longarm_comp.core.compensation.expected import TipByReadings, tip_by_readings
 from longarm_comp.core.data.rest import JOINT_REST, RestPose, RestWatch
 from longarm_comp.core.errors import InputError
@@ -45,24 +44,17 @@ class ReadingsTeller:
         self._state = state
         self.last: TipByReadings | None = None
         self._before: np.ndarray | None = None
-        self._waits = False
         self._tips = graph.TIP_BY_READINGS.publisher(state.node)
         state.node.every("readings.period_s", self._tick)
 
     def _tick(self) -> None:
-        """One at a time: targets must not wait behind many."""
+        """One waits at most: targets must not wait behind many."""
         now = self._state.standing
         q, before = None if now is None else now[1], self._before
         self._before = q
         rests = q is not None and before is not None and np.abs(q - before).max() <= JOINT_REST
-        if rests and not self._waits:
-            self._waits = True  # before the worker can be done with it
-            if not self._state.worker.submit(self._in_turn):
-                self._waits = False
-
-    def _in_turn(self) -> None:
-        self._waits = False
-        self.tell()
+        if rests:
+            self._state.worker.submit_once(self.tell)
 
     def tell(self) -> TipByReadings | None:
         """Compute and publish it now; None while joints or circumstances are not known."""
@@ -82,6 +74,11 @@ class ReadingsTeller:
 
 EVIDENCE = "evidence (1 warns)"
 """Name of the fact on /diagnostics that says how near to a warning the test is."""
+
+
+def _facts(counted: str, verdict: Verdict) -> dict[str, object]:
+    """Of a sequential test, for diagnostics; ``counted``: what its samples are."""
+    return {counted: verdict.samples, EVIDENCE: round(verdict.evidence, 3)}
 
 
 def _mm(vector: np.ndarray) -> str:
@@ -195,7 +192,7 @@ class TipMonitor:
     def servo_report(self) -> Report:
         """Whether joints stand where they were sent, for diagnostics."""
         verdict = self._servos.verdict()
-        facts = {"moves": verdict.samples, EVIDENCE: round(verdict.evidence, 3)}
+        facts = _facts("moves", verdict)
         if verdict.drifted:
             said = f"the joints' readings differ from the commands: {verdict.finding}"
             return Report(WARN, said, facts)
@@ -204,11 +201,7 @@ class TipMonitor:
     def target_report(self) -> Report:
         """Whether tips come to rest at their targets, for diagnostics."""
         verdict = self._at_target.verdict()
-        facts = {
-            "targets": verdict.samples,
-            EVIDENCE: round(verdict.evidence, 3),
-            "last": self._last_miss,
-        }
+        facts = _facts("targets", verdict) | {"last": self._last_miss}
         if not verdict.drifted:
             return Report(OK, "tips come to rest at their targets", facts)
         if self._monitor.verdict().drifted:
@@ -234,12 +227,8 @@ class TipMonitor:
 
     def report(self) -> Report:
         verdict = self._monitor.verdict()
-        facts = {
-            "rest poses": verdict.samples,
-            EVIDENCE: round(verdict.evidence, 3),
-            "last": self._last,
-            "outside the training data": self._outside,
-        }
+        outside = {"last": self._last, "outside the training data": self._outside}
+        facts = _facts("rest poses", verdict) | outside
         if verdict.drifted:
             return Report(WARN, f"{verdict.finding}; run: {self._advice}", facts)
         return Report(OK, "residuals are as expected", facts)
@@ -273,11 +262,11 @@ class RingTeller:
 
     def _begin(self) -> None:
         if self._due is not None and not self._state.worker.waiting:
-            self._state.worker.submit(partial(self._compute, self._due))
+            self._state.worker.submit_once(self._compute)
 
-    def _compute(self, move: Any) -> None:
-        state, context = self._state, self._state.known()
-        if move is not self._due or context is None:
+    def _compute(self) -> None:
+        state, context, move = self._state, self._state.known(), self._due
+        if move is None or context is None:
             return
         self._due = None
         try:

@@ -56,16 +56,13 @@ class ArmNode(Node):
 
     def worker(self, capacity: int) -> Worker:
         """A worker thread, which ends with the node."""
-        self._workers.append(Worker(self, self._made_for, capacity, self.survived))
+        self._workers.append(Worker(self, self._made_for, capacity, self.health.fault))
         return self._workers[-1]
 
     def close(self) -> bool:
         """Stop what the node started, and say whether all of it has ended; must not raise."""
         ended = [worker.close() for worker in self._workers]
         return all(ended)
-
-    def survived(self, error: Exception) -> None:
-        self.health.fault(error)
 
     def every(self, name: str, callback: Callable[[], Any]) -> None:
         """Call back every so many seconds, as a parameter says; never where it says 0."""
@@ -154,7 +151,7 @@ def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event)
         except ExternalShutdownException:
             return
         except Exception as error:  # a message must not end a node
-            node.survived(error)
+            node.health.fault(error)
 
 
 def program(make: Callable[[SingleThreadedExecutor], ArmNode]) -> Callable[[], None]:

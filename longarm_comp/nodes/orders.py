@@ -186,7 +186,7 @@ class FollowServer:
         result, asked = graph.FOLLOW.type.Result, goal.request.trajectory
         problem = _not_offered(goal.request)
         if problem:
-            return self._aborted(goal, result.INVALID_GOAL, problem)
+            return aborted(goal, result.INVALID_GOAL, problem)
         began, deadline = self._node.get_clock().now(), _deadline(goal.request)
         self._told[name] = None
         self._site.take(asked, name)
@@ -197,10 +197,10 @@ class FollowServer:
             if broken or late or goal.is_cancel_requested:
                 await self._halt(name)
                 if broken:
-                    return self._aborted(goal, result.PATH_TOLERANCE_VIOLATED, broken)
+                    return aborted(goal, result.PATH_TOLERANCE_VIOLATED, broken)
                 if late:
                     why = "not at the end within goal_time_tolerance"
-                    return self._aborted(goal, result.GOAL_TOLERANCE_VIOLATED, why)
+                    return aborted(goal, result.GOAL_TOLERANCE_VIOLATED, why)
                 goal.canceled()
                 return result(error_string="cancelled: the arm was stopped")
             await self._ticks.next()
@@ -208,12 +208,12 @@ class FollowServer:
         if event == Motion.REFUSED:
             strange = not set(asked.joint_names) <= set(self._site.names)
             code = result.INVALID_JOINTS if strange else result.INVALID_GOAL
-            return self._aborted(goal, code, why)
+            return aborted(goal, code, why)
         if event != Motion.REACHED:
-            return self._aborted(goal, result.PATH_TOLERANCE_VIOLATED, why)
+            return aborted(goal, result.PATH_TOLERANCE_VIOLATED, why)
         missed = self._beyond(goal.request.goal_tolerance, "at the end")
         if missed:
-            return self._aborted(goal, result.GOAL_TOLERANCE_VIOLATED, missed)
+            return aborted(goal, result.GOAL_TOLERANCE_VIOLATED, missed)
         goal.succeed()
         return result(error_code=result.SUCCESSFUL)
 
@@ -224,10 +224,6 @@ class FollowServer:
             self._site.take(JointTrajectory(), f"{name} halt")
             while self._told[f"{name} halt"] is None:
                 await self._ticks.next()
-
-    def _aborted(self, goal: Any, code: int, why: str) -> Any:
-        goal.abort()
-        return graph.FOLLOW.type.Result(error_code=code, error_string=why)
 
     def _beyond(self, limits: Any, where: str) -> str:
         """Which joint is farther from its set-point than is allowed; empty if none is."""
@@ -256,6 +252,12 @@ class FollowServer:
         message.actual.velocities = [readings[name].velocity for name in names]
         message.error = point(lambda name: wanted[name] - readings[name].position)
         goal.publish_feedback(message)
+
+
+def aborted(goal: Any, code: int, why: str) -> Any:
+    """The result of a goal to follow a trajectory that is given up, by the codes of its type."""
+    goal.abort()
+    return graph.FOLLOW.type.Result(error_code=code, error_string=why)
 
 
 def _deadline(asked: Any) -> float:

@@ -137,10 +137,18 @@ def _redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescripto
 
 def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dict[str, Any]:
     """Declare what was given below some prefixes, each field described; nested, to be checked."""
-    given = {k: v for k, v in overrides(node).items() if k.split(".")[0] in sections}
-    for name, value in given.items():
-        _redeclare(node, name, value, described(sections[name.split(".")[0]], name.split(".")[-1]))
-    return nested(given)
+    tree: dict[str, Any] = {}
+    for name, value in overrides(node).items():
+        *path, last = name.split(".")
+        section = name.split(".")[0]
+        if section not in sections:
+            continue
+        _redeclare(node, name, value, described(sections[section], last))
+        place = tree
+        for part in path:
+            place = place.setdefault(part, {})
+        place[last] = value
+    return tree
 
 
 _LIMITS = {
@@ -172,15 +180,3 @@ def overrides(node: Node) -> dict[str, Any]:
 
 def where(node: Node) -> str:
     return f"parameters of {node.get_fully_qualified_name()}"
-
-
-def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """``{"a.b": 1}`` as ``{"a": {"b": 1}}``."""
-    tree: dict[str, Any] = {}
-    for name, value in flat.items():
-        *path, last = name.split(".")
-        place = tree
-        for part in path:
-            place = place.setdefault(part, {})
-        place[last] = value
-    return tree

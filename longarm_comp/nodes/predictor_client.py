@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -11,10 +14,12 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.learn.predictor import Expansion
+from longarm_comp.core.learn.predictor import Expansion, Nearby
 from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.worker import ServiceCaller
 from longarm_interfaces.srv import PredictError
+
+Found = TypeVar("Found")
 
 
 class NoAnswer(JobError):  # noqa: N818
@@ -50,6 +55,25 @@ class PredictorClient:
     @property
     def present(self) -> bool:
         return self._caller.present
+
+    def tried(
+        self, method: Method, compensate: Callable[[Nearby | None], Found]
+    ) -> tuple[Found, str, str]:
+        """Compensate with what answers, or without where none does or the method needs none.
+
+        Returns what was found, the `file_hash` of the predictor that was asked or "", and why one
+        that the method needs was not.
+        """
+        why = ""
+        if method.learned and self.present:
+            try:  # mostly one call a target
+                found = compensate(Nearby(partial(self.ask, deflection=method.physics)))
+                return found, self.file_hash, ""
+            except NoAnswer as absent:
+                why = absent.reason
+        elif method.learned:
+            why = "no error_predictor is running"
+        return compensate(None), "", why
 
     def ask(self, q: np.ndarray, context: Context, *, deflection: bool = True) -> Expansion:
         """Expected error at joints (n,) and its expansion around them, for one context.

@@ -36,7 +36,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import orders
 from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, THIS_INSTANCE, WARN, Report
-from longarm_comp.nodes.messages import points_of, readings_message, trajectory_of
+from longarm_comp.nodes.messages import points_message, readings_message, trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.orders import FollowServer, Intake
@@ -76,7 +76,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         given = declare_sections(self, SECTIONS)
         self._config = ServoConfig.parse(given, "parameters of servo_driver")
         self._keeps_out, self._shapes = self._rules_of(p)
-        self._trim = p["trim"]
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self._arm: ServoArm | None = None
         self._active = False
@@ -98,9 +97,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         # Pause between two messages of the state, s. It is also told when it changes
         steady_timer(self, 0.5, self._tell_state)
         self.health.parts |= {"servo bus": self._bus_report, "arm": self._arm_report}
-        if self._autostart:
-            self._start()
-            steady_timer(self, p["retry_s"], self._start)
+        self._start()
+        steady_timer(self, p["retry_s"], self._start)
         self._tell_change()
 
     def close(self) -> bool:
@@ -132,7 +130,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
-            self._arm = ServoArm(self._config, self._keeps_out, self._shapes, self._trim)
+            self._arm = ServoArm(self._config, self._keeps_out, self._shapes, self.p["trim"])
         except LongarmError as error:
             return self._failed(error)
         self._fault = ""
@@ -157,18 +155,16 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Torque off, back to unconfigured."""
         self._release()
         return super().on_cleanup(state)
+
+    on_error = on_cleanup
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._autostart = False
         self._release()
         return super().on_shutdown(state)
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque off, back to unconfigured."""
-        self._release()
-        return super().on_error(state)
 
     @property
     def _machine(self) -> ServoArm:
@@ -278,7 +274,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         message = Motion(header=joints.header, id=name, event=event, message=why, joints=joints)
         if taken is not None:
             message.start = JointState(name=self.names, position=taken.start.tolist())
-            message.points = points_of(taken)
+            message.points = points_message(taken.points, taken.times)
         self._motions.publish(message)
         if self._follow is not None:
             self._follow.told(event, name, why)

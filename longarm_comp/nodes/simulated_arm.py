@@ -161,7 +161,7 @@ class _SimulatedArm(ArmNode):
             steady_timer(self, 1.0 / p["wire_faults_hz"], self._spoil)
         if p["damping"]:
             # Between two steps of the arm's vibration, s: a small part of the first modes' periods
-            steady_timer(self, 0.01, self._ring)
+            steady_timer(self, 0.01, lambda: self._plant.ring(self._t_s))
         self.health.parts["plant"] = self._report
         self._plant.start()
 
@@ -194,9 +194,6 @@ class _SimulatedArm(ArmNode):
     def _t_s(self) -> float:
         """Time since the start, s."""
         return time.monotonic() - self._started
-
-    def _ring(self) -> None:
-        self._plant.ring(self._t_s)
 
     def _expose(self) -> None:
         if not self._worker.submit(self._frame):

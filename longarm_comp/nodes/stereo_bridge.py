@@ -128,14 +128,12 @@ class _StereoBridge(ArmNode):
         if known is not None and same_camera(known, message):
             return
         self._infos[side] = message
-        if self._files:  # the message names the camera's frame
-            self._calibrate(self._files)
-            return
+        cameras = self._files or self._infos  # beside files, a message names its camera's frame
         self._eye = None
-        if len(self._infos) < 2:
+        if len(cameras) < 2:
             return
         try:
-            self._calibrate(self._infos)
+            self._calibrate(cameras)
         except LongarmError as error:
             self._refuse(error, None)
 
@@ -208,7 +206,7 @@ class _StereoBridge(ArmNode):
             "pairs": self._pairer.pairs,
             **dict(sorted(self.tally.counts.items())),
             **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
-            **{f"lost on the way: {s.name.lower()}": i.lost for s, i in self._inlets.items()},
+            **{f"lost on the way: {s.name.lower()}": i.watch.lost for s, i in self._inlets.items()},
             "calibration": self._calibration(),
             **{f"images {s.name.lower()}": i.reliability for s, i in self._inlets.items()},
         }

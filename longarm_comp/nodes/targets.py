@@ -54,8 +54,6 @@ class Request:
     message: Compensate.Request
     since: float
     answer: Answer | None = None
-    sent: bool = False
-    accepted: bool = False
 
 
 class TargetInlet:
@@ -175,17 +173,15 @@ class TargetInlet:
             return self._refuse(request, Status.STALE_TARGET, why)
         p = self._state.p
         message = trajectory_message(self._arm, arrival.move.points, p["move_time_s"], stamp)
-        answer = replace(answer, name=order_id(message))
+        answer = request.answer = replace(answer, name=order_id(message), sent=True)
         self._driver.expect(answer.name)
         self._trajectory.publish(message)
-        request.sent = True
         if not self._worker.take(lambda: self._driver.answered, p["acknowledge_s"]):
             self._withdrawals.publish(String(data=answer.name))
         if why := self._driver.not_accepted:
             return replace(answer, status=Status.NOT_ACCEPTED, message=why)
-        request.accepted = True
         self._monitor.aimed(arrival.outcome.command, arrival.outcome.position)
-        return answer
+        return replace(answer, accepted=True)
 
     def _publish_answer(self, request: Request) -> None:
         """Count the answer, then publish it: who hears of it finds it counted."""
@@ -199,12 +195,7 @@ class TargetInlet:
             self._node.health.mended()
         why = "" if answer.status is Status.SUCCESS else answer.message
         self._node.tally.count(answer.status.name, why)
-        self._compensation.publish(
-            compensation_message(
-                answer, self._arm, self._base_frame,
-                executed=request.sent, accepted=request.accepted,
-            )
-        )  # fmt: skip
+        self._compensation.publish(compensation_message(answer, self._arm, self._base_frame))
         self._markers.on_answer(answer)
 
     def halt(self) -> str:

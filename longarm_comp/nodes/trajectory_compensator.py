@@ -34,7 +34,6 @@ from longarm_comp.core.compensation.result import CompensationOptions
 from longarm_comp.core.compensation.retime import MotionLimits
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
-from longarm_comp.core.learn.predictor import Nearby
 from longarm_comp.nodes import arm_state
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
@@ -42,9 +41,8 @@ from longarm_comp.nodes.clock import Ticks
 from longarm_comp.nodes.health import OK, PERIOD, WARN, Report
 from longarm_comp.nodes.messages import joints_message, seconds, trajectory_message
 from longarm_comp.nodes.node import ArmNode, program
-from longarm_comp.nodes.orders import Freshness, Stamps
+from longarm_comp.nodes.orders import Freshness, Stamps, aborted
 from longarm_comp.nodes.params import Param, where
-from longarm_comp.nodes.predictor_client import NoAnswer
 
 PARAMS = (
     *arm_state.PARAMS,
@@ -76,7 +74,7 @@ class _TrajectoryCompensator(ArmNode):
         p = self.p
         if not graph.HAS_FOLLOW:
             raise InputError(where(self), "control_msgs", "missing", "install ROS's control_msgs")
-        self._state = ArmState(self, capacity=4)
+        self._state = ArmState(self, capacity=5)
         self._files, self._method = self._state.files, Method(p["method"])
         self._arm, self._controller = self._state.arm, p["controller"]
         self._limits = self._limits_of(p)
@@ -88,9 +86,8 @@ class _TrajectoryCompensator(ArmNode):
         )
         self._server = graph.FOLLOW_PLANNED.server(self, self._serve)
         self._planned = graph.PLANNED_JOINTS.publisher(self)
-        self._due = self._ready = False
-        self._worker.idle = self._tell_planned
-        self.every("planned_period_s", self._fall_due)
+        self._ready = False
+        self.every("planned_period_s", lambda: self._worker.submit_once(self._tell_planned))
         self.on_change((p["model"],), self._worker, self._files.reload)
         self.health.parts |= {"paths": self._report, "model": self._files.report}
         self._worker.start()
@@ -123,9 +120,7 @@ class _TrajectoryCompensator(ArmNode):
             return result(error_string="cancelled before anything was sent")
         if why or made is None:
             self.tally.count("refused", why)
-            goal.abort()
-            code = result.INVALID_JOINTS if strange else result.INVALID_GOAL
-            return result(error_code=code, error_string=why)
+            return aborted(goal, result.INVALID_JOINTS if strange else result.INVALID_GOAL, why)
         self._following += 1
         try:
             return await self._forward(goal, made)
@@ -153,12 +148,9 @@ class _TrajectoryCompensator(ArmNode):
             out, lambda said: goal.publish_feedback(said.feedback)
         )
         if not sent.accepted:
-            goal.abort()
             why = f"{self._controller} does not accept the goal"
             self.tally.count("refused", why)
-            return graph.FOLLOW.type.Result(
-                error_code=graph.FOLLOW.type.Result.INVALID_GOAL, error_string=why
-            )
+            return aborted(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
         if not self._driver.acknowledged:
             self._driver.went(timed.joints[1:], start)
         ended, asked = sent.get_result_async(), False
@@ -185,8 +177,6 @@ class _TrajectoryCompensator(ArmNode):
         loaded = self._files.loaded
         physics = physics_of(loaded.model, self._method)
         history = History.unknown(self._arm.n) if self._following else self._driver.history
-        use = self._method.learned and self._state.predictor.present
-        ask = partial(self._state.predictor.ask, deflection=self._method.physics)
         try:
             compensate = partial(
                 compensate_path, loaded.model, plan=self._plan(request.trajectory, start),
@@ -195,10 +185,7 @@ class _TrajectoryCompensator(ArmNode):
                 max_correction_m=self.p["max_correction_m"], turn_m=self.p["turn_m"],
                 max_longer=self._longer(request), options=CompensationOptions(self._method),
             )  # fmt: skip
-            try:
-                found = compensate(Nearby(ask) if use else None)
-            except NoAnswer:
-                found = compensate(None)
+            found, *_ = self._state.predictor.tried(self._method, compensate)
         except (PathRefused, StaleContext, InputError) as error:
             return None, str(error)
         for note in found.notes:
@@ -232,19 +219,14 @@ class _TrajectoryCompensator(ArmNode):
             speeds = np.vstack([np.zeros(len(start)), speeds])
         return PlannedPath.of_joints(self._arm, np.array(times), joints, speeds if fast else None)
 
-    def _fall_due(self) -> None:
-        self._due = True
-        self._worker.wake()
-
-    def _tell_planned(self) -> bool:
+    def _tell_planned(self) -> None:
         """Publish the joints at which the declared arm's tip is where the real one is.
 
         What the next path needs is compiled then.
         """
-        due, self._due = self._due, False
         q, model = self._state.joints, physics_of(self._files.loaded.model, self._method)
-        if not due or q is None or self._state.doubt:
-            return due
+        if q is None or self._state.doubt:
+            return
         stamp = self.get_clock().now().to_msg()
         with contextlib.suppress(StaleContext):
             context = self._state.context(model=model)
@@ -252,7 +234,6 @@ class _TrajectoryCompensator(ArmNode):
             planned = as_planned(self._files.rigid, model, q, context)
             self._planned.publish(joints_message(self._arm, planned, stamp))
             self._ready = True
-        return True
 
     def _report(self) -> Report:
         facts = self.tally.facts

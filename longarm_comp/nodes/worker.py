@@ -170,6 +170,11 @@ class Worker:
             self.wake()
         return True
 
+    def submit_once(self, job: Job) -> None:
+        """Queue a job unless it waits already, or too many do."""
+        if job not in tuple(self._jobs):
+            self.submit(job)
+
     def ask(self, job: Job) -> Future | None:
         """Queue a job whose result a coroutine can await; None when too many wait already."""
         future = Future(executor=self._executor)

@@ -82,7 +82,7 @@ class Buttons:
             self._say(button, f"not done, nobody offers {name}")
             return
         self._say(button, "asked", well=True)
-        asked = Call(self._node, client, button.request(), again=True)
+        asked = Call(client, button.request(), again=True)
         self._calls.append((button, asked, now))
 
     def _ended(self, button: Button, asked: Call, since: float, now: float) -> bool:
@@ -117,12 +117,12 @@ class Panel:
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         self._places = {"state": gui.add_html("")}
+        named = {button.label: button for button in (*STOPS, *RELEASES)}
         for button in STOPS:
             made = gui.add_button(button.label, color=button.colour, hint=button.hint)
-            made.on_click(partial(_pressed, press, button))
-        named = {button.label: button for button in RELEASES}
+            made.on_click(lambda event: press(named[event.target.label]))
         hints = "\n".join(f"{button.label}: {button.hint}" for button in RELEASES)
-        group = gui.add_button_group("", tuple(named), hint=hints)
+        group = gui.add_button_group("", [button.label for button in RELEASES], hint=hints)
         group.on_click(lambda event: press(named[event.target.value]))
         self._places |= {"said": gui.add_html(""), "job": gui.add_html("")}
         self._bar = gui.add_progress_bar(0.0, visible=False)
@@ -156,10 +156,6 @@ class Panel:
 
 
 _STYLE = "font-size:0.85em;line-height:1.4;padding:0 0.75em;overflow-wrap:anywhere"
-
-
-def _pressed(press: Callable[[Button], None], button: Button, _: object) -> None:
-    press(button)
 
 
 def _line(text: str, colour: str, head: bool) -> str:

@@ -32,7 +32,7 @@ from longarm_comp.view import words
 from longarm_comp.view.panel import RELEASES, STOPS, Buttons, Panel
 from longarm_comp.view.scene import Scene
 from longarm_comp.view.server import Gate, PlainPage, serving
-from longarm_comp.view.words import CollectProgress, LastAnswer, PageState, Part, Picture, SeenTip
+from longarm_comp.view.words import CollectProgress, LastAnswer, PageState, Part, Picture
 from longarm_interfaces.msg import Compensation, DriverState
 
 
@@ -73,7 +73,7 @@ class Listener:
         self._heard(picture=Picture(declared, hanging, target, pseudo, time.monotonic()))
 
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
-        self._heard(tip=SeenTip(sighting_of(message)[0], time.monotonic()))
+        self._heard(tip=sighting_of(message)[0], tip_at=time.monotonic())
 
     def _on_joints(self, message: JointState) -> None:
         joints = dict(zip(message.name, message.position, strict=False))

@@ -49,8 +49,8 @@ class Scene:
                 self._handles[name].visible = at is not None and not pale
                 if at is not None:
                     self._handles[name].position = at
-            missed = None if pale else state.missed(now)
-            beside = None if pale else state.unpredicted(now)
+            missed = "the picture is old" if pale else state.missed(now)
+            beside = "the picture is old" if pale else state.unpredicted(now)
             tip_at = self._arrow("missed", picture.target, missed, longer)
             self._arrow("beside", end, beside, longer)
             self._label("missed", tip_at, f"tip − target × {longer:g}")
@@ -99,12 +99,12 @@ class Scene:
         handle.colors = np.array(colour, np.uint8)
 
     def _arrow(
-        self, name: str, start: np.ndarray | None, error: np.ndarray | None, factor: float
+        self, name: str, start: np.ndarray | None, error: np.ndarray | str, factor: float
     ) -> np.ndarray | None:
         """Draw an error (3,), where there is one; the end of its arrow (3,)."""
         handle = self._handles[name]
-        handle.visible = start is not None and error is not None
-        if start is None or error is None:
+        handle.visible = start is not None and not isinstance(error, str)
+        if start is None or isinstance(error, str):
             return None
         end = exaggerated(start + error, start, factor)
         handle.points = np.stack([start, end])[None]

@@ -31,10 +31,6 @@ _NAMES = (LOOPBACK, "localhost")
 _START = "/start"
 
 
-def _drawn() -> str:
-    return secrets.token_urlsafe(24)
-
-
 PATH = "/plain"
 START = f"""<!doctype html><title>longarm view</title>
 <noscript><a href="{PATH}">state and buttons as plain text</a></noscript>
@@ -56,7 +52,7 @@ class PlainPage:
     def __init__(self, buttons: Sequence[Button], press: Callable[[Button], None]) -> None:
         self.lines: Sequence[str] = ()
         self._press = press
-        key = secrets.token_urlsafe(24)
+        key = secrets.token_urlsafe()
         self._buttons = {f"{PATH}/{key}/{k}": button for k, button in enumerate(buttons)}
 
     def answer(self, path: str) -> str | None:
@@ -80,13 +76,13 @@ class PlainPage:
 class Gate:
     """Refuses whoever has no token, which is the cookie's value. Every start has a new one."""
 
-    token: str = field(default_factory=_drawn, repr=False)
+    token: str = field(default_factory=secrets.token_urlsafe, repr=False)
     plain: Callable[[str], str | None] = lambda path: None  # `PlainPage.answer`
     _codes: set[str] = field(default_factory=set, repr=False)
 
     def link(self, port: int) -> str:
         """An address to open once; it sets the cookie."""
-        code = _drawn()
+        code = secrets.token_urlsafe()
         self._codes.add(code)
         return f"http://{LOOPBACK}:{port}/?code={code}"
 

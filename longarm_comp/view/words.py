@@ -26,14 +26,6 @@ class Picture:
     at: float
 
 
-@dataclass(frozen=True, eq=False)
-class SeenTip:
-    """The tip as the cameras see it, (3,) m; NaN where the marker is lost."""
-
-    xyz: np.ndarray
-    at: float
-
-
 @dataclass(frozen=True)
 class LastAnswer:
     """What became of the last target: status, reason, joints sent by name (none: not sent)."""
@@ -81,6 +73,7 @@ class PageState:
 
     Attributes:
         heard: when any message came last; None before the first.
+        tip: (3,) m, as the cameras saw it last, and when; NaN where the marker was lost.
         joints: last reading by name, rad and m.
         read: when the joints were read last; None before the first.
         moved: when a joint moved last by more than `JOINT_REST`.
@@ -92,7 +85,8 @@ class PageState:
 
     heard: float | None = None
     picture: Picture | None = None
-    tip: SeenTip | None = None
+    tip: np.ndarray | None = None
+    tip_at: float = -math.inf
     joints: Mapping[str, float] = field(default_factory=dict)
     read: float | None = None
     moved: float = -math.inf
@@ -131,36 +125,38 @@ class PageState:
 
     def seen_tip(self, now: float) -> np.ndarray | None:
         """(3,) m where the tip is seen now; None where it is not."""
-        if self.tip is None or now - self.tip.at >= 3.0 or np.isnan(self.tip.xyz).any():
+        if self.tip is None or now - self.tip_at >= 3.0 or np.isnan(self.tip).any():
             return None
-        return self.tip.xyz
+        return self.tip
 
     @property
     def resting(self) -> bool:
         """Whether picture and sighting are both of the arm at rest."""
-        if self.picture is None or self.tip is None:
+        if self.picture is None:
             return False
         # A picture is a half second old, and a sighting some frames
-        return min(self.picture.at, self.tip.at) > self.moved + 0.6
+        return min(self.picture.at, self.tip_at) > self.moved + 0.6
 
-    @property
-    def at_target(self) -> bool:
-        """Whether the joints stand where the last target sent them."""
-        return self.answer is not None and _same_joints(self.answer.sent, self.joints)
+    def missed(self, now: float) -> np.ndarray | str:
+        """tip - target (3,) m, where the arm rests at its target and is seen; else why not."""
+        beside = self.unpredicted(now)
+        if isinstance(beside, str):
+            return beside
+        assert self.tip is not None and self.picture is not None
+        if self.answer is None:
+            return "no target was heard since this page was opened"
+        if self.picture.target is None or not _same_joints(self.answer.sent, self.joints):
+            return "the arm is not at the last target"
+        return self.tip - self.picture.target
 
-    def missed(self, now: float) -> np.ndarray | None:
-        """tip - target (3,) m, where the arm rests at its target and is seen."""
-        tip, picture = self.seen_tip(now), self.picture
-        if tip is None or picture is None or picture.target is None:
-            return None
-        return tip - picture.target if self.resting and self.at_target else None
-
-    def unpredicted(self, now: float) -> np.ndarray | None:
-        """tip - predicted tip (3,) m, where the arm rests and is seen."""
-        tip, picture = self.seen_tip(now), self.picture
-        if tip is None or picture is None or not self.resting:
-            return None
-        return tip - picture.hanging[-1]
+    def unpredicted(self, now: float) -> np.ndarray | str:
+        """tip - predicted tip (3,) m, where the arm rests and is seen; else why not."""
+        tip = self.seen_tip(now)
+        if tip is None:
+            return "no camera sees the tip"
+        if self.picture is None:
+            return "kinematics has shown no arm yet"
+        return tip - self.picture.hanging[-1] if self.resting else "the arm moves"
 
 
 def _silence(last: float | None, now: float, allowed: float) -> float:
@@ -207,7 +203,8 @@ def sections(state: PageState, now: float, namespace: str, said: str) -> dict[st
         "state": [headline(state, now, namespace), target(state)],
         "said": [said],
         "job": [progress(state, now)],
-        "tip": [tip_at_target(state, now), tip_as_predicted(state, now), drift(state),
+        "tip": [f"tip − target: {millimetres(state.missed(now))}",
+                f"tip − predicted: {millimetres(state.unpredicted(now))}", drift(state),
                 *(f"{what}: {told}." for what, told in state.told.items())],
         "health": [line for name in sorted(state.nodes) for line in health(state.nodes[name], now)]
         or ["no node has reported yet"],
@@ -223,32 +220,10 @@ def target(state: PageState) -> str:
     return f"Last target: {state.answer.status}{sent}{why}."
 
 
-def tip_at_target(state: PageState, now: float) -> str:
-    """tip - target, or why there is none."""
-    found = state.missed(now)
-    return f"tip − target: {_no_error(state, now) if found is None else millimetres(found)}"
-
-
-def tip_as_predicted(state: PageState, now: float) -> str:
-    """tip - predicted tip, or why there is none."""
-    found = state.unpredicted(now)
-    return f"tip − predicted: {_no_error(state, now) if found is None else millimetres(found)}"
-
-
-def _no_error(state: PageState, now: float) -> str:
-    if state.seen_tip(now) is None:
-        return "no camera sees the tip"
-    if state.picture is None:
-        return "kinematics has shown no arm yet"
-    if not state.resting:
-        return "the arm moves"
-    if state.answer is None:
-        return "no target was heard since this page was opened"
-    return "the arm is not at the last target"
-
-
-def millimetres(vector: np.ndarray) -> str:
-    """Length and components of a vector (3,) in m."""
+def millimetres(vector: np.ndarray | str) -> str:
+    """Length and components of a vector (3,) in m; a text as it is."""
+    if isinstance(vector, str):
+        return vector
     parts = ", ".join(
         f"{axis} {1e3 * part:+.2f}" for axis, part in zip("xyz", vector.tolist(), strict=True)
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -129,23 +130,22 @@ def _scene(
 ) -> Iterator[Scene]:
     os.environ.setdefault("ROS_LOG_DIR", str(setting.out.absolute() / "log"))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    told: list[str] = []
     with ExitStack() as stack:
-        supervisor = stack.enter_context(running(setting.graph()))
+        supervisor = stack.enter_context(running(setting.graph(), say=told.append))
         ended = threading.Event()
         watch = threading.Thread(target=supervisor.run, args=(ended,), daemon=True)
         watch.start()
         stack.callback(watch.join, 5.0)
         stack.callback(ended.set)
         client = stack.enter_context(ArmClient(arm, NAMESPACE, stop, "soak"))
-        yield Scene(setting, arm, supervisor, client, rng)
+        yield Scene(setting, arm, supervisor, client, rng, told)
 
 
 def _report(scene: Scene, seconds: float) -> dict[str, Any]:
     ledger, growth = scene.ledger, scene.leaks.growth()
-    crashes = {
-        name: scene.supervisor.deaths(name) - scene.expected_deaths[name]
-        for name in scene.supervisor.commands
-    }
+    deaths = Counter(text.split()[0] for text in scene.told if " ended " in text)
+    crashes = {name: n - scene.expected_deaths[name] for name, n in deaths.items()}
     crashes = {name: n for name, n in crashes.items() if n > 0}
     return {
         "passed": not ledger.wrong and not crashes and not any(g.leaks for g in growth),

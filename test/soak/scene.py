@@ -52,6 +52,8 @@ class Scene:
     supervisor: Supervisor
     client: ArmClient
     rng: np.random.Generator
+    told: list[str]
+    """What the supervisor said of starts and ends of processes."""
     ledger: Ledger = field(default_factory=Ledger)
     leaks: LeakWatch = field(default_factory=LeakWatch)
     expected_deaths: Counter[str] = field(default_factory=Counter)

@@ -11,17 +11,16 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64, String
 
 from longarm_comp.arm_folder.visible import View
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.rest import NO_REST
 from longarm_comp.core.data.session import Session
@@ -30,7 +29,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import entered
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
 from longarm_comp.jobs.collect.visits import Visit, in_words
-from longarm_comp.jobs.graph_client import GraphClient, Reports
+from longarm_comp.jobs.graph_client import Reports
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
@@ -119,9 +118,9 @@ class Progress:
         return self.done / max(1, self.total)
 
     @property
-    def lost(self) -> list[str]:
-        """Why the marker was lost, for each visit at which it was."""
-        return [why for why in self.made.values() if why]
+    def lost(self) -> dict[int, str]:
+        """Visits of this run at which the marker was lost, and why."""
+        return {index: why for index, why in self.made.items() if why}
 
     @property
     def seen(self) -> int:
@@ -133,7 +132,8 @@ class Progress:
         """How often the marker was lost, and why; empty if never."""
         if not self.lost:
             return ""
-        return f"marker lost at {len(self.lost)} of {len(self.made)} poses: {in_words(self.lost)}"
+        why = in_words(self.lost.values())
+        return f"marker lost at {len(self.lost)} of {len(self.made)} poses: {why}"
 
     def __str__(self) -> str:
         if self.state != "running":
@@ -141,37 +141,6 @@ class Progress:
         left = f", {self.seconds_left:.0f} s left" if math.isfinite(self.seconds_left) else ""
         poses = f"{self.done} of {self.total} poses driven{left}"
         return "; ".join(filter(None, (poses, self.losses)))
-
-
-class Causes:
-    """Why the marker is lost: by the cameras' geometry, or as `stereo_bridge` says.
-
-    ``view``: cameras by the files beside arm.yaml; their lens is replaced by the graph's.
-    """
-
-    def __init__(self, client: GraphClient, arm: Arm, view: View | None) -> None:
-        self._model, self._view = declared_model(arm), view
-        self._reports = Reports(client)
-        self._infos: dict[str, CameraInfo] = {}
-        graph.LEFT_INFO.subscription(client.node, lambda m: self._on_info("left", m))
-        graph.RIGHT_INFO.subscription(client.node, lambda m: self._on_info("right", m))
-
-    def of(self, q: np.ndarray, recorded: str = "") -> str:
-        """The likely cause at joints q (n,); ``recorded`` is what the recording says."""
-        if recorded == NO_REST:
-            return recorded
-        why = "" if self._view is None else self._view.unseen(self._model.pose(q[None]))[0]
-        if why:
-            return why
-        near = "in view, but " if self._view is not None else ""
-        said = self._reports.said("stereo_bridge", "stereo")
-        why = said.removeprefix(MARKER_LOST)
-        return near + (why.partition(" (")[0] if why != said else "not seen")
-
-    def _on_info(self, side: str, message: CameraInfo) -> None:
-        self._infos[side] = message
-        if self._view is not None and len(self._infos) == 2:
-            self._view = self._view.through(self._infos["left"], self._infos["right"])
 
 
 @dataclass(frozen=True)
@@ -212,16 +181,16 @@ def collect(
     done = visited(path, todo, client.arm.n) if begun else set()
     with SegmentedBag(path, resume=resume) as bag:
         run = _Run(client, Recorder(client.node, bag), pace or Pace(), progress,
-                   Causes(client, client.arm, view), len(done), len(todo))  # fmt: skip
+                   view, len(done), len(todo))  # fmt: skip
         try:
             run.drive([visit for visit in todo if visit.index not in done], give_up)
         except JobError as error:
-            if run.lost == run.made and not done:
+            if run.now().lost == run.made and not done:
                 bag.discard()  # nothing in it is worth going on with
             with client.putting_back():
                 run.ended("ended", str(error))
             raise
-    return Collected(len(run.made), len(done), len(todo), run.lost, run.blocked)
+    return Collected(len(run.made), len(done), len(todo), run.now().lost, run.blocked)
 
 
 class _Run:
@@ -229,10 +198,11 @@ class _Run:
 
     def __init__(
         self, client: ArmClient, recorder: Recorder, pace: Pace,
-        progress: Callable[[Progress], None], causes: Causes, before: int, total: int,
+        progress: Callable[[Progress], None], view: View | None, before: int, total: int,
     ) -> None:  # fmt: skip
         self._client, self._recorder, self._pace = client, recorder, pace
-        self._show, self._causes, self._before, self._total = progress, causes, before, total
+        self._show, self._before, self._total = progress, before, total
+        self._view, self._reports = view, Reports(client)
         self._payload = client.node.create_publisher(Float64, "payload", 5)
         self._publisher = graph.COLLECT_PROGRESS.publisher(client.node)
         self._model = declared_model(client.arm)
@@ -242,18 +212,9 @@ class _Run:
         """Visits in the bag, of this run: why the marker was lost there, or ""."""
         self.blocked: dict[int, str] = {}
 
-    @property
-    def lost(self) -> dict[int, str]:
-        """Those at which the marker was not seen, and why."""
-        return {index: why for index, why in self.made.items() if why}
-
     def drive(self, left: list[Visit], give_up: int) -> None:
         self._client.ready()
-        end = time.monotonic() + _CIRCUMSTANCES_S
-        self._client.until(
-            lambda: not self._recorder.waits_for() or time.monotonic() > end,
-            _CIRCUMSTANCES_S + 60.0, "circumstances",
-        )  # fmt: skip
+        self._client.wait(lambda: not self._recorder.waits_for(), _CIRCUMSTANCES_S)
         half = max(5, len(left) // 2)
         while left:
             visit = self._next(left)
@@ -263,10 +224,11 @@ class _Run:
             self._visit = visit
             self._tell()
             self._make(visit)
-            if self.lost == self.made and not self._before and 0 < give_up <= len(self.made):
-                raise JobError(f"{self._now().losses}. {_HINT}")
-            if len(self.lost) > half:
-                raise JobError(f"the marker is not seen at most poses. {self._now().losses}")
+            now = self.now()
+            if now.lost == self.made and not self._before and 0 < give_up <= len(self.made):
+                raise JobError(f"{now.losses}. {_HINT}")
+            if len(now.lost) > half:
+                raise JobError(f"the marker is not seen at most poses. {now.losses}")
         self._visit = None
         self.ended("done")
 
@@ -288,12 +250,27 @@ class _Run:
             except DriverStopped as stopped:
                 if not stopped.held:
                     raise
-                self._wait_for_driver(str(stopped))
+                self._tell("waiting", str(stopped))
+                takes = partial(self._client.driver_takes, held=True)
+                self._client.until(takes, math.inf, "driver")
                 begun_s = time.monotonic()
         why = row.lost.get(visit.index, "")
-        self.made[visit.index] = "" if row.located[0] else self._causes.of(visit.q, why)
+        self.made[visit.index] = "" if row.located[0] else self._cause(visit.q, why)
         self._driving_s += time.monotonic() - begun_s
         self._tell()
+
+    def _cause(self, q: np.ndarray, recorded: str) -> str:
+        """Why the marker is likely lost at joints q (n,): as the recording says, or by the cameras'
+        geometry, or as `stereo_bridge` says."""
+        if recorded == NO_REST:
+            return recorded
+        why = "" if self._view is None else self._view.unseen(self._model.pose(q[None]))[0]
+        if why:
+            return why
+        near = "in view, but " if self._view is not None else ""
+        said = self._reports.said("stereo_bridge", "stereo")
+        why = said.removeprefix(MARKER_LOST)
+        return near + (why.partition(" (")[0] if why != said else "not seen")
 
     def _visit_row(self, visit: Visit) -> Session:
         """Drive to one pose, look, and keep it; the row as the bag holds it.
@@ -344,20 +321,7 @@ class _Run:
         self.blocked = why
         return None
 
-    def _wait_for_driver(self, why: str) -> None:
-        self._tell("waiting", why)
-
-        def takes() -> bool:
-            try:
-                return self._client.driver_takes()
-            except DriverStopped as stopped:
-                if not stopped.held:
-                    raise
-                return False
-
-        self._client.until(takes, float("inf"), "driver")
-
-    def _now(self, state: str = "running", why: str = "") -> Progress:
+    def now(self, state: str = "running", why: str = "") -> Progress:
         visit, made = self._visit, len(self.made)
         each = self._driving_s / made if made else float("nan")
         done = self._before + made
@@ -367,6 +331,6 @@ class _Run:
         )  # fmt: skip
 
     def _tell(self, state: str = "running", why: str = "") -> None:
-        now = self._now(state, why)
+        now = self.now(state, why)
         self._show(now)
         self._publisher.publish(progress_message(now, self._client.node.get_namespace()))
