@@ -35,7 +35,6 @@ RUNTIME = [
     "ruamel.yaml>=0.17.21",
     "scipy>=1.12",
     "typing-extensions>=4.6",
-    "urdf-parser-py>=0.0.4",
 ]
 
 PEERS = ["ikpy", "mcap-ros2-support", "pytracik", "roboplan", "roboticstoolbox-python"]
