@@ -26,8 +26,7 @@ from longarm_comp.core.planning.splitting_poses import SplittingPoses
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import ring_of_moves
 from longarm_comp.core.vibration.shaper import USUAL_DAMPING
-from longarm_comp.report.candidate_states import best_forms
-from longarm_comp.report.visible_size import Smallest
+from longarm_comp.report.candidate_states import Smallest, best_forms
 
 SPLITS = 3.0
 """Smallest expected log odds for which poses are worth measuring."""
