@@ -28,9 +28,7 @@ from longarm_comp.cli.output import note, print_effects, print_json, print_rows,
 @options.seed
 @options.effects
 @options.as_json
-def command(
-    arm: options.Arm, session: Path, output: Path, effects: tuple[str, ...], **how: Any
-) -> None:
+def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
     """Fit geometry and declared effects of ARM to SESSION (CSV or bag).
 
     Models that know more and more are fitted without the held-out rows and compared at them. The
@@ -42,11 +40,10 @@ def command(
       longarm calibrate arm.yaml samples.csv --effect joint_compliance --effect bearing_tilt
       longarm calibrate arm.yaml samples.csv --kind-of others/*.yaml
     """
-    from longarm_comp.workflows.calibrate import calibrate, instances
+    from longarm_comp.workflows.calibrate import calibrate
 
-    chosen = [instances(name, arm, "--effect") for name in effects]
     with progress("calibrate") as show:
-        calibration = calibrate(arm, session, effects=chosen, note=note, progress=show, **how)
+        calibration = calibrate(arm, session, note=note, progress=show, **how)
     calibration.save(output)
     if calibration.placed:
         note("the declared arm was first placed by the rows, because they see it at another place")

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from longarm_comp.core.files import atomic_path, write_text
 from longarm_comp.core.identify.structure import SIGNIFICANT
-from longarm_comp.report import cards, plots, record, style, verdict, words
+from longarm_comp.report import cards, plots, record, style, words
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
 from longarm_comp.report.pages import data_uri, template
@@ -79,7 +79,6 @@ def page(report: record.DiagnosisReport, detail: Detail, plots: Mapping[str, byt
         report=report,
         detail=detail,
         cards=cards,
-        verdict=verdict,
         words=words,
         picture=place_name,
         significant=SIGNIFICANT,

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -39,9 +38,6 @@ from longarm_comp.core.model.model_file import read_stored, restore, save_model,
 from longarm_comp.version import __version__
 from longarm_comp.workflows import inputs
 from longarm_comp.workflows.evaluate import ErrorTable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, str]:
@@ -170,10 +166,6 @@ class Calibration:
     def _repr_html_(self) -> str:
         return html_table(self.summary, self.held_out.rows)
 
-    def plot(self) -> Figure:
-        """Errors of every model on rows that were not fitted."""
-        return self.held_out.plot()
-
     def __repr__(self) -> str:
         return f"Calibration({self.summary})"
 
@@ -228,9 +220,6 @@ def calibrate(
         frames alone, much worse there than at the fitted rows, or has an effect of a size that no
         arm has.
     """
-    for effect in effects:
-        if isinstance(effect, str):
-            instances(effect, arm)
     whole = inputs.admitted(session, arm, note=note)
     chosen = [_named(effect, arm, whole, note) for effect in effects]
     kind, origin = kind_from(arm, kind_of) if kind_of else (None, "")
@@ -261,15 +250,7 @@ def calibrate(
     return Calibration(tuple(rungs), len(chosen), len(held_out), final, whole, seed, origin)
 
 
-def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]:
-    """An effect on every joint or beam of an arm that may have it."""
-    terms: tuple[Term, ...] = effect_class(name, where).for_arm(arm)
-    if not terms:
-        raise InputError(where, name, "no place on this arm", "an effect this arm can have")
-    return terms
-
-
-def recorded(terms: tuple[Term, ...], session: Session, note: inputs.Note) -> tuple[Term, ...]:
+def _recorded(terms: tuple[Term, ...], session: Session, note: inputs.Note) -> tuple[Term, ...]:
     """Of the places of an effect, those whose inputs were recorded and moved."""
     context = session.context()
     usable, why = [], None
@@ -301,7 +282,11 @@ def _named(
     given: str | Term | Sequence[Term], arm: Arm, session: Session, note: inputs.Note
 ) -> tuple[str, tuple[Term, ...]]:
     if isinstance(given, str):
-        return given, recorded(instances(given, arm), session, note)
+        places: tuple[Term, ...] = effect_class(given, "calibrate").for_arm(arm)
+        if not places:
+            allowed = "an effect this arm can have"
+            raise InputError("calibrate", given, "no place on this arm", allowed)
+        return given, _recorded(places, session, note)
     terms = (given,) if isinstance(given, Term) else tuple(given)
     if not terms:
         raise InputError("calibrate", "effects", "nothing", "a name or instances of an effect")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -38,9 +38,6 @@ from longarm_comp.workflows import inputs
 from longarm_comp.workflows.calibrate import kind_from
 from longarm_comp.workflows.evaluate import ErrorTable
 from longarm_comp.workflows.train import training_rows
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,10 +93,6 @@ class DiagnosisResult:
 
     def _repr_html_(self) -> str:
         return html_table(self.summary, self.held_out.rows)
-
-    def plot(self) -> Figure:
-        """Errors of every model on rows that were not fitted."""
-        return self.held_out.plot()
 
     def __repr__(self) -> str:
         return f"DiagnosisResult({self.verdict}: {self.summary})"

@@ -20,23 +20,19 @@ def import_table(
     *,
     units: Sequence[str] = (),
     names: Mapping[str, str] | None = None,
-    rotation: str | None = None,
-    sheet: str | None = None,
-    decimal: str | None = None,
-    join: str | None = None,
-    sort: str | None = None,
     like: FilePath | None = None,
+    **told: str | None,
 ) -> Session:
     """Read CSV, TXT or XLSX of another program; several files make one session.
 
     Args:
         units: units of columns whose names have none, such as ``("mm", "deg")``.
         names: session column by the file's, ``{"A": "q1", "B": "q2:mm"}``.
-        rotation, sheet, decimal, join, sort, like: as the options of `longarm import-data`.
+        like: mapping of an earlier file of the same kind, instead of the other arguments.
+        told: ``rotation``, ``sheet``, ``decimal``, ``join`` and ``sort``, as the options of
+            `longarm import-data`.
     """
-    options = convert.Options(
-        tuple(units), dict(names or {}), rotation, sheet, decimal, arm, join, sort
-    )
+    options = convert.Options(tuple(units), dict(names or {}), arm=arm, **told)
     found = convert.import_table(files, options if like is None else options.like(Path(like)))
     with tempfile.TemporaryDirectory() as folder:
         csv = Path(folder) / "samples.csv"
