@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,23 +22,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import BASE_LINK, TIP, joint_name, link_name
 from longarm_comp.core.model.model import Model, unstack
 
-
-@dataclass(frozen=True)
-class _ZeroOffset:
-    """What a joint stands at when it is commanded zero: rad or m. It is in the origins already."""
-
-    joint: str
-    value: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class _Placed:
-    """A row in the URDF: its joint's frame in the one before (4, 4), and its axis there."""
-
-    joint: Joint
-    origin: np.ndarray
-    axis: np.ndarray
+Placed = tuple[Joint, np.ndarray, np.ndarray]
+"""A row in the URDF: its joint, the joint's frame in the one before (4, 4), and its axis there."""
 
 
 def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
@@ -59,7 +43,7 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
     ET.SubElement(root, "link", {"name": BASE_LINK})
     parent = BASE_LINK
     for row in placed:
-        joint = row.joint
+        joint, _, _ = row
         node = ET.SubElement(root, "link", {"name": link_name(joint)})
         held = [m for m in arm.point_masses if m.frame == joint.id and not m.position_columns]
         points = [(m.mass_kg, inner[joint.id] @ np.append(m.position_m, 1.0)) for m in held]
@@ -73,15 +57,18 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def zero_offsets(model: Model) -> list[_ZeroOffset]:
-    """What the model says of the joints' zeros, for a driver that corrects them itself."""
+def zero_offsets(model: Model) -> list[tuple[str, float, str]]:
+    """(joint, value, unit) where joints stand when they are commanded zero, rad or m.
+
+    It is in the origins already; a driver may correct it instead.
+    """
     made = []
     for term in model.effects:
         if term.geometry and term.displaces_joint:
             (parameter,) = term.parameters(model.arm)
             row = model.arm.joints[term.joints[0] - 1]
             value = float(getattr(term, parameter.name))
-            made.append(_ZeroOffset(joint_name(row), value, parameter.unit))
+            made.append((joint_name(row), value, parameter.unit))
     return made
 
 
@@ -99,9 +86,7 @@ def _context(model: Model, group: str, marker: str) -> Context:
     return Context(labels=labels)
 
 
-def _rows(
-    model: Model, context: Context
-) -> tuple[list[_Placed], np.ndarray, dict[int, np.ndarray]]:
+def _rows(model: Model, context: Context) -> tuple[list[Placed], np.ndarray, dict[int, np.ndarray]]:
     """Placed rows; the tip in the last one's link; each row's frame in its link."""
     arm = model.arm
     reach = np.maximum(np.abs(arm.mixing[0]).max(axis=0), 1.0)
@@ -109,7 +94,7 @@ def _rows(
     end = start + np.minimum(0.25 * (arm.upper - arm.lower), 1.0) / reach
     at, then = _frames(model, context, start), _frames(model, context, end)
     values = np.stack([start, end]) @ arm.mixing[0].T + arm.mixing[1]
-    placed: list[_Placed] = []
+    placed: list[Placed] = []
     inner: dict[int, np.ndarray] = {0: np.eye(4)}
     before = at[0]  # the frame before in its link; the first link is the measuring frame
     for k, joint in enumerate(arm.joints):
@@ -117,11 +102,11 @@ def _rows(
         turn = _within(step, _within(then[k], then[k + 1]))
         moved = values[1, k] - values[0, k]
         if not joint.moves:  # a link of its own at the base, which only leads others
-            placed.append(_Placed(joint, np.eye(4), np.array([0.0, 0.0, 1.0])))
+            placed.append((joint, np.eye(4), np.array([0.0, 0.0, 1.0])))
             before = before @ step
             continue
         if joint.type == "fixed" or moved == 0.0:
-            placed.append(_Placed(joint, before @ step, np.array([0.0, 0.0, 1.0])))
+            placed.append((joint, before @ step, np.array([0.0, 0.0, 1.0])))
             before = inner[joint.id] = np.eye(4)
             continue
         axis, point = _screw(turn, moved, joint.type == "prismatic")
@@ -130,7 +115,7 @@ def _rows(
         turned = np.zeros(3) if joint.type == "prismatic" else -values[0, k] * axis
         slid = -values[0, k] * axis if joint.type == "prismatic" else np.cross(point, turned)
         back = exp_large((*slid, *turned)).matrix()
-        placed.append(_Placed(joint, before @ step @ back @ shift, axis))
+        placed.append((joint, before @ step @ back @ shift, axis))
         before = inner[joint.id] = np.linalg.inv(shift)
     return placed, before @ _within(at[-2], at[-1]), inner
 
@@ -199,13 +184,13 @@ def _screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np
 # ------------------------------------------------------------------ XML
 
 
-def _joint(root: ET.Element, arm: Arm, row: _Placed, parent: str) -> None:
-    joint = row.joint
+def _joint(root: ET.Element, arm: Arm, placed: Placed, parent: str) -> None:
+    joint, origin, axis = placed
     node = ET.SubElement(root, "joint", {"name": joint_name(joint), "type": joint.type})
-    _ends(node, row.origin, parent, link_name(joint))
+    _ends(node, origin, parent, link_name(joint))
     if joint.type == "fixed":
         return
-    ET.SubElement(node, "axis", {"xyz": _text(row.axis)})
+    ET.SubElement(node, "axis", {"xyz": _text(axis)})
     weights, offset = arm.mixing[0][joint.id - 1], arm.mixing[1][joint.id - 1]
     if joint.commanded:
         lower, upper = joint.limits
@@ -255,7 +240,7 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
 
 def _remark(model: Model) -> str:
     left = sorted({e.name for e in model.effects if not e.geometry})
-    zeros = ", ".join(f"{z.joint} {z.value:.9g} {z.unit}" for z in zero_offsets(model))
+    zeros = ", ".join(f"{joint} {value:.9g} {unit}" for joint, value, unit in zero_offsets(model))
     origins = "Calibrated" if any(e.geometry for e in model.effects) else "Declared"
     lines = [f"{origins} origins, written by longarm export-urdf. The payload is not in it."]
     lines += [f"Joint zeros, in the origins already: {zeros}"] if zeros else []

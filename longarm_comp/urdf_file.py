@@ -21,14 +21,6 @@ _TYPES = (*MOVING, "fixed", "floating", "planar")
 
 
 @dataclass(frozen=True)
-class _UrdfLink:
-    """A link's mass (kg) and centre of mass (3,) in its frame (m)."""
-
-    mass: float
-    com: np.ndarray
-
-
-@dataclass(frozen=True)
 class UrdfJoint:
     """A joint: origin (4, 4) in the parent's frame, unit axis (3,) in its own, limits."""
 
@@ -57,7 +49,7 @@ class UrdfJoint:
 
 
 class UrdfRobot:
-    """The tree of a URDF file."""
+    """The tree of a URDF file; `links`: mass (kg), and its centre (3,) in the link's frame (m)."""
 
     def __init__(self, path: str | Path) -> None:
         self.where = str(path)
@@ -85,10 +77,10 @@ class UrdfRobot:
             max(map(abs, j.limits)) for j in self.joints.values()
             if j.type == "prismatic" and j.limits is not None
         )  # fmt: skip
-        for name, link in self.links.items():
-            far = float(np.linalg.norm(link.com))
+        for name, (mass, centre) in self.links.items():
+            far = float(np.linalg.norm(centre))
             # From 30 times the robot's length on millimetres taken for metres (1000) are the nearer
-            if link.mass > 0 and extent > 0 and far > 30.0 * extent:
+            if mass > 0 and extent > 0 and far > 30.0 * extent:
                 allowed = f"metres; all joints together are {extent:.3g} m long"
                 raise self.error(f"link {name} inertial origin", f"{far:.6g} m", allowed)
 
@@ -179,11 +171,11 @@ class UrdfRobot:
         xyz, rpy = (self._numbers(node, part, key, "0 0 0") for key in ("xyz", "rpy"))
         return rpy_frame(tuple(xyz.tolist()), tuple(rpy.tolist())).matrix()
 
-    def _link(self, node: ET.Element) -> _UrdfLink:
+    def _link(self, node: ET.Element) -> tuple[float, np.ndarray]:
         (mass,) = self._numbers(node, "inertial/mass", "value", "0", needed=True).tolist()
         if mass < 0:
             raise self.error(f"link {node.get('name')} mass", mass, "0 kg or more")
-        return _UrdfLink(mass, self._frame(node, "inertial/origin")[:3, 3])
+        return mass, self._frame(node, "inertial/origin")[:3, 3]
 
     def _joint(self, node: ET.Element) -> UrdfJoint:
         name, kind = node.get("name", ""), node.get("type", "")

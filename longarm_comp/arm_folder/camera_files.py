@@ -50,21 +50,16 @@ BRIDGE, SIMULATED = "stereo_bridge.yaml", "simulated_arm.yaml"
 _NAMES = ("hand_eye.xyz", "hand_eye.quaternion")
 
 
-def head_pose(folder: Path) -> np.ndarray:
-    """Left optical frame in the base frame (4, 4), as the folder's stereo_bridge.yaml has it."""
-    file = folder / BRIDGE
-    given = parameters_of("stereo_bridge", file)
-    return _pose(file, "hand_eye", [given[name] for name in _NAMES])
-
-
 def head_at(folder: Path, session: str) -> np.ndarray:
-    """Where the head was taken to stand when a session was measured (4, 4).
+    """Left optical frame in the base frame (4, 4), as it was taken when a session was measured.
 
-    That is what the file has now, unless it was written from this very session.
+    That is what stereo_bridge.yaml has now, unless it was written from this very session.
     """
     entry = read_measured(folder).get(BRIDGE)
     if entry is None or entry.facts.get("session") != session:
-        return head_pose(folder)
+        file = folder / BRIDGE
+        given = parameters_of("stereo_bridge", file)
+        return _pose(file, "hand_eye", [given[name] for name in _NAMES])
     before = entry.facts.get("before")
     pair = (before.get("xyz"), before.get("quaternion")) if isinstance(before, dict) else ()
     return _pose(folder / FILE, f"{BRIDGE}: facts.before", pair)

@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.arm_folder.head import head_for
-from longarm_comp.arm_folder.parameter_file import one_line, own_text, ros_parameters, with_values
+from longarm_comp.arm_folder.parameter_file import one_line, own_text, with_values
 from longarm_comp.arm_folder.servos import DEFAULT_MODEL, servo_section
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import link_places
 from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.strict_yaml import parse_yaml
 from longarm_comp.devices.servo_bus.registry import models
 from longarm_comp.share import folder
 
@@ -97,11 +96,10 @@ def arm_file(
 
 def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
     """Texts of the parameter files that fit an arm, by node."""
-    bus = ros_parameters(parse_yaml(own_text(NODES[0]), NODES[0]), NODES[0])["bus"]
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
             "joints": servo_section(arm, servos, direct),
-            "bus": bus | {"protocol": models()[servos].protocol},
+            "bus.protocol": models()[servos].protocol,
         },
     } | head_for(arm)
     values["simulated_arm"] |= {

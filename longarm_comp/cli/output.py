@@ -78,14 +78,9 @@ def say(text: str) -> None:
         click.echo(text)
 
 
-def print_table(
-    title: str, header: Sequence[str], rows: Sequence[Sequence[object]], on_stderr: bool = False
-) -> None:
-    """Print results as a table: text in the first column, numbers right-aligned.
-
-    With ``--json`` nothing on stdout.
-    """
-    if _as_json() and not on_stderr:
+def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print results as a table, without ``--json``; numbers stand to the right."""
+    if _as_json():
         return
     from rich.console import Console
     from rich.markup import escape
@@ -97,8 +92,7 @@ def print_table(
     for row in rows:
         table.add_row(*(escape(_cell(value)) for value in row))
     # A file or a pipe has no width: nothing is cut
-    width = None if (sys.stderr if on_stderr else sys.stdout).isatty() else 1000
-    Console(width=width, stderr=on_stderr).print(table)
+    Console(width=None if sys.stdout.isatty() else 1000).print(table)
 
 
 def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[Any, ...]]) -> None:

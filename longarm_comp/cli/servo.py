@@ -78,7 +78,7 @@ def scanned(
     return found
 
 
-def _show(found: Scan, on_stderr: bool = False) -> None:
+def _show(found: Scan) -> None:
     """Print the servos; refuse ids that are not clear."""
     rows = [
         (s.servo_id, s.model or f"unknown model {s.model_number}", s.firmware,
@@ -86,7 +86,7 @@ def _show(found: Scan, on_stderr: bool = False) -> None:
         for s in found.servos
     ]  # fmt: skip
     title = f"{found.port}: {found.protocol}, {found.baudrate} bit/s"
-    print_table(title, ("id", "model", "firmware", ""), rows, on_stderr)
+    print_table(title, ("id", "model", "firmware", ""), rows)
     if found.clashes:
         raise JobError(
             "answers are damaged or doubled: connect these servos one at a time and give each its "
@@ -209,7 +209,7 @@ def setup(
     config = ServoConfig.load(file)
     held, directions, bus = _held(config, pose), _given(config, direction), config.bus
     found = scanned(asked_port(_COMMAND, port, bus.port), **line)
-    _show(found, on_stderr=True)
+    _show(found)
     blind = _on_the_bus(config, found)
     wait("The torque goes off: hold or support the arm.")
     servo_bus = open_bus(
