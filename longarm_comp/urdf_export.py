@@ -16,6 +16,7 @@ import numpy as np
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import exp_large, roll_pitch_yaw
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.errors import InputError
@@ -92,7 +93,7 @@ def _rows(model: Model, context: Context) -> tuple[list[Placed], np.ndarray, dic
     reach = np.maximum(np.abs(arm.mixing[0]).max(axis=0), 1.0)
     start = arm.mid
     end = start + np.minimum(0.25 * (arm.upper - arm.lower), 1.0) / reach
-    at, then = _frames(model, context, start), _frames(model, context, end)
+    at, then = (_frames(model, model.posture(unstack(q), context)) for q in (start, end))
     values = np.stack([start, end]) @ arm.mixing[0].T + arm.mixing[1]
     placed: list[Placed] = []
     inner: dict[int, np.ndarray] = {0: np.eye(4)}
@@ -127,42 +128,35 @@ def _bodies(
 
     A uniform rod has the mass, centre and inertia of two halves at 1/sqrt(12) of its length off its
     middle.  Beams along ``x_{i-1}``, and on a slide those before the one of length rest, stay with
-    the row before; the others end at fixed distances from the row's own frame.
+    the row before; the others move with the row's own frame.
     """
-    arm, made = model.arm, dict[int, list[tuple[float, np.ndarray]]]()
-    at = _frames(model, context, arm.mid)
-    values = arm.mixing[0] @ arm.mid + arm.mixing[1]
+    made: dict[int, list[tuple[float, np.ndarray]]] = {}
+    posture = model.posture(unstack(model.arm.mid), context)
+    at = _frames(model, posture)
     before = 0
-    for k, joint in enumerate(arm.joints, start=1):
-        slides, value = joint.type == "prismatic", float(values[k - 1])
-        theta = math.radians(joint.theta_offset_deg) + (0.0 if slides else value)
-        length = {"a": joint.a_m, "d": joint.d_m + (value if slides else 0.0)}
-        x = np.array([math.cos(theta), -math.sin(theta), 0.0])  # x of the row before
-        for role, axis in (("a", x), ("d", np.array([0.0, 0.0, 1.0]))):
-            beams = [b for b in arm.links if b.row == k and b.role == role]
-            kinds = [b.length_m == "rest" for b in beams]
-            fixed = math.fsum(float(b.length_m) for b in beams if b.length_m != "rest")
-            foot = -axis * length[role] - (np.array([0, 0, length["d"]]) if role == "a" else 0.0)
-            gone = 0.0
-            for n, beam in enumerate(beams):
-                own = length[role] - fixed if kinds[n] else float(beam.length_m)
-                gone += own
-                body = beam.body_length_m or own
-                stays = role == "a" or (slides and not any(kinds[: n + 1]))
-                row = before if stays else joint.id
-                if row == 0 or row not in inner:
-                    continue  # it stands on the ground, or is carried by what is no part of the arm
-                link = inner[row] @ (_within(at[row], at[k]) if stays else np.eye(4))
-                for off in (-body / math.sqrt(12.0), body / math.sqrt(12.0)):
-                    point = foot + axis * (gone - body / 2 + off)
-                    made.setdefault(row, []).append((beam.mass_kg / 2, link @ [*point, 1.0]))
+    for joint, row in zip(model.arm.joints, posture.chain.rows, strict=True):
+        stays_on_slide = joint.type == "prismatic"
+        for beam in (b for b in model.arm.links if b.row == joint.id):
+            stays_on_slide = stays_on_slide and beam.length_m != "rest"
+            stays = beam.role == "a" or stays_on_slide
+            carrier = before if stays else joint.id
+            if carrier == 0 or carrier not in inner:
+                continue  # it stands on the ground, or is carried by what is no part of the arm
+            pieces = [e for e in (*row.elements_a, *row.elements_d) if e.beam is beam]
+            length = sum(float(posture.lengths[e.station]) for e in pieces)
+            body = math.copysign(beam.body_length_m or length, length)
+            along = body * np.eye(4)[pieces[-1].axis]
+            end = posture.frames[pieces[-1].station].matrix()
+            link = inner[carrier] @ _within(at[carrier], end)
+            for share in (0.5 - 1 / math.sqrt(12.0), 0.5 + 1 / math.sqrt(12.0)):
+                point = link @ (np.eye(4)[3] - share * along)
+                made.setdefault(carrier, []).append((beam.mass_kg / 2, point))
         before = joint.id if joint.moves else before
     return made
 
 
-def _frames(model: Model, context: Context, q: np.ndarray) -> list[np.ndarray]:
-    """(4, 4) frames of base, rows and tip at joints q."""
-    posture = model.posture(unstack(q), context)
+def _frames(model: Model, posture: Posture) -> list[np.ndarray]:
+    """(4, 4) frames of base, rows and tip."""
     frames = [posture.frames[posture.frame(k)] for k in range(len(model.arm.joints) + 1)]
     return [frame.matrix() for frame in (*frames, model.tip_frame(posture))]
 

@@ -80,7 +80,6 @@ COLUMNS = {
     "excess_mm": "excess",
 }
 """Figures of an error row, and what the page calls them."""
-SIDES = {1: "all joints from below", -1: "all joints from above"}
 
 
 def headline(report: DiagnosisReport) -> str:
@@ -206,7 +205,7 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, t
         if len(f.set) > 1 and tuple(f.set) not in split
     ]
     doubts = dict.fromkeys(d for found in report.discovered if found.kept for d in found.doubts)
-    more = len(report.next_poses) - sum(len(split.q) for split in detail.splits)
+    more = len(report.next_poses) - sum(split.poses for split in detail.splits)
     if doubts:
         poses = f": {more} poses in next_poses.csv would tell" if more > 0 else ""
         made.append((f"The function without a name is in doubt{poses}:", tuple(doubts)))
@@ -224,7 +223,7 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, t
 
 def _split_by(split: SetSplit) -> str:
     said = f"Whether it is {listed(list(split.members))}"
-    if not len(split.q):
+    if not split.poses:
         return f"{said}. {split.reason}"
     figure = f"expected odds {odds(split.expected_log_bayes_factor)}"
-    return f"{said}: {len(split.q)} poses in next_poses.csv would tell ({figure})."
+    return f"{said}: {split.poses} poses in next_poses.csv would tell ({figure})."

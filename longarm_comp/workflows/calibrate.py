@@ -11,17 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration import plausible
 from longarm_comp.core.calibration.calibrate import Rung, ladder, stages
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.plausible import (
-    check_carries_over,
-    check_fits,
-    check_sizes,
-    check_worth,
-)
 from longarm_comp.core.calibration.standing import untold
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.holdout import blocked_split
@@ -234,8 +229,8 @@ def calibrate(
     size, unit = (errors, "mm") if held_out.placed.any() else (turns, "mrad")
     held = size(last, held_out)
     for rung, than in ((rungs[1], "placed frames alone"), (rungs[0], "the declared arm")):
-        check_worth(held, size(rung.model, held_out), whole.source, than, unit)
-    check_carries_over(size(last, train), held, whole.source, unit)
+        plausible.check_worth(held, size(rung.model, held_out), whole.source, than, unit)
+    plausible.check_carries_over(size(last, train), held, whole.source, unit)
     tell("all rows", (steps - 1) / steps)
     if kind is None:
         final = fit(last, whole)
@@ -245,8 +240,8 @@ def calibrate(
             terms = [term for _, each in chosen for term in each]
             final = fit(final.model.plus(*terms), whole, usual=kind.noise)
         final = folded(final)
-    check_fits(final.model, whole)
-    check_sizes(final.model, whole.source)
+    plausible.check_fits(final.model, whole)
+    plausible.check_sizes(final.model, whole.source)
     return Calibration(tuple(rungs), len(chosen), len(held_out), final, whole, seed, origin)
 
 

@@ -136,7 +136,11 @@ def evaluate(
     taken_off = {name: np.zeros(3) for name in models}
     outside, refused, learned = 0, 0, None
     if predictor is not None:
-        learned = inputs.predictor_of(predictor, arm, model)
+        if isinstance(predictor, Predictor):
+            inputs.check_predictor(predictor, inputs.physics(arm, model), "predictor")
+            learned = predictor
+        else:
+            learned = inputs.load_predictor(predictor, arm, model)
         beside = learned.provenance.beside_deflection
         found = expected(learned, session)
         inside = np.asarray(found.in_domain)

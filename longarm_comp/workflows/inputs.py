@@ -137,14 +137,6 @@ def load_predictor(path: FilePath, arm: Arm, model: ModelLike | None = None) -> 
     return predictor
 
 
-def predictor_of(given: Predictor | FilePath, arm: Arm, model: ModelLike | None) -> Predictor:
-    """A predictor in memory or in a file that belongs to the arm and the model."""
-    if isinstance(given, str | Path):
-        return load_predictor(given, arm, model)
-    check_predictor(given, physics(arm, model), "predictor")
-    return given
-
-
 def check_predictor(predictor: Predictor, model: Model, where: object) -> None:
     """Check that a predictor in memory was trained on the residual of this model."""
     origin = predictor.provenance
