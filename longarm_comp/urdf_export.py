@@ -110,13 +110,13 @@ def _rows(model: Model, context: Context) -> tuple[list[Placed], np.ndarray, dic
             placed.append((joint, before @ step, np.array([0.0, 0.0, 1.0])))
             before = inner[joint.id] = np.eye(4)
             continue
-        axis, point = _screw(turn, moved, joint.type == "prismatic")
+        slides = joint.type == "prismatic"
+        axis, point = _screw(turn, moved, slides)
         shift = np.eye(4)
         shift[:3, 3] = point
-        turned = np.zeros(3) if joint.type == "prismatic" else -values[0, k] * axis
-        slid = -values[0, k] * axis if joint.type == "prismatic" else np.cross(point, turned)
-        back = exp_large((*slid, *turned)).matrix()
-        placed.append((joint, before @ step @ back @ shift, axis))
+        back = -values[0, k] * axis
+        twist = (*back, *np.zeros(3)) if slides else (*np.cross(point, back), *back)
+        placed.append((joint, before @ step @ exp_large(twist).matrix() @ shift, axis))
         before = inner[joint.id] = np.linalg.inv(shift)
     return placed, before @ _within(at[-2], at[-1]), inner
 
@@ -135,10 +135,11 @@ def _bodies(
     at = _frames(model, posture)
     before = 0
     for joint, row in zip(model.arm.joints, posture.chain.rows, strict=True):
-        stays_on_slide = joint.type == "prismatic"
+        before_rest = joint.type == "prismatic"
         for beam in (b for b in model.arm.links if b.row == joint.id):
-            stays_on_slide = stays_on_slide and beam.length_m != "rest"
-            stays = beam.role == "a" or stays_on_slide
+            if beam.role == "d" and beam.length_m == "rest":
+                before_rest = False
+            stays = beam.role == "a" or before_rest
             carrier = before if stays else joint.id
             if carrier == 0 or carrier not in inner:
                 continue  # it stands on the ground, or is carried by what is no part of the arm

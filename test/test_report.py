@@ -21,7 +21,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.report import cards, record, words
 from longarm_comp.report.detail import Input, SeenRows
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.write import write_report
+from longarm_comp.report.pages import write_report
 
 SECTIONS = [
     *("verdict", "todo", "findings", "untested", "errors", "distribution", "scene", "guilty"),

@@ -26,8 +26,8 @@ from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import assemble, cards, record, words
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
+from longarm_comp.report.pages import page as rendered
 from longarm_comp.report.words import DASH, open_questions
-from longarm_comp.report.write import page as rendered
 
 
 def test_the_real_one_has_findings_of_both_sides() -> None:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES, camera_path
+from longarm_comp.arm_folder.head import View
 from longarm_comp.arm_folder.make import ARM, NODES
 from longarm_comp.arm_folder.measured import FILE, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, strangers
-from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Beam, Rect, Tube
 from longarm_comp.core.data.plan import sobol

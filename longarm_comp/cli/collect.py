@@ -67,7 +67,7 @@ def command(
       longarm collect arm.yaml poses.csv -o session_1
       longarm collect arm.yaml poses.csv -o session_1 --sides both --repeats 10 --resume
     """
-    from longarm_comp.arm_folder.visible import view_beside
+    from longarm_comp.arm_folder.head import view_beside
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.data.plan import above, from_both_sides, with_random_sides
     from longarm_comp.core.model.declared_model import declared_model

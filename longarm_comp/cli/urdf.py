@@ -66,15 +66,12 @@ def import_urdf(urdf: Path, base: str, tip: str, output: Path) -> None:
     Example:
       longarm import-urdf panda.urdf --base panda_link0 --tip panda_link8 -o arm.yaml
     """
-    import yaml
-
     from longarm_comp import urdf as read
-    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.arm_folder.make import arm_file
     from longarm_comp.core.files import write_text
 
     data = read.import_urdf(urdf, base, tip)
-    arm = Arm.parse(data, str(urdf))
-    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
-    write_text(output, f"# From {urdf.name}, {base} to {tip}; add `links` where it bends.\n{text}")
+    text, arm = arm_file(data, f"From {urdf.name}, {base} to {tip}.", {}, seen=False)
+    write_text(output, text)
     note(f"{arm.n} joints ({', '.join(arm.joint_names)}) in {output}")
     note_link_places(arm)

@@ -31,7 +31,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
 from longarm_comp.report.assemble import assemble, refused
 from longarm_comp.report.detail import SPLITS
-from longarm_comp.report.write import write_report
+from longarm_comp.report.pages import write_report
 from longarm_comp.sessions.poses import FILE, write_poses
 from longarm_comp.version import __version__
 from longarm_comp.workflows import inputs

@@ -20,7 +20,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64, String
 
-from longarm_comp.arm_folder.visible import View
+from longarm_comp.arm_folder.head import View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.rest import NO_REST
