@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.arm_folder.camera_files import SIDES, camera_path
 from longarm_comp.arm_folder.parameter_file import own_parameters, parameters_of
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
@@ -239,7 +240,6 @@ class View:
 
 def view_beside(arm: Path) -> View | None:
     """What the cameras see by the files beside an arm.yaml; None where there are none."""
-    from longarm_comp.arm_folder.camera_files import SIDES, camera_path
     from longarm_comp.devices.stereo.camera_file import read_camera
 
     folder = arm.absolute().parent

@@ -44,29 +44,29 @@ def scan(port: str | None, **line: Any) -> None:
       longarm servo scan --port /dev/ttyUSB0
       longarm servo scan --port /dev/ttyUSB0 --protocol feetech --baud 1000000 --ids 1-20 --json
     """
-    found = scanned(asked_port("servo scan", port, None), **line)
+    found = _scanned("servo scan", port, **line)
     print_json(asdict(found))
     _show(found)
 
 
-def asked_port(command: str, port: str | None, known: str | None) -> str:
-    """The port, asked where it is not given. ``known``: what the servo file has."""
-    from longarm_comp.devices.servo_bus.registry import usable_ports
-
-    if port is not None:
-        return port
-    found = usable_ports()
-    for device, description in found:
-        note(f"{device}  {description}")
-    default = found[0][0] if len(found) == 1 else known
-    return str(ask(command, "--port", "serial port", "a serial port", default=default))
-
-
-def scanned(
-    port: str, protocol: str | None, baud: int | None, ids: str, timeout: float = 0.02
+def _scanned(
+    command: str,
+    port: str | None,
+    protocol: str | None,
+    baud: int | None,
+    ids: str,
+    timeout: float = 0.02,
+    known: str | None = None,
 ) -> Scan:
-    from longarm_comp.devices.servo_bus.registry import scan_line
+    """The servos that answer; a port that is not given is asked. `known`: the servo file has it."""
+    from longarm_comp.devices.servo_bus.registry import scan_line, usable_ports
 
+    if port is None:
+        there = usable_ports()
+        for device, description in there:
+            note(f"{device}  {description}")
+        default = there[0][0] if len(there) == 1 else known
+        port = str(ask(command, "--port", "serial port", "a serial port", default=default))
     with progress("scan") as tell:
         found = scan_line(port, protocol, baud, _ids(ids), timeout, tell)
     if found is None:
@@ -121,7 +121,7 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
     """
     from longarm_comp.devices.servo_bus.registry import renumber
 
-    found = scanned(asked_port("servo set-id", port, None), **line)
+    found = _scanned("servo set-id", port, **line)
     old = renumber(found, servo_id)
     note(f"servo {old} is servo {servo_id} now: write it on the servo")
     note("next: connect the next servo alone; when all are done, longarm servo setup DIR")
@@ -208,7 +208,7 @@ def setup(
         raise InputError(file, "servo file", "missing", "`longarm init` makes it")
     config = ServoConfig.load(file)
     held, directions, bus = _held(config, pose), _given(config, direction), config.bus
-    found = scanned(asked_port(_COMMAND, port, bus.port), **line)
+    found = _scanned(_COMMAND, port, known=bus.port, **line)
     _show(found)
     blind = _on_the_bus(config, found)
     wait("The torque goes off: hold or support the arm.")
