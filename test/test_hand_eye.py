@@ -11,9 +11,8 @@ import pytest
 from cli_shell import Shell
 from servo_bench import folder as arm_folder
 
-from longarm_comp.arm_folder.camera_files import head_at
 from longarm_comp.arm_folder.check import check_folder
-from longarm_comp.arm_folder.measured import note_measured, read_measured
+from longarm_comp.arm_folder.measured import head_at, note_measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
 from longarm_comp.arm_folder.servos import SERVOS
 from longarm_comp.core.arm.arm import Arm

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES, camera_path
 from longarm_comp.arm_folder.head import View, head_for
 from longarm_comp.arm_folder.make import ARM, NODES
-from longarm_comp.arm_folder.measured import FILE, read_measured
+from longarm_comp.arm_folder.measured import CAMERAS, FILE, SIDES, camera_path, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, strangers
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Beam, Rect, Tube

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.arm_folder.camera_files import SIDES, camera_path
+from longarm_comp.arm_folder.measured import SIDES, camera_path
 from longarm_comp.arm_folder.parameter_file import own_parameters, parameters_of
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm

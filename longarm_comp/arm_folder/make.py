@@ -33,7 +33,8 @@ _COMMENTS = {
     "point_masses": "Servos, grippers, links without a beam: kg, and the place in a row's frame.",
     "camera": "Left camera of the stereo head, in the base frame: as in stereo_bridge.yaml.",
 }  # fmt: skip
-_NO_LINKS = """No beam is declared: the arm is taken as rigid. For what bends (docs/arm.md):
+_NO_LINKS = """No beam is declared: the arm is taken as rigid. What bends (docs/arm.md)
+can lie along {places}:
 links:
   - {{name: boom, row: {row}, role: {role}, length_m: {length:.4g},
      section: {{type: tube, od_m: 0.03, id_m: 0.026}}, E_pa: 6.9e+10, poisson: 0.33, mass_kg: 0.19,
@@ -86,8 +87,10 @@ def arm_file(
                 lines.append(f"  - {one_line(dict(row))}" + (f"  # {beside}" if beside else ""))
         else:
             lines.append(f"{key}: {one_line(value)}")
-    row, role, size = (link_places(arm.joints) or [(1, "a", 0.4)])[0]
-    no_links = _NO_LINKS.format(row=row, role=role, length=abs(size))
+    places = link_places(arm.joints) or [(1, "a", 0.4)]
+    named = ", ".join(f"row {row} {role} {size:.4g} m" for row, role, size in places)
+    row, role, size = places[0]
+    no_links = _NO_LINKS.format(places=named, row=row, role=role, length=abs(size))
     for key, text in (("links", no_links), ("payload", _NO_PAYLOAD), ("camera", _NO_CAMERA)):
         if not whole.get(key):
             lines += _commented(text)

@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import note, note_link_places, print_json, print_rows
-from longarm_comp.core.errors import InputError
+from longarm_comp.cli.output import note, print_json, print_rows
+from longarm_comp.cli.signals import by_name
 
 
 @click.command()
@@ -69,7 +69,9 @@ def command(
 
     of_columns = tuple(u.strip() for u in units.split(",") if u.strip())
     declared = None if arm is None else Arm.load(arm)
-    said = Options(of_columns, _pairs(pairs), arm=declared, sort=sort, **told)
+    each = [pair for text in pairs for pair in text.split(",")]
+    given = by_name("import-data", "--map", each, "COLUMN=NAME")
+    said = Options(of_columns, given, arm=declared, sort=sort, **told)
     found = import_table(files, said if like is None else said.like(like))
     mapping = found.save(output)
     rows = found.preview()
@@ -91,16 +93,6 @@ def command(
     if found.assumed:
         note(f"{', '.join(found.assumed)}: taken to turn; --arm says which joints slide")
     note(f"{output} written, mapping in {mapping}")
-
-
-def _pairs(given: tuple[str, ...]) -> dict[str, str]:
-    made: dict[str, str] = {}
-    for pair in (p for text in given for p in text.split(",")):
-        source, equals, name = pair.partition("=")
-        if not equals or not source.strip() or not name.strip() or source.strip() in made:
-            raise InputError("import-data", "--map", pair, "COLUMN=NAME, each column once")
-        made[source.strip()] = name.strip()
-    return made
 
 
 @click.command("export-urdf")
@@ -166,4 +158,3 @@ def import_urdf(urdf: Path, base: str, tip: str, output: Path) -> None:
     text, arm = arm_file(data, f"From {urdf.name}, {base} to {tip}.", {}, seen=False)
     write_text(output, text)
     note(f"{arm.n} joints ({', '.join(arm.joint_names)}) in {output}")
-    note_link_places(arm)

@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, note_link_places, print_json, say
+from longarm_comp.cli.output import note, print_json, say
+from longarm_comp.cli.signals import numbers_by_name
 from longarm_comp.core.errors import InputError, JobError
 
 
@@ -90,7 +91,6 @@ def command(
 
     make.check_free(out)
     _one_source(urdf, like, arm, rows)
-    made: Arm | None = None
     if like is not None:
         files = make.demonstration()
     else:
@@ -102,7 +102,7 @@ def command(
                 data, where = import_urdf(urdf, base, tip), f"{urdf.name}, {base} to {tip}"
             else:
                 data, where = arm_of(name or out.name, rows, tip_at, payload), "a DH table"
-            homes = dict(map(_home, home))
+            homes = numbers_by_name("init", "--home", home, "JOINT=DEG, for instance joint2=30")
             if range_deg is None and hobby:
                 range_deg = make.in_sight(data, homes)
             elif range_deg is None:
@@ -119,8 +119,6 @@ def command(
     make.write_folder(out, files)
     print_json({"folder": out, "files": list(files)})
     note(f"{', '.join(files)} in {out}")
-    if made is not None:
-        note_link_places(made)
     then = f"longarm up {out}/arm.yaml --sim"
     if only_arm:
         then = f"longarm import-data FILE --arm {out}/arm.yaml -o {out}/samples.csv"
@@ -140,14 +138,6 @@ def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Seq
     if len(given) != 1:
         allowed = "one of --urdf FILE, --like demo, --arm FILE, --joint ROW --joint ROW ..."
         raise InputError("init", "source", " and ".join(given) or "none", allowed)
-
-
-def _home(text: str) -> tuple[str, float]:
-    joint, _, degrees = text.rpartition("=")
-    try:
-        return joint, float(degrees)
-    except ValueError:
-        raise InputError("init", "--home", text, "JOINT=DEG, for instance joint2=30") from None
 
 
 @click.command()

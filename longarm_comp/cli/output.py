@@ -11,13 +11,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
-
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
 
 _QUIET_S = 10.0
 """A reader of lines wants to know that the job goes on, not each of its steps."""
@@ -35,16 +32,6 @@ def _as_json() -> bool:
 def note(text: str) -> None:
     """Print a note on stderr."""
     click.echo(f"longarm: {text}", err=True)
-
-
-def note_link_places(arm: Arm) -> None:
-    """Say where links can be declared, of an arm that has none."""
-    from longarm_comp.core.arm.parts import link_places
-
-    if not arm.links and (places := link_places(arm.joints)):
-        named = (f"row {row} ({arm.joints[row - 1].name or f'joint{row}'}) {role} {size:.4g} m"
-                 for row, role, size in places)  # fmt: skip
-        note(f"no beam is declared; links (docs/arm.md) can lie along {', '.join(named)}")
 
 
 @contextmanager

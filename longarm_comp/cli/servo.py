@@ -16,7 +16,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_table, progress
-from longarm_comp.cli.signals import ask, by_name, go_on, handled
+from longarm_comp.cli.signals import ask, by_name, go_on, handled, numbers_by_name
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -261,32 +261,24 @@ def _held(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
 
     joints = config.joints
     held = {name: min(max(0.0, joint.lower), joint.upper) for name, joint in joints.items()}
-    for name, text in by_name(_COMMAND, "--pose", pose, list(joints)).items():
-        held[name] = _number(text) * hand_unit(joints[name])[0]
+    form = "JOINT=NUMBER, deg or mm"
+    for name, value in numbers_by_name(_COMMAND, "--pose", pose, form, list(joints)).items():
+        held[name] = value * hand_unit(joints[name])[0]
     return held
 
 
 def _given(config: ServoConfig, direction: Sequence[str]) -> dict[str, int]:
     """+1 or -1 of the joints whose direction is given: of all where nobody is there to be asked."""
-    given = by_name(_COMMAND, "--direction", direction, list(config.joints))
+    form = "JOINT=+ or JOINT=-"
+    given = by_name(_COMMAND, "--direction", direction, form, list(config.joints))
     for text in given.values():
         if text not in _SIGNS:
-            raise InputError(_COMMAND, "--direction", text, "JOINT=+ or JOINT=-")
+            raise InputError(_COMMAND, "--direction", text, form)
     blind = [name for name in config.joints if name not in given]
     if blind and not sys.stdin.isatty():
         allowed = f"+ or - of {', '.join(blind)}; or a terminal to ask on"
         raise InputError(_COMMAND, "--direction", "missing", allowed)
     return {name: _SIGNS[text] for name, text in given.items()}
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < 1e6:
-        raise InputError(_COMMAND, "--pose", text, "JOINT=NUMBER, deg or mm")
-    return value
 
 
 def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:

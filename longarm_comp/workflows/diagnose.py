@@ -84,12 +84,8 @@ class DiagnosisResult:
     @property
     def held_out(self) -> ErrorTable:
         """Errors of every model on the hold-out."""
-        found = self.diagnosis
-        seen, commanded = (
-            {name: Errors.of(error) for name, error in left.items()}
-            for left in (found.errors, found.commanded)
-        )
-        return ErrorTable(seen, commanded)
+        commanded = {name: Errors.of(e) for name, e in self.diagnosis.commanded.items()}
+        return ErrorTable(self.diagnosis.rows, commanded)
 
     def _repr_html_(self) -> str:
         return html_table(self.summary, self.held_out.rows)
