@@ -6,13 +6,20 @@ A name of two words is a command of a group.
 from __future__ import annotations
 
 import importlib
+import sys
+from pathlib import Path
 from typing import NamedTuple
 
 import click
 
+from longarm_comp.core.errors import JobError
+
 
 class Entry(NamedTuple):
-    """One command: ``module:name`` of its click command, which is else named `command`."""
+    """One command: ``module:name`` of its click command, which is else named `command`.
+
+    A module with a point in its name is of a checkout and not installed.
+    """
 
     name: str
     module: str
@@ -20,10 +27,22 @@ class Entry(NamedTuple):
 
     def load(self, folder: str = "longarm_comp.cli") -> click.Command:
         module, _, name = self.module.partition(":")
-        command: click.Command = getattr(
-            importlib.import_module(f"{folder}.{module}"), name or "command"
-        )
+        if "." in module:
+            _use_checkout(module.partition(".")[0])
+        else:
+            module = f"{folder}.{module}"
+        command: click.Command = getattr(importlib.import_module(module), name or "command")
         return command
+
+
+def _use_checkout(folder: str) -> None:
+    """Make a folder of the checkout importable: from beside the package, else from here."""
+    for root in (Path(__file__).resolve().parents[2], Path.cwd()):
+        if (root / folder / "__init__.py").is_file():
+            if str(root) not in sys.path:
+                sys.path.append(str(root))
+            return
+    raise JobError(f"{folder} can only be run from a checkout of the project")
 
 
 COMMANDS = (
@@ -44,8 +63,8 @@ COMMANDS = (
     Entry("bag to-csv", "bag:to_csv", "Convert a bag to samples.csv."),
     Entry("find-port", "servo:find_port", "Find the serial port of the servo bus."),
     Entry("up", "up:up", "Start an arm's ROS graph, real or simulated."),
-    Entry("study", "study", "Print the figures of docs/studies.md, from a checkout."),
-    Entry("bench", "bench", "Compare the speed with other programs, from a checkout."),
+    Entry("study", "studies.commands", "Print the figures of docs/studies.md, from a checkout."),
+    Entry("bench", "bench.command", "Compare the speed with other programs, from a checkout."),
     Entry("demo", "up:demo", "Run the whole loop over the ROS graph on a simulated arm."),
     Entry("view", "attend:view", "Show the running graph in the browser, with buttons to stop it."),
     Entry("status", "attend:status", "Print the state of the running arm: problems, what to do."),
