@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import (
-    note,
-    print_effects,
-    print_json,
-    print_rows,
-    print_table,
-    progress,
-    say,
-)
+from longarm_comp.cli.output import note, print_effects, print_json, print_rows, progress, say
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
@@ -103,8 +95,7 @@ def fleet(folder: Path, output: Path, **how: Any) -> None:
     if all(arm.verdict == "failed" for arm in arms):
         raise JobError(f"no arm of {folder} could be diagnosed: {arms[0].summary}")
     print_json({"output": output, "arms": [arm.row for arm in arms]})
-    header = ("arm", "rows", "verdict", "in use, mm", "calibrated, mm", "diagnosed, mm", "found")
-    print_table(f"{len(arms)} arms", header, [_cells(arm) for arm in arms])
+    print_rows(f"{len(arms)} arms", [_cells(arm) for arm in arms])
     for arm in arms:
         if arm.verdict == "failed":
             note(f"{arm.name}: {arm.summary}")
@@ -114,11 +105,13 @@ def fleet(folder: Path, output: Path, **how: Any) -> None:
     note(f"page in {output / 'fleet.html'}; a diagnosis an arm and fleet.json beside it")
 
 
-def _cells(arm: Diagnosed) -> tuple[str, ...]:
+def _cells(arm: Diagnosed) -> dict[str, Any]:
     found: dict[str, list[str]] = {}
     for f in arm.findings:
         found.setdefault(f.effect, []).append(f.where + " (of the kind)" * f.of_kind)
     effects = "; ".join(f"{effect} at {', '.join(where)}" for effect, where in found.items())
-    mm = (arm.in_use_mm, arm.calibrated_mm, arm.diagnosed_mm)
-    said = ("" if value is None else f"{value:.2f}" for value in mm)
-    return (arm.name, str(arm.rows), arm.verdict, *said, effects)
+    return {
+        "arm": arm.name, "rows": arm.rows, "verdict": arm.verdict,
+        "in use, mm": arm.in_use_mm, "calibrated, mm": arm.calibrated_mm,
+        "diagnosed, mm": arm.diagnosed_mm, "found": effects,
+    }  # fmt: skip

@@ -10,15 +10,7 @@ import click
 import numpy as np
 
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import (
-    as_text,
-    kept_if_broken_off,
-    note,
-    print_json,
-    print_rows,
-    progress,
-    say,
-)
+from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, progress, say
 from longarm_comp.cli.signals import agreed, on_graph
 from longarm_comp.core.errors import JobError
 
@@ -178,7 +170,7 @@ def verify(
             kept, refused = choose(runner, draw, count, (Method.NONE, judged))
             result, report = verify(runner, kept, refused, judged, seed=seed, progress=show)
     if output is not None:
-        write_text(output / "verify.json", as_text(report))
+        write_text(output / "verify.json", outputs.json_text(report))
         result.picture(output / "verify.png")
         note(f"picture in {output / 'verify.png'}")
     print_json(report)

@@ -16,6 +16,8 @@ from typing import Any
 import click
 import numpy as np
 
+from longarm_comp.cli.outputs import json_text
+
 _QUIET_S = 10.0
 """A reader of lines wants to know that the job goes on, not each of its steps."""
 
@@ -45,18 +47,10 @@ def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
         raise
 
 
-def as_text(data: object) -> str:
-    """Results as JSON text; NaN becomes null."""
-    from pydantic import TypeAdapter
-
-    written = TypeAdapter(Any).dump_json(data, indent=2, fallback=lambda array: array.tolist())
-    return written.decode()
-
-
 def print_json(data: object) -> None:
     """Print results as JSON, with ``--json``."""
     if _as_json():
-        click.echo(as_text(data))
+        click.echo(json_text(data))
 
 
 def say(text: str) -> None:

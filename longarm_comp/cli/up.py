@@ -13,8 +13,8 @@ from typing import Any
 
 import click
 
-from longarm_comp.cli import options
-from longarm_comp.cli.output import as_text, note, print_json, print_rows, progress
+from longarm_comp.cli import options, outputs
+from longarm_comp.cli.output import note, print_json, print_rows, progress
 from longarm_comp.cli.signals import stop_on_signals
 from longarm_comp.core.errors import JobError
 
@@ -140,7 +140,7 @@ def demo(out: Path, arm: Path | None, targets: int, **given: Any) -> None:
     settings = DemoSettings(out, targets=targets, **said)
     with stop_on_signals() as stop, progress("demo", lines=True) as show:
         printed = demonstrate(settings, stop, show)
-    write_text(out / "demo.json", as_text(printed))
+    write_text(out / "demo.json", outputs.json_text(printed))
     print_json(printed)
     columns = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
     print_rows(f"{targets} fresh targets, 3-D errors; the paper's arm beside", columns)
