@@ -142,33 +142,26 @@ def verify(
     from longarm_comp.core.compensation.compensate import Method
     from longarm_comp.core.data.plan import random_targets, sobol
     from longarm_comp.core.files import write_text
-    from longarm_comp.jobs.targets import (
-        Draw,
-        TargetRunner,
-        choose,
-        method_at_work,
-        one_by_one,
-        verify,
-    )
+    from longarm_comp.jobs import targets as job
     from longarm_comp.nodes import interfaces as graph
     from longarm_comp.sessions.targets import read_targets
     from longarm_comp.workflows.inputs import physics
 
     drawn_from, rng = physics(arm, model), np.random.default_rng(seed)
-    draw: Draw = partial(random_targets, drawn_from, rng=rng)
+    draw: job.Draw = partial(random_targets, drawn_from, rng=rng)
     if targets is not None:
         given = read_targets(targets).xyz
-        draw, count = one_by_one(given), len(given)
+        draw, count = job.one_by_one(given), len(given)
     paced = pace(drawn_from, sobol(arm, 16, seed).q)
     tips = graph.TIP_BY_READINGS if by == "readings" else graph.TIP_MEASURED
     with on_graph("verify", namespace, arm, tips=tips) as client, progress("verify") as show:
         client.ready()
         with kept_if_broken_off(lambda: _BROKEN_OFF):
-            runner = TargetRunner(client, paced)
+            runner = job.TargetRunner(client, paced)
             runner.ready(drawn_from.tip(arm.mid), 30.0)
-            judged = Method(method) if method else method_at_work(client)
-            kept, refused = choose(runner, draw, count, (Method.NONE, judged))
-            result, report = verify(runner, kept, refused, judged, seed=seed, progress=show)
+            judged = Method(method) if method else job.method_at_work(client)
+            kept, refused = job.choose(runner, draw, count, (Method.NONE, judged))
+            result, report = job.verify(runner, kept, refused, judged, seed=seed, progress=show)
     if output is not None:
         write_text(output / "verify.json", outputs.json_text(report))
         result.picture(output / "verify.png")
