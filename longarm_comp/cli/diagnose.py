@@ -1,4 +1,4 @@
-"""``longarm diagnose`` and ``fleet``: what one arm's model lacks, and many arms compared."""
+"""``longarm diagnose``, ``fleet`` and ``effects``: what models lack, of the library of effects."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from longarm_comp.cli.output import note, print_effects, print_json, print_rows,
 from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
+    from longarm_comp.core.effects.parameters import Parameter
     from longarm_comp.workflows.fleet import Diagnosed
+
+_SHOWN = ("name", "unit", "prior", "unknown", "lower", "upper")
 
 
 @click.command()
@@ -115,3 +118,49 @@ def _cells(arm: Diagnosed) -> dict[str, Any]:
         "in use, mm": arm.in_use_mm, "calibrated, mm": arm.calibrated_mm,
         "diagnosed, mm": arm.diagnosed_mm, "found": effects,
     }  # fmt: skip
+
+
+@click.command()
+@options.effects
+@options.as_json
+def effects() -> None:
+    """Print the library of effects: parameters, units, priors, bounds, needed inputs.
+
+    \b
+    Example:
+      longarm effects
+      longarm effects --json
+      longarm effects --effects my_effects.py
+    """
+    from longarm_comp.core.effects.catalogue import origin, registered
+    from longarm_comp.core.effects.effect import Bias
+
+    facts, lines = [], []
+    for name, kind in registered().items():
+        meaning = " ".join((kind.__doc__ or "").split("\n\n")[0].split())
+        source, parameters = origin(kind), kind.declared()
+        facts.append(
+            {
+                "effect": name,
+                "side": "camera" if issubclass(kind, Bias) else "arm",
+                "geometry": kind.geometry,
+                "from": source or "longarm_comp",
+                "meaning": meaning,
+                "needs": kind.needs,
+                "parameters": [{key: getattr(p, key) for key in _SHOWN} for p in parameters],
+            }
+        )
+        listed = "; ".join(map(_in_words, parameters))
+        where = f" ({source})" if source else ""
+        lines.append({
+            "effect": name, "what": meaning + where,
+            "parameters (unit, prior, bounds)": listed or "none", "needs": ", ".join(kind.needs),
+        })  # fmt: skip
+    print_json(facts)
+    print_rows(f"{len(lines)} effects", lines)
+
+
+def _in_words(p: Parameter) -> str:
+    bounds = [f"{sign} {end:g}" for sign, end in ((">=", p.lower), ("<=", p.upper))]
+    given = [text for text in bounds if "inf" not in text]
+    return f"{p.name} ({', '.join([p.unit, 'unknown' if p.unknown else f'{p.prior:g}', *given])})"

@@ -61,7 +61,7 @@ class _Change:
         shown = []
         for name, unit, *values in self.values:
             times, read = for_people(unit)
-            before, after = (_number(times * value) for value in values)
+            before, after = ("none" if np.isnan(v) else f"{times * v:.4g}" for v in values)
             shown.append(f"{name} {before} -> {after} {read}")
         listed = f" ({', '.join(shown)})" if shown else ""
         return f"{self.what}{place} {self.kind}: {self.tip_mm:.3f} mm at the tip{listed}"
@@ -269,10 +269,6 @@ def _values(old: Term | None, new: Term | None, model: Model) -> tuple[Value, ..
         if not np.isclose(was, now, rtol=1e-9, atol=0.0):
             rows.append((p.name, p.unit, was, now))
     return tuple(rows)
-
-
-def _number(value: float) -> str:
-    return "none" if np.isnan(value) else f"{value:.4g}"
 
 
 _HASH = 12

@@ -217,9 +217,14 @@ def diagnose(
             allowed = "rows that say where the tip is (longarm calibrate takes orientations alone)"
             raise InputError(rows.source, "x, y, z", "blank in all rows", allowed)
     kind, origin_of_kind = kind_from(arm, kind_of) if kind_of else (None, "")
+
+    def train_on(fitted: Model, rows: Session) -> Predictor:
+        origin = Provenance(arm.hash, rows.hash, arm.joint_names, {"deflection": True})
+        return networks.train(*training_rows(fitted, rows), seed=seed, provenance=origin)
+
     found = core.diagnose(
         arm, whole, test=held_out, model=known, kind=kind, seed=seed,
-        progress=inputs.teller(progress), train_network=_train(seed) if network else None,
+        progress=inputs.teller(progress), train_network=train_on if network else None,
     )  # fmt: skip
     facts = {"session": _path(session).name, "arm": arm.hash, "rows": str(len(whole))}
     if test is not None and held_out is not None:
@@ -262,16 +267,6 @@ def diagnose_files(
     inputs.teller(progress)("report")
     found.save(folder)
     return found
-
-
-def _train(seed: int) -> core.Train:
-    def train_on(model: Model, session: Session) -> Predictor:
-        arm = model.arm
-        origin = Provenance(arm.hash, session.hash, arm.joint_names, {"deflection": True})
-        rows = training_rows(model, session)
-        return networks.train(*rows, seed=seed, provenance=origin)
-
-    return train_on
 
 
 def _path(given: inputs.SessionLike) -> Path:
