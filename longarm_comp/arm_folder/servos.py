@@ -33,7 +33,9 @@ def with_joints(
         for key in KEYS:
             if getattr(joint, key) != getattr(old.joints[name], key):
                 values["joints", name, key] = getattr(joint, key)
-    return edited(text, values, where)
+    made = edited(text, values, where)
+    ServoConfig.parse(parse_yaml(made, str(where)), str(where))  # refuses what does not fit a turn
+    return made
 
 
 DEFAULT_MODEL = "sts3215"
