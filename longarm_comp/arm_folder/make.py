@@ -116,7 +116,6 @@ def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False)
 
 
 def demonstration() -> dict[str, str]:
-    """Texts of the demonstration's files by name."""
     files = {f"{node}.yaml": own_text(node) for node in NODES}
     return {ARM: (folder("config") / "arm_demo.yaml").read_text("utf-8"), **files}
 

@@ -41,7 +41,6 @@ class Measured:
 
 
 def read_measured(folder: Path) -> dict[str, Measured]:
-    """Measurements of a folder by file name."""
     path = folder / FILE
     if not path.is_file():
         return {}

@@ -102,7 +102,6 @@ def json_text(data: object) -> str:
 
 
 def diagnosed(path: Path) -> list[Path]:
-    """Files of a diagnosis in its folder."""
     return [path / name for name in _DIAGNOSED]
 
 

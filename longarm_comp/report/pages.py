@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 @cache
 def template(name: str) -> jinja2.Template:
-    """A template of this package, compiled once."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("longarm_comp.report"),
         autoescape=True,
@@ -43,7 +42,6 @@ def template(name: str) -> jinja2.Template:
 
 
 def data_uri(svg: bytes) -> str:
-    """A picture as an address that holds it."""
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
 
 

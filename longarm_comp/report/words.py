@@ -44,7 +44,6 @@ def to_three_places(value: float | None) -> str:
 
 
 def odds(log_bayes_factor: float) -> str:
-    """A log Bayes factor as odds."""
     power = abs(log_bayes_factor) / np.log(10)
     if power < 4:
         larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"
@@ -110,7 +109,6 @@ COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", 
 
 
 def meaning(report: DiagnosisReport) -> str:
-    """The verdict in one sentence."""
     n, open_ = len(report.findings), sum(f.open for f in report.findings)
     left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
     explain = _counted(n, "physical effect") + (" explains" if n == 1 else " explain")
