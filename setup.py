@@ -35,7 +35,6 @@ RUNTIME = [
     "ruamel.yaml>=0.17.21",
     "scipy>=1.12",
     "typing-extensions>=4.6",
-    "urdf-parser-py>=0.0.4",
 ]
 
 PEERS = ["ikpy", "mcap-ros2-support", "pytracik", "roboplan", "roboticstoolbox-python"]
@@ -50,7 +49,7 @@ EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
     "bench": PEERS,  # longarm bench, what it compares with
     "studies": STUDIES,  # longarm study table1, study loop
-    "cluster": [*STUDIES, *CLUSTER],  # study loop, fleet: --dask
+    "cluster": [*STUDIES, *CLUSTER],  # study loop --dask
     "docs": DOCS,  # make docs
     "view": VIEW,  # longarm view
     "path": PATH,  # limits of velocity and acceleration along compensated paths

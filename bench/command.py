@@ -10,7 +10,7 @@ import click
 from bench import catalogue, comparison, machine
 from bench.plot import draw
 from longarm_comp.cli import options, outputs
-from longarm_comp.cli.output import as_text, note, print_json, print_rows, progress
+from longarm_comp.cli.output import note, print_json, print_rows, progress
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import atomic_path, write_text
 
@@ -61,7 +61,7 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool) -> None:
             results["results"].append(_measured(name))
             results["load"][1] = machine.load()
             if output is not None:  # after every row, so that an early stop keeps the results
-                write_text(output / "results.json", as_text(results) + "\n")
+                write_text(output / "results.json", outputs.json_text(results) + "\n")
     title = f"{results['machine']}; load {{:.1f}} to {{:.1f}}".format(*results["load"])
     if output is not None:
         with atomic_path(output / "results.png") as partial:

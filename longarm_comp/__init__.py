@@ -32,7 +32,7 @@ _MODULE_OF = {
     "diagnose": "workflows.diagnose",
     "effects": "core.effects.catalogue",
     "evaluate": "workflows.evaluate",
-    "import_table": "workflows.import_table",
+    "import_table": "workflows.inputs",
     "load_model": "core.model.model_file",
     "load_predictor": "workflows.inputs",
     "plan": "workflows.plan",
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from longarm_comp.workflows.compensate_path import compensate_path as compensate_path
     from longarm_comp.workflows.diagnose import diagnose as diagnose
     from longarm_comp.workflows.evaluate import evaluate as evaluate
-    from longarm_comp.workflows.import_table import import_table as import_table
+    from longarm_comp.workflows.inputs import import_table as import_table
     from longarm_comp.workflows.inputs import load_predictor as load_predictor
     from longarm_comp.workflows.plan import plan as plan
     from longarm_comp.workflows.train import train as train

@@ -16,8 +16,7 @@ _SOURCES = Path(__file__).resolve().parents[1]
 
 def folder(name: str) -> Path:
     """``config`` or ``launch`` of this package: of its checkout, else as installed."""
-    places = [_SOURCES / name] if _is_checkout() else []
-    places += installed(PACKAGE, name)
+    places = [*_in_checkout(name), *_installed(PACKAGE, name)]
     for place in places:
         if place.is_dir():
             return place
@@ -26,17 +25,15 @@ def folder(name: str) -> Path:
 
 def interface_folders(package: str, kind: str) -> list[Path]:
     """Where ``msg`` or ``srv`` files of a package may be: as installed, else of the checkout."""
-    beside = [_SOURCES / package / kind] if _is_checkout() else []
-    return installed(package, kind) + beside
+    return [*_installed(package, kind), *_in_checkout(package, kind)]
 
 
-def installed(package: str, name: str) -> list[Path]:
-    """Where a folder of an installed package may be, in the order to look."""
+def _installed(package: str, name: str) -> list[Path]:
     return [prefix / "share" / package / name for prefix in dict.fromkeys(_prefixes())]
 
 
-def _is_checkout() -> bool:
-    return (_SOURCES / "package.xml").is_file()
+def _in_checkout(*names: str) -> list[Path]:
+    return [_SOURCES.joinpath(*names)] if (_SOURCES / "package.xml").is_file() else []
 
 
 def _prefixes() -> Iterator[Path]:

@@ -131,11 +131,11 @@ def _carried(
     """Point masses of a link and of all that hangs on it beside the chain."""
     made = []
     for name, place in robot.below(link, following, at):
-        held = robot.links[name]
-        if held.mass > 0:
-            position = [_tidy(v) for v in (place @ np.append(held.com, 1.0))[:3]]
-            mass = {"name": name, "frame": frame, "position_m": position, "mass_kg": held.mass}
-            made.append(mass)
+        mass, centre = robot.links[name]
+        if mass > 0:
+            position = [_tidy(v) for v in (place @ np.append(centre, 1.0))[:3]]
+            held = {"name": name, "frame": frame, "position_m": position, "mass_kg": mass}
+            made.append(held)
     return made
 
 

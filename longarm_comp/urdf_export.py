@@ -10,36 +10,21 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import exp_large, roll_pitch_yaw
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.link_frames import BASE_LINK, TIP, joint_name, link_name
 from longarm_comp.core.model.model import Model, unstack
 
-
-@dataclass(frozen=True)
-class _ZeroOffset:
-    """What a joint stands at when it is commanded zero: rad or m. It is in the origins already."""
-
-    joint: str
-    value: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class _Placed:
-    """A row in the URDF: its joint's frame in the one before (4, 4), and its axis there."""
-
-    joint: Joint
-    origin: np.ndarray
-    axis: np.ndarray
+Placed = tuple[Joint, np.ndarray, np.ndarray]
+"""A row in the URDF: its joint, the joint's frame in the one before (4, 4), and its axis there."""
 
 
 def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
@@ -59,7 +44,7 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
     ET.SubElement(root, "link", {"name": BASE_LINK})
     parent = BASE_LINK
     for row in placed:
-        joint = row.joint
+        joint, _, _ = row
         node = ET.SubElement(root, "link", {"name": link_name(joint)})
         held = [m for m in arm.point_masses if m.frame == joint.id and not m.position_columns]
         points = [(m.mass_kg, inner[joint.id] @ np.append(m.position_m, 1.0)) for m in held]
@@ -73,15 +58,18 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def zero_offsets(model: Model) -> list[_ZeroOffset]:
-    """What the model says of the joints' zeros, for a driver that corrects them itself."""
+def zero_offsets(model: Model) -> list[tuple[str, float, str]]:
+    """(joint, value, unit) where joints stand when they are commanded zero, rad or m.
+
+    It is in the origins already; a driver may correct it instead.
+    """
     made = []
     for term in model.effects:
         if term.geometry and term.displaces_joint:
             (parameter,) = term.parameters(model.arm)
             row = model.arm.joints[term.joints[0] - 1]
             value = float(getattr(term, parameter.name))
-            made.append(_ZeroOffset(joint_name(row), value, parameter.unit))
+            made.append((joint_name(row), value, parameter.unit))
     return made
 
 
@@ -99,17 +87,15 @@ def _context(model: Model, group: str, marker: str) -> Context:
     return Context(labels=labels)
 
 
-def _rows(
-    model: Model, context: Context
-) -> tuple[list[_Placed], np.ndarray, dict[int, np.ndarray]]:
+def _rows(model: Model, context: Context) -> tuple[list[Placed], np.ndarray, dict[int, np.ndarray]]:
     """Placed rows; the tip in the last one's link; each row's frame in its link."""
     arm = model.arm
     reach = np.maximum(np.abs(arm.mixing[0]).max(axis=0), 1.0)
     start = arm.mid
     end = start + np.minimum(0.25 * (arm.upper - arm.lower), 1.0) / reach
-    at, then = _frames(model, context, start), _frames(model, context, end)
+    at, then = (_frames(model, model.posture(unstack(q), context)) for q in (start, end))
     values = np.stack([start, end]) @ arm.mixing[0].T + arm.mixing[1]
-    placed: list[_Placed] = []
+    placed: list[Placed] = []
     inner: dict[int, np.ndarray] = {0: np.eye(4)}
     before = at[0]  # the frame before in its link; the first link is the measuring frame
     for k, joint in enumerate(arm.joints):
@@ -117,20 +103,20 @@ def _rows(
         turn = _within(step, _within(then[k], then[k + 1]))
         moved = values[1, k] - values[0, k]
         if not joint.moves:  # a link of its own at the base, which only leads others
-            placed.append(_Placed(joint, np.eye(4), np.array([0.0, 0.0, 1.0])))
+            placed.append((joint, np.eye(4), np.array([0.0, 0.0, 1.0])))
             before = before @ step
             continue
         if joint.type == "fixed" or moved == 0.0:
-            placed.append(_Placed(joint, before @ step, np.array([0.0, 0.0, 1.0])))
+            placed.append((joint, before @ step, np.array([0.0, 0.0, 1.0])))
             before = inner[joint.id] = np.eye(4)
             continue
-        axis, point = _screw(turn, moved, joint.type == "prismatic")
+        slides = joint.type == "prismatic"
+        axis, point = _screw(turn, moved, slides)
         shift = np.eye(4)
         shift[:3, 3] = point
-        turned = np.zeros(3) if joint.type == "prismatic" else -values[0, k] * axis
-        slid = -values[0, k] * axis if joint.type == "prismatic" else np.cross(point, turned)
-        back = exp_large((*slid, *turned)).matrix()
-        placed.append(_Placed(joint, before @ step @ back @ shift, axis))
+        back = -values[0, k] * axis
+        twist = (*back, *np.zeros(3)) if slides else (*np.cross(point, back), *back)
+        placed.append((joint, before @ step @ exp_large(twist).matrix() @ shift, axis))
         before = inner[joint.id] = np.linalg.inv(shift)
     return placed, before @ _within(at[-2], at[-1]), inner
 
@@ -142,42 +128,36 @@ def _bodies(
 
     A uniform rod has the mass, centre and inertia of two halves at 1/sqrt(12) of its length off its
     middle.  Beams along ``x_{i-1}``, and on a slide those before the one of length rest, stay with
-    the row before; the others end at fixed distances from the row's own frame.
+    the row before; the others move with the row's own frame.
     """
-    arm, made = model.arm, dict[int, list[tuple[float, np.ndarray]]]()
-    at = _frames(model, context, arm.mid)
-    values = arm.mixing[0] @ arm.mid + arm.mixing[1]
+    made: dict[int, list[tuple[float, np.ndarray]]] = {}
+    posture = model.posture(unstack(model.arm.mid), context)
+    at = _frames(model, posture)
     before = 0
-    for k, joint in enumerate(arm.joints, start=1):
-        slides, value = joint.type == "prismatic", float(values[k - 1])
-        theta = math.radians(joint.theta_offset_deg) + (0.0 if slides else value)
-        length = {"a": joint.a_m, "d": joint.d_m + (value if slides else 0.0)}
-        x = np.array([math.cos(theta), -math.sin(theta), 0.0])  # x of the row before
-        for role, axis in (("a", x), ("d", np.array([0.0, 0.0, 1.0]))):
-            beams = [b for b in arm.links if b.row == k and b.role == role]
-            kinds = [b.length_m == "rest" for b in beams]
-            fixed = math.fsum(float(b.length_m) for b in beams if b.length_m != "rest")
-            foot = -axis * length[role] - (np.array([0, 0, length["d"]]) if role == "a" else 0.0)
-            gone = 0.0
-            for n, beam in enumerate(beams):
-                own = length[role] - fixed if kinds[n] else float(beam.length_m)
-                gone += own
-                body = beam.body_length_m or own
-                stays = role == "a" or (slides and not any(kinds[: n + 1]))
-                row = before if stays else joint.id
-                if row == 0 or row not in inner:
-                    continue  # it stands on the ground, or is carried by what is no part of the arm
-                link = inner[row] @ (_within(at[row], at[k]) if stays else np.eye(4))
-                for off in (-body / math.sqrt(12.0), body / math.sqrt(12.0)):
-                    point = foot + axis * (gone - body / 2 + off)
-                    made.setdefault(row, []).append((beam.mass_kg / 2, link @ [*point, 1.0]))
+    for joint, row in zip(model.arm.joints, posture.chain.rows, strict=True):
+        before_rest = joint.type == "prismatic"
+        for beam in (b for b in model.arm.links if b.row == joint.id):
+            if beam.role == "d" and beam.length_m == "rest":
+                before_rest = False
+            stays = beam.role == "a" or before_rest
+            carrier = before if stays else joint.id
+            if carrier == 0 or carrier not in inner:
+                continue  # it stands on the ground, or is carried by what is no part of the arm
+            pieces = [e for e in (*row.elements_a, *row.elements_d) if e.beam is beam]
+            length = sum(float(posture.lengths[e.station]) for e in pieces)
+            body = math.copysign(beam.body_length_m or length, length)
+            along = body * np.eye(4)[pieces[-1].axis]
+            end = posture.frames[pieces[-1].station].matrix()
+            link = inner[carrier] @ _within(at[carrier], end)
+            for share in (0.5 - 1 / math.sqrt(12.0), 0.5 + 1 / math.sqrt(12.0)):
+                point = link @ (np.eye(4)[3] - share * along)
+                made.setdefault(carrier, []).append((beam.mass_kg / 2, point))
         before = joint.id if joint.moves else before
     return made
 
 
-def _frames(model: Model, context: Context, q: np.ndarray) -> list[np.ndarray]:
-    """(4, 4) frames of base, rows and tip at joints q."""
-    posture = model.posture(unstack(q), context)
+def _frames(model: Model, posture: Posture) -> list[np.ndarray]:
+    """(4, 4) frames of base, rows and tip."""
     frames = [posture.frames[posture.frame(k)] for k in range(len(model.arm.joints) + 1)]
     return [frame.matrix() for frame in (*frames, model.tip_frame(posture))]
 
@@ -199,13 +179,13 @@ def _screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np
 # ------------------------------------------------------------------ XML
 
 
-def _joint(root: ET.Element, arm: Arm, row: _Placed, parent: str) -> None:
-    joint = row.joint
+def _joint(root: ET.Element, arm: Arm, placed: Placed, parent: str) -> None:
+    joint, origin, axis = placed
     node = ET.SubElement(root, "joint", {"name": joint_name(joint), "type": joint.type})
-    _ends(node, row.origin, parent, link_name(joint))
+    _ends(node, origin, parent, link_name(joint))
     if joint.type == "fixed":
         return
-    ET.SubElement(node, "axis", {"xyz": _text(row.axis)})
+    ET.SubElement(node, "axis", {"xyz": _text(axis)})
     weights, offset = arm.mixing[0][joint.id - 1], arm.mixing[1][joint.id - 1]
     if joint.commanded:
         lower, upper = joint.limits
@@ -255,7 +235,7 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
 
 def _remark(model: Model) -> str:
     left = sorted({e.name for e in model.effects if not e.geometry})
-    zeros = ", ".join(f"{z.joint} {z.value:.9g} {z.unit}" for z in zero_offsets(model))
+    zeros = ", ".join(f"{joint} {value:.9g} {unit}" for joint, value, unit in zero_offsets(model))
     origins = "Calibrated" if any(e.geometry for e in model.effects) else "Declared"
     lines = [f"{origins} origins, written by longarm export-urdf. The payload is not in it."]
     lines += [f"Joint zeros, in the origins already: {zeros}"] if zeros else []

@@ -1,34 +1,23 @@
-"""Links and joints of a URDF file, read by ROS's parser (urdf_parser_py) and checked as a tree."""
+"""Links and joints of a URDF file, checked as a tree."""
 
 from __future__ import annotations
 
 import math
-import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from urdf_parser_py import urdf, xml_reflection
 
 from longarm_comp.core.arm.spatial import exp_large, rpy_frame
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import MOST_BYTES
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
-_LINK = {"link": {"inertial"}, "inertial": {"origin", "mass"}}
-_JOINT = {"joint": {"origin", "axis", "parent", "child", "limit", "mimic"}}
-
-
-@dataclass(frozen=True)
-class _UrdfLink:
-    """A link's mass (kg) and centre of mass (3,) in its frame (m)."""
-
-    mass: float
-    com: np.ndarray
+_TYPES = (*MOVING, "fixed", "floating", "planar")
 
 
 @dataclass(frozen=True)
@@ -60,14 +49,14 @@ class UrdfJoint:
 
 
 class UrdfRobot:
-    """The tree of a URDF file."""
+    """The tree of a URDF file; `links`: mass (kg), and its centre (3,) in the link's frame (m)."""
 
     def __init__(self, path: str | Path) -> None:
         self.where = str(path)
         root = self._parse(Path(path))
         self.name = root.get("name") or Path(path).stem
-        self.links = {link.name: self._link(link) for link in self._read(root, urdf.Link, _LINK)}
-        self.joints = {j.name: self._joint(j) for j in self._read(root, urdf.Joint, _JOINT)}
+        self.links = {node.get("name", ""): self._link(node) for node in root.findall("link")}
+        self.joints = {node.get("name", ""): self._joint(node) for node in root.findall("joint")}
         self.children: dict[str, list[UrdfJoint]] = {}
         self.above: dict[str, UrdfJoint] = {}
         for joint in self.joints.values():
@@ -88,10 +77,10 @@ class UrdfRobot:
             max(map(abs, j.limits)) for j in self.joints.values()
             if j.type == "prismatic" and j.limits is not None
         )  # fmt: skip
-        for name, link in self.links.items():
-            far = float(np.linalg.norm(link.com))
+        for name, (mass, centre) in self.links.items():
+            far = float(np.linalg.norm(centre))
             # From 30 times the robot's length on millimetres taken for metres (1000) are the nearer
-            if link.mass > 0 and extent > 0 and far > 30.0 * extent:
+            if mass > 0 and extent > 0 and far > 30.0 * extent:
                 allowed = f"metres; all joints together are {extent:.3g} m long"
                 raise self.error(f"link {name} inertial origin", f"{far:.6g} m", allowed)
 
@@ -151,23 +140,6 @@ class UrdfRobot:
                 raise self.error(tag, "a name is missing or twice", "names that differ")
         return root
 
-    def _read(self, root: ET.Element, kind: Any, parts: Mapping[str, set[str]]) -> list[Any]:
-        """What ROS's parser makes of links or joints; nothing but these parts is given to it."""
-        made, core = [], xml_reflection.core
-        said: list[str] = []
-        before, core.on_error = core.on_error, said.append
-        try:
-            for node in root.findall(kind.__name__.lower()):
-                plain = _plain(node, parts)
-                try:
-                    made.append(kind.from_xml_string(ET.tostring(plain)))
-                except Exception as error:  # it raises every kind, also of AssertionError
-                    field = f"{node.tag} {node.get('name')}{_part(plain, str(error))}"
-                    raise self.error(field, _cause(error), "a value of URDF") from error
-        finally:
-            core.on_error = before
-        return made
-
     def _check_tree(self) -> None:
         """Every link hangs, over however many joints, on one without a joint above it."""
         try:
@@ -176,54 +148,65 @@ class UrdfRobot:
             link = min(error.args[1])
             raise self.error(f"link {link}", "in a cycle of joints", "a tree of links") from error
 
-    def _numbers(self, values: Any, count: int, field: str) -> np.ndarray:
-        made = np.array([float(v) for v in values])
-        if made.shape != (count,) or not (np.abs(made) <= 1e6).all():
-            shown = " ".join(f"{v:g}" for v in made)
-            raise self.error(field, shown, f"{count} finite numbers up to 1e6")
+    def _numbers(
+        self, node: ET.Element, part: str, key: str, usual: str, needed: bool = False
+    ) -> np.ndarray:
+        """An attribute of a part of a link or a joint, as many numbers as `usual` has.
+
+        `usual` stands for a part that is missing, and for its attribute unless that is needed.
+        """
+        found = node.find(part)
+        text = usual if found is None else found.get(key, "" if needed else usual)
+        try:
+            made = np.array([float(v) for v in text.split()])
+        except ValueError:
+            made = np.empty(0)
+        count = len(usual.split())
+        if len(made) != count or not (np.abs(made) <= 1e6).all():
+            field = f"{node.tag} {node.get('name')} {part.rpartition('/')[2]}"
+            raise self.error(field, text, f"{key}, {count} finite numbers up to 1e6")
         return made
 
-    def _frame(self, origin: Any, field: str) -> np.ndarray:
-        if origin is None:
-            return np.eye(4)
-        xyz = self._numbers(origin.xyz or (0, 0, 0), 3, f"{field} xyz")
-        rpy = self._numbers(origin.rpy or (0, 0, 0), 3, f"{field} rpy")
+    def _frame(self, node: ET.Element, part: str) -> np.ndarray:
+        xyz, rpy = (self._numbers(node, part, key, "0 0 0") for key in ("xyz", "rpy"))
         return rpy_frame(tuple(xyz.tolist()), tuple(rpy.tolist())).matrix()
 
-    def _link(self, link: Any) -> _UrdfLink:
-        inertial, field = link.inertial, f"link {link.name}"
-        if inertial is None:
-            return _UrdfLink(0.0, np.zeros(3))
-        mass = float(self._numbers([inertial.mass], 1, f"{field} mass")[0])
+    def _link(self, node: ET.Element) -> tuple[float, np.ndarray]:
+        (mass,) = self._numbers(node, "inertial/mass", "value", "0", needed=True).tolist()
         if mass < 0:
-            raise self.error(f"{field} mass", mass, "0 kg or more")
-        return _UrdfLink(mass, self._frame(inertial.origin, f"{field} inertial")[:3, 3])
+            raise self.error(f"link {node.get('name')} mass", mass, "0 kg or more")
+        return mass, self._frame(node, "inertial/origin")[:3, 3]
 
-    def _joint(self, joint: Any) -> UrdfJoint:
-        field, kind = f"joint {joint.name}", joint.type
-        axis = self._numbers((1, 0, 0) if joint.axis is None else joint.axis, 3, f"{field} axis")
+    def _joint(self, node: ET.Element) -> UrdfJoint:
+        name, kind = node.get("name", ""), node.get("type", "")
+        if kind not in _TYPES:
+            raise self.error(f"joint {name} type", kind, ", ".join(_TYPES))
+        axis = self._numbers(node, "axis", "xyz", "1 0 0", needed=True)
         length = float(np.linalg.norm(axis))
         if kind in MOVING and length < 1e-9:
-            raise self.error(f"{field} axis", axis.tolist(), "a direction")
+            raise self.error(f"joint {name} axis", axis.tolist(), "a direction")
         limits: tuple[float, float] | None = None
         if kind == "continuous":
             limits = (-math.pi, math.pi)
-        elif kind in MOVING and joint.limit is not None:
-            ends = self._numbers([joint.limit.lower or 0, joint.limit.upper or 0], 2, field)
-            limits = (float(ends[0]), float(ends[1]))
-            if limits[0] > limits[1]:
-                raise self.error(f"{field} limit", list(limits), "lower <= upper")
+        elif kind in MOVING and node.find("limit") is not None:
+            lower, upper = (
+                float(self._numbers(node, "limit", key, "0")[0]) for key in ("lower", "upper")
+            )
+            if lower > upper:
+                raise self.error(f"joint {name} limit", [lower, upper], "lower <= upper")
+            limits = lower, upper
         follows: dict[str, Any] | None = None
-        if joint.mimic is not None:
-            m = joint.mimic
-            given = (1 if m.multiplier is None else m.multiplier, m.offset or 0)
-            multiplier, offset = self._numbers(given, 2, f"{field} mimic").tolist()
-            follows = {"joint": m.joint, "multiplier": multiplier, "offset": offset}
-        origin = self._frame(joint.origin, field)
-        return UrdfJoint(
-            joint.name, kind, joint.parent, joint.child, origin, axis / (length or 1.0), limits,
-            follows,
-        )  # fmt: skip
+        mimic = node.find("mimic")
+        if mimic is not None:
+            follows = {"joint": mimic.get("joint", "")}
+            for key, usual in (("multiplier", "1"), ("offset", "0")):
+                follows[key] = float(self._numbers(node, "mimic", key, usual)[0])
+        parent, child = (
+            "" if end is None else end.get("link", "")
+            for end in (node.find("parent"), node.find("child"))
+        )
+        origin = self._frame(node, "origin")
+        return UrdfJoint(name, kind, parent, child, origin, axis / (length or 1.0), limits, follows)
 
 
 def resting(joint: UrdfJoint) -> float:
@@ -241,36 +224,3 @@ def turn_z_to(axis: np.ndarray) -> np.ndarray:
         skew = np.array([[0, 0, x], [0, 0, y], [-x, -y, 0]])
         made[:3, :3] = np.eye(3) + skew + skew @ skew / (1 + z)
     return made
-
-
-def _plain(node: ET.Element, parts: Mapping[str, set[str]]) -> ET.Element:
-    """An element with only these parts, one of each, by the tag of the element they are in."""
-    made = ET.Element(node.tag, dict(node.attrib))
-    for part in node:
-        if part.tag in parts.get(str(node.tag), ()) and made.find(str(part.tag)) is None:
-            held = _plain(part, parts)
-            if part.tag == "limit":  # of no use here, and often left out
-                held.attrib = {"effort": "0", "velocity": "0", **held.attrib}
-            made.append(held)
-    inertial = made.find("inertial")
-    if inertial is not None and inertial.find("mass") is None:
-        made.remove(inertial)
-    return made
-
-
-def _part(node: ET.Element, said: str) -> str:
-    """Which part of an element an error of the parser is about, where that can be told."""
-    quoted = re.search(r"'(.*)'", said)
-    for part in node.iter():
-        for key, value in part.attrib.items():
-            short = "vector length" in said and key in ("xyz", "rpy") and len(value.split()) != 3
-            if short or (quoted and quoted.group(1) in (value, *value.split())):
-                return "" if part is node else f" {part.tag}"
-    return ""
-
-
-def _cause(error: Exception) -> str:
-    """The value that could not be read, or what the parser says."""
-    said = str(error) or type(error).__name__
-    quoted = re.search(r"could not convert string to float: '(.*)'", said)
-    return quoted.group(1) if quoted else said

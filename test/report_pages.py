@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from report_samples import VERDICTS, Diagnosis
 
-from longarm_comp.report.write import write_report
+from longarm_comp.report.pages import write_report
 
 SEED = 5
 

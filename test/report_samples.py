@@ -196,8 +196,6 @@ def base(rng: np.random.Generator) -> Diagnosis:
     }
     detail = Detail(
         title="samples.csv, arm of 7 joints",
-        joints=JOINTS,
-        joint_units=UNITS,
         held_out=rows,
         detectable=PageTable(
             "Smaller ones may exist.",
@@ -275,8 +273,6 @@ def named(rng: np.random.Generator) -> Diagnosis:
     line = rows.arms_m[0]
     detail = Detail(
         title="samples.csv, arm of 7 joints",
-        joints=JOINTS,
-        joint_units=UNITS,
         held_out=rows,
         marked=(Marked(line, {"joint 2": line[2]}),),
         guilty=("approach", "q2"),
@@ -305,10 +301,8 @@ def a_set(rng: np.random.Generator) -> Diagnosis:
     }
     split = SetSplit(
         tuple(members),
-        "On three levels per joint both are a step between the two approach sides.",
         12.4,
-        np.array(poses),
-        tuple(1 if k % 2 else -1 for k in range(len(poses))),
+        len(poses),
     )
     return report, _with(detail, splits=(split,))
 

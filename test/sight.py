@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.arm_folder.visible import View
+from longarm_comp.arm_folder.head import View
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol

@@ -105,7 +105,7 @@ def test_an_arm_that_others_drive_and_measure_is_one_file(shell: Shell) -> None:
     assert [file.name for file in folder.iterdir()] == ["arm.yaml"]
     np.testing.assert_allclose(np.degrees(Arm.load(folder / "arm.yaml").upper[0]), 360)
     assert "longarm import-data FILE --arm" in shell.err
-    assert "links (docs/arm.md) can lie along row" in shell.err
+    assert "(docs/arm.md)\n# can lie along row" in (folder / "arm.yaml").read_text()
     assert Arm.load(folder / "arm.yaml").camera is None
     assert shell("check", folder) == 0 and "another program drives" in shell.out
     (folder / "servo_driver.yaml").write_text("")
@@ -158,12 +158,12 @@ def test_servos_stand_at_the_steps_that_the_arm_declares(shell: Shell) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--joint", "type=spherical"), "joint 1, type"),
-        (("--joint", "limits=30..-30"), "joint 1, limits"),
-        (("--joint", "d=0.1", "--joint", "a=x"), "joint 2, a"),
-        (("--joint", "a=0.1 tube_a=3/4"), "joint 1, tube_a"),
+        (("--joint", "type=spherical"), "joint 1: type"),
+        (("--joint", "limits=30..-30"), "joint 1: limits"),
+        (("--joint", "d=0.1", "--joint", "a=x"), "joint 2: a"),
+        (("--joint", "a=0.1 tube_a=3/4"), "joint 1: tube_a"),
         (("--joint", "tube_a=30/26"), "because a is 0"),
-        (("--joint", "colour=red"), "--joint"),
+        (("--joint", "colour=red"), "known keys: a, alpha"),
         (("--joint", "d=1 tube_d=9 material=gold"), "aluminium"),
         (("--like", "demo", "--joint", "d=1"), "--like and --joint"),
         (("--joint", "d=0.1", "--servos", "ax12"), "--servos"),

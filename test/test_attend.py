@@ -14,7 +14,7 @@ from cli_shell import Shell
 from driver_rig import Rig
 
 import longarm_comp as la
-from longarm_comp.cli import touch
+from longarm_comp.cli import collect
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs import attend
 from longarm_comp.jobs.client import ArmClient, DriverStopped
@@ -114,7 +114,7 @@ def test_a_hand_guides_the_arm_while_touches_are_taken(
         guided.append(to)
         return ""
 
-    monkeypatch.setattr(touch, "_asked", asked)
+    monkeypatch.setattr(collect, "_asked", asked)
     out = tmp_path / "touches.csv"
     assert shell("touch", tmp_path / "arm.yaml", "-o", out, "--by-hand", "--json") == 0, shell.err
     found = la.read_session(out, TWO_JOINTS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import json
 import math
@@ -28,6 +27,7 @@ from bench import (
     subprocess_cost,
 )
 from bench.smooth import smooth_set
+from longarm_comp.cli import registry
 from longarm_comp.cli.run import run
 from longarm_comp.core.errors import InputError, JobError
 
@@ -214,10 +214,8 @@ def test_outside_of_a_checkout_the_command_says_where_it_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """No benchmarks beside the package: those of the folder that it is run in, else one line."""
-    checkout = importlib.import_module("longarm_comp.cli.checkout")
-    monkeypatch.setattr(checkout, "__file__", str(tmp_path / "a" / "b" / "c" / "checkout.py"))
+    monkeypatch.setattr(registry, "__file__", str(tmp_path / "a" / "b" / "c" / "registry.py"))
     monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.delitem(sys.modules, "longarm_comp.cli.bench", raising=False)
     monkeypatch.chdir(tmp_path)
     assert run(["bench", "--list"]) == 3
     assert "run from a checkout of the project" in capsys.readouterr().err

@@ -60,11 +60,10 @@ def test_no_file_of_a_command_is_forgotten() -> None:
         ".".join(path.relative_to(root).with_suffix("").parts)
         for folder in (Path(run.__file__).parent, root / "studies" / "commands")
         for path in folder.glob("*.py")
-        if re.search(
-            r"^(@click.command|@shape.study|from bench.command)", path.read_text("utf-8"), re.M
-        )
+        if re.search(r"^(@click.command|@shape.study)", path.read_text("utf-8"), re.M)
     }
-    assert files == {f"{folder}.{e.module.partition(':')[0]}" for e, folder in ENTRIES.values()}
+    listed = {f"{folder}.{e.module.partition(':')[0]}" for e, folder in ENTRIES.values()}
+    assert files == listed - {"longarm_comp.cli.bench.command"}  # which is beside the package
 
 
 def test_unknown_words_leave_with_2(shell: Shell) -> None:

@@ -12,9 +12,9 @@ import pytest
 from cli_shell import Shell
 from some_arms import HOBBY
 
-from longarm_comp.arm_folder.camera_files import SIDES, camera_path
+from longarm_comp.arm_folder.head import View, view_beside
+from longarm_comp.arm_folder.measured import SIDES, camera_path
 from longarm_comp.arm_folder.parameter_file import own_parameters
-from longarm_comp.arm_folder.visible import View, view_beside
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Box

@@ -19,7 +19,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from cli_shell import Shell
 from quick_arm import QuickArm, quick_arm
 
-from longarm_comp.arm_folder.visible import view_beside
+from longarm_comp.arm_folder.head import view_beside
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.data.plan import Plan, sobol

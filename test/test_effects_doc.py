@@ -6,7 +6,7 @@ import json
 
 from click.testing import CliRunner
 
-from longarm_comp.cli.effects import command
+from longarm_comp.cli.diagnose import effects as command
 from longarm_comp.core.effects.catalogue import BUILT_IN
 
 

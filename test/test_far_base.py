@@ -27,8 +27,8 @@ from sensed_arm import (
 )
 
 import longarm_comp as la
-from longarm_comp.cli.calibrate import command as calibrate_command
-from longarm_comp.cli.evaluate import command as evaluate_command
+from longarm_comp.cli.fit import calibrate as calibrate_command
+from longarm_comp.cli.fit import evaluate as evaluate_command
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.standing import untold

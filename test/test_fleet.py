@@ -15,7 +15,7 @@ from report_pages import Page
 from small_arm import ARM, measured
 
 import longarm_comp as la
-from longarm_comp.cli.fleet import command
+from longarm_comp.cli.diagnose import fleet as command
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.errors import InputError, JobError
@@ -175,25 +175,6 @@ def test_it_goes_on_where_it_was_ended(
     (one,) = run()
     assert seen == ["sound"]
     assert dataclasses.replace(one, session=first[2].session, kind=first[2].kind) == first[2]
-
-
-def test_an_address_without_a_scheduler_is_refused(folders: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--dask"):
-        fleet(folders, tmp_path / "none", dask="no scheduler")
-
-
-@pytest.mark.long
-def test_a_dask_cluster_says_the_same(folders: Path, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("dask.distributed")
-    arms = tmp_path / "arms"
-    shutil.copytree(folders / "knocked", arms / "knocked")
-    here = fleet(arms, tmp_path / "here", network=False)
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address=None, memory_limit=None
-    ) as cluster:
-        there = fleet(arms, tmp_path / "there", network=False, dask=cluster.scheduler_address)
-    assert there == here
-    assert (tmp_path / "there" / "knocked" / "report.html").is_file()
 
 
 @pytest.mark.long

@@ -27,7 +27,7 @@ from openpyxl import Workbook
 from session_bag import write_bag
 from small_arm import ARM
 
-from longarm_comp.arm_folder.camera_files import SIDES
+from longarm_comp.arm_folder.measured import SIDES
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.model import Model

@@ -11,9 +11,8 @@ import pytest
 from cli_shell import Shell
 from servo_bench import folder as arm_folder
 
-from longarm_comp.arm_folder.camera_files import head_at, head_pose
 from longarm_comp.arm_folder.check import check_folder
-from longarm_comp.arm_folder.measured import note_measured, read_measured
+from longarm_comp.arm_folder.measured import head_at, note_measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
 from longarm_comp.arm_folder.servos import SERVOS
 from longarm_comp.core.arm.arm import Arm
@@ -59,7 +58,7 @@ class Head:
     def seen(self, q: np.ndarray) -> np.ndarray:
         """The tip (N, 3) as the bridge measures it with the file's hand-eye, m, from images."""
         rig = StereoRig.from_camera_info(*self.true.camera_infos(), rectified=False)
-        eye = StereoEye(rig, TagBoard.of(self._bridge), head_pose(self.folder))
+        eye = StereoEye(rig, TagBoard.of(self._bridge), head_at(self.folder, ""))
         tips = declared_model(self.arm).pose(q)
         images = (render(t @ self._on_tip, self._plate, self.true, self._rng) for t in tips)
         return np.array([eye.measure(*pair, 0).point for pair in images])
@@ -107,7 +106,7 @@ def test_the_tip_is_seen_where_it_is_afterwards(
         pytest.approx(found["xyz"]), pytest.approx(found["quaternion"]),
     )  # fmt: skip
     assert found["held_out_mm"] < 0.5
-    off = 1e3 * np.abs(head_pose(folder)[:3, 3] - head.true.camera_in_base[:3, 3])
+    off = 1e3 * np.abs(head_at(folder, "")[:3, 3] - head.true.camera_in_base[:3, 3])
     assert (off < 4.0 * np.array(found["position_sd_mm"]) + 0.2).all()
     note_measured(folder, SERVOS, "servo setup", {})
     listed = {f.where: f.level for f in check_folder(folder)}
@@ -133,4 +132,4 @@ def test_what_does_not_tell_it_is_refused(
         head_at(spoiled, session.hash)
     same = Session.record(np.tile(session.q[0], (12, 1)), np.tile(session.xyz[0], (12, 1)))
     with pytest.raises(JobError, match="over its whole range"):
-        placed_cameras(declared_model(head.arm), same, head_pose(folder))
+        placed_cameras(declared_model(head.arm), same, head_at(folder, ""))

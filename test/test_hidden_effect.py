@@ -22,7 +22,7 @@ from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.model.model import Model
-from longarm_comp.report.visible_size import detectable
+from longarm_comp.report.candidate_states import detectable
 from longarm_comp.sim.hidden import drives, geometry
 from studies.many import compensated
 

@@ -28,7 +28,7 @@ cli.main(["export-urdf", "--help"])
 
 
 @pytest.mark.parametrize(
-    "module", ["longarm_comp.cli.run", "longarm_comp.core.errors", "longarm_comp.cli.urdf"]
+    "module", ["longarm_comp.cli.run", "longarm_comp.core.errors", "longarm_comp.cli.files"]
 )
 def test_while_it_loads(module: str) -> None:
     ended = subprocess.run(

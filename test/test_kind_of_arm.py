@@ -11,8 +11,8 @@ from click.testing import CliRunner
 from touching import ARM, EXAMPLE
 
 import longarm_comp as la
-from longarm_comp.cli.calibrate import command
 from longarm_comp.cli.diagnose import command as diagnose
+from longarm_comp.cli.fit import calibrate as command
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.calibration.model_fit import ModelFit

@@ -40,7 +40,7 @@ from longarm_comp.core.planning.optimal_poses import Uncertainty
 from longarm_comp.report.assemble import assemble
 from longarm_comp.report.candidate_states import sizes
 from longarm_comp.report.detail import detail
-from longarm_comp.report.write import write_report
+from longarm_comp.report.pages import write_report
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.hidden import drives

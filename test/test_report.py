@@ -21,11 +21,11 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.report import cards, record, words
 from longarm_comp.report.detail import Input, SeenRows
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.write import write_report
+from longarm_comp.report.pages import write_report
 
 SECTIONS = [
     *("verdict", "todo", "findings", "untested", "errors", "distribution", "scene", "guilty"),
-    *("candidates", "parameters", "correlation", "sets", "outliers", "detectable", "provenance"),
+    *("candidates", "parameters", "correlation", "outliers", "detectable", "provenance"),
 ]
 
 
@@ -160,7 +160,6 @@ def test_verdict_and_tables_tell_the_record(verdict: str, reports: Path) -> None
         "candidates": report["candidates"],
         "outliers": report["outliers"],
         "detectable": detail.detectable.rows if detail.detectable else (),
-        "sets": [pose for split in detail.splits for pose in split.q],
     }
     for section, entries in bodies.items():
         body = [line for line in page.tables.get(section, []) if not is_head(line)]
@@ -221,7 +220,6 @@ def test_every_text_is_escaped(tmp_path: Path) -> None:
         detail,
         title=evil,
         guilty=(f"../{evil}",),
-        joints=(evil, *detail.joints[1:]),
         provenance={evil: evil},
         held_out=dataclasses.replace(detail.held_out, inputs=inputs),
     )

@@ -10,7 +10,7 @@ import pytest
 from report_pages import sample
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.report.write import write_report
+from longarm_comp.report.pages import write_report
 
 BAD: list[tuple[str, tuple[str | int, ...], Any, str]] = [
     ("not a number", ("held_out", "rows", 0, "mean_mm"), float("nan"), "mean_mm"),

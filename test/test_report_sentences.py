@@ -23,12 +23,11 @@ from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.identify.practical import practical
 from longarm_comp.core.identify.structure import SIGNIFICANT
-from longarm_comp.report import assemble, cards, record, verdict
+from longarm_comp.report import assemble, cards, record, words
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.noise_floor import floor_of
-from longarm_comp.report.verdict import open_questions
-from longarm_comp.report.words import DASH
-from longarm_comp.report.write import page as rendered
+from longarm_comp.report.pages import page as rendered
+from longarm_comp.report.words import DASH, open_questions
 
 
 def test_the_real_one_has_findings_of_both_sides() -> None:
@@ -119,14 +118,14 @@ def line(page: Page, tag: str) -> list[str]:
 
 def test_the_verdict_counts_what_was_found(told: list[Told]) -> None:
     for report, page in told:
-        said = verdict.meaning(report)
+        said = words.meaning(report)
         assert said in page.words()
         n, unnamed = len(report.findings), sum(found.kept for found in report.discovered)
         if n:
-            assert said.startswith(f"{verdict.COUNTS[n].capitalize()} physical effect")
+            assert said.startswith(f"{words.COUNTS[n].capitalize()} physical effect")
             assert (" effects explain" in said) == (n > 1 and not (unnamed and "cause" in said))
         elif report.verdict == "partly":
-            causes = f"{verdict.COUNTS[unnamed].capitalize()} cause{'s' * (unnamed > 1)} without"
+            causes = f"{words.COUNTS[unnamed].capitalize()} cause{'s' * (unnamed > 1)} without"
             assert said.startswith(causes) and (" explains " in said) == (unnamed == 1)
         else:
             assert "added" in said and "effect explains" not in said
@@ -161,7 +160,7 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
         found = report.model_copy(
             update={"discovered": [cause.model_copy(update={"kept": kept}), cause]}
         )
-        said, made = verdict.meaning(found), cards.cards(found)
+        said, made = words.meaning(found), cards.cards(found)
         assert len(made) == 1 + kept
         assert ("two causes without a name were" in said) == kept and "none was added" not in said
     (card,) = made
@@ -175,7 +174,7 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
 
 def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]) -> None:
     for report, page in told:
-        gain = verdict.improvement(report)
+        gain = words.improvement(report)
         assert gain is not None
         before, after = line(page, "before"), line(page, "after")
         first = page.tables["errors"][1]
@@ -185,9 +184,9 @@ def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]
         assert numbers(seen) == near(numbers(first[1] + " " + after[1]))
         assert bool(gain["between_mm"]) == (before != first)
         assert not gain["between_mm"] or numbers(gain["between_mm"])[:1] == near(numbers(before[2]))
-        words = page.words()
-        assert gain["commanded"] in words and (gain["seen"] in words)
-        assert ("as seen and as a command would have it" in words) == (not gain["seen"])
+        shown = page.words()
+        assert gain["commanded"] in shown and (gain["seen"] in shown)
+        assert ("as seen and as a command would have it" in shown) == (not gain["seen"])
 
 
 def test_the_sentence_has_the_figures_of_the_table(told: list[Told]) -> None:

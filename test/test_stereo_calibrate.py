@@ -15,10 +15,9 @@ import pytest
 from cli_shell import Shell
 from stereo_head import HEAD, marker_pose, rigid_rms
 
-from longarm_comp.arm_folder.camera_files import camera_path
 from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.marker_sheet import sheet
-from longarm_comp.arm_folder.measured import read_measured
+from longarm_comp.arm_folder.measured import camera_path, read_measured
 from longarm_comp.devices.stereo.camera import StereoRig
 from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.eye import StereoEye

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from touching import ARM, DISTANCES, EXAMPLE, errors_of_the_drawing, touching
 
 import longarm_comp as la
-from longarm_comp.cli import touch as touch_command
+from longarm_comp.cli import collect
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.touch import READINGS, TouchLog, resting
@@ -38,11 +38,11 @@ def pressed(arm: QuickArm, monkeypatch: pytest.MonkeyPatch, keys: list[str | np.
         arm.stand(key)
         return ""
 
-    monkeypatch.setattr(touch_command, "_asked", asked)
+    monkeypatch.setattr(collect, "_asked", asked)
 
 
 def run(*words: str) -> str:
-    done = CliRunner().invoke(touch_command.command, [str(EXAMPLE / "arm.yaml"), *words])
+    done = CliRunner().invoke(collect.touch, [str(EXAMPLE / "arm.yaml"), *words])
     assert done.exit_code == 0, (done.output, done.exception)
     return done.output + done.stderr
 
@@ -62,7 +62,7 @@ def test_a_session_is_recorded_key_by_key(tmp_path: Path, monkeypatch: pytest.Mo
         said = run("-o", str(out), *known)
         assert "mm from their points in the mean" in said
         again = [str(EXAMPLE / "arm.yaml"), "-o", str(out)]
-        refused = CliRunner().invoke(touch_command.command, again)
+        refused = CliRunner().invoke(collect.touch, again)
         assert isinstance(refused.exception, InputError)
         pressed(arm, monkeypatch, ["front_0", rows.q[0]])
         run("-o", str(out), "--resume")
@@ -148,7 +148,7 @@ def test_a_touch_outside_the_socket_is_refused(
             arm.stand(q)
             return ""
 
-        monkeypatch.setattr(touch_command, "_asked", asked)
+        monkeypatch.setattr(collect, "_asked", asked)
         said = run("-o", str(out), "--name", "a")
     assert "touch a: the ball sits in no socket; nothing was recorded" in said
     np.testing.assert_allclose(la.read_session(out, ARM).q, [ARM.mid + 0.1], atol=1e-9)

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES, camera_path
+from longarm_comp.arm_folder.head import View, head_for
 from longarm_comp.arm_folder.make import ARM, NODES
-from longarm_comp.arm_folder.measured import FILE, read_measured
+from longarm_comp.arm_folder.measured import CAMERAS, FILE, SIDES, camera_path, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, strangers
-from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Beam, Rect, Tube
 from longarm_comp.core.data.plan import sobol
@@ -274,8 +273,6 @@ def _mostly(why: list[str]) -> str:
 
 def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[_FolderFinding]:
     """What stands as `longarm init` writes it; ``placed``: the head's place was measured."""
-    from longarm_comp.arm_folder.head import head_for
-
     file, made = "stereo_bridge.yaml", head_for(arm)["stereo_bridge"]
     own = own_parameters("stereo_bridge")
     if not placed and bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):

@@ -10,9 +10,10 @@ import re
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import BeforeValidator
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.yaml_file import Closed, parse_declared
 
 MATERIALS = {
     "aluminium": (69e9, 0.33, 2700.0),
@@ -59,14 +60,12 @@ Tube = Annotated[tuple[float, float], BeforeValidator(_tube)]
 Mimic = Annotated[tuple[str, float] | None, BeforeValidator(_mimic)]
 
 
-class _Row(BaseModel):
+class _Row(Closed):
     """One row of the modified DH table; deg and m.
 
     `tube_a`, `tube_d`: outer and inner diameter (m) of a tube along a or d; 0: rigid. `servo_kg`:
     of the servo at this joint's frame. `mimic`: the joint that drives it, and the factor.
     """
-
-    model_config = ConfigDict(allow_inf_nan=False)
 
     type: Literal["revolute", "prismatic", "fixed"] = "revolute"
     alpha: float = 0.0
@@ -102,11 +101,11 @@ class _Row(BaseModel):
         (outer, inner), length = getattr(self, f"tube_{role}"), abs(getattr(self, role))
         if not outer:
             return []
-        where = f"joint {number}, "
         if self.material not in MATERIALS:
-            raise InputError("init", f"{where}material", self.material, ", ".join(MATERIALS))
+            raise InputError(_where(number), "material", self.material, ", ".join(MATERIALS))
         if not length:
-            raise InputError("init", f"{where}tube_{role}", 1e3 * outer, f"0, because {role} is 0")
+            allowed = f"0, because {role} is 0"
+            raise InputError(_where(number), f"tube_{role}", 1e3 * outer, allowed)
         modulus, poisson, density = MATERIALS[self.material]
         slides = role == "d" and self.type == "prismatic"
         mass = density * math.pi / 4 * (outer**2 - inner**2) * length
@@ -127,16 +126,14 @@ def _row_of(number: int, flag: str) -> _Row:
     row = {}
     for word in flag.split():
         key, equals, value = word.partition("=")
-        if not equals or key not in _Row.model_fields:
-            keys = ", ".join(_Row.model_fields)
-            raise InputError("init", "--joint", word, f"KEY=VALUE, keys {keys}")
+        if not equals:
+            raise InputError("init", "--joint", word, "KEY=VALUE")
         row[key] = value
-    try:
-        return _Row.model_validate(row)
-    except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        key, allowed = str(fault["loc"][0]), fault["msg"].removeprefix("Value error, ")
-        raise InputError("init", f"joint {number}, {key}", fault["input"], allowed) from error
+    return parse_declared(_Row, row, _where(number))
+
+
+def _where(number: int) -> str:
+    return f"init: joint {number}"
 
 
 def arm_of(

@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.arm_folder.head import head_for
-from longarm_comp.arm_folder.parameter_file import one_line, own_text, ros_parameters, with_values
+from longarm_comp.arm_folder.parameter_file import one_line, own_text, with_values
 from longarm_comp.arm_folder.servos import DEFAULT_MODEL, servo_section
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import link_places
 from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.strict_yaml import parse_yaml
 from longarm_comp.devices.servo_bus.registry import models
 from longarm_comp.share import folder
 
@@ -34,7 +33,8 @@ _COMMENTS = {
     "point_masses": "Servos, grippers, links without a beam: kg, and the place in a row's frame.",
     "camera": "Left camera of the stereo head, in the base frame: as in stereo_bridge.yaml.",
 }  # fmt: skip
-_NO_LINKS = """No beam is declared: the arm is taken as rigid. For what bends (docs/arm.md):
+_NO_LINKS = """No beam is declared: the arm is taken as rigid. What bends (docs/arm.md)
+can lie along {places}:
 links:
   - {{name: boom, row: {row}, role: {role}, length_m: {length:.4g},
      section: {{type: tube, od_m: 0.03, id_m: 0.026}}, E_pa: 6.9e+10, poisson: 0.33, mass_kg: 0.19,
@@ -87,8 +87,10 @@ def arm_file(
                 lines.append(f"  - {one_line(dict(row))}" + (f"  # {beside}" if beside else ""))
         else:
             lines.append(f"{key}: {one_line(value)}")
-    row, role, size = (link_places(arm.joints) or [(1, "a", 0.4)])[0]
-    no_links = _NO_LINKS.format(row=row, role=role, length=abs(size))
+    places = link_places(arm.joints) or [(1, "a", 0.4)]
+    named = ", ".join(f"row {row} {role} {size:.4g} m" for row, role, size in places)
+    row, role, size = places[0]
+    no_links = _NO_LINKS.format(places=named, row=row, role=role, length=abs(size))
     for key, text in (("links", no_links), ("payload", _NO_PAYLOAD), ("camera", _NO_CAMERA)):
         if not whole.get(key):
             lines += _commented(text)
@@ -97,11 +99,10 @@ def arm_file(
 
 def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
     """Texts of the parameter files that fit an arm, by node."""
-    bus = ros_parameters(parse_yaml(own_text(NODES[0]), NODES[0]), NODES[0])["bus"]
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
             "joints": servo_section(arm, servos, direct),
-            "bus": bus | {"protocol": models()[servos].protocol},
+            "bus.protocol": models()[servos].protocol,
         },
     } | head_for(arm)
     values["simulated_arm"] |= {
@@ -115,7 +116,6 @@ def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False)
 
 
 def demonstration() -> dict[str, str]:
-    """Texts of the demonstration's files by name."""
     files = {f"{node}.yaml": own_text(node) for node in NODES}
     return {ARM: (folder("config") / "arm_demo.yaml").read_text("utf-8"), **files}
 

@@ -1,19 +1,32 @@
-"""What was measured of an arm's folder: `measured.yaml`, written by the commands that measure."""
+"""What commands measured of an arm's folder: the record of it, and the cameras' files.
+
+`measured.yaml` says what was measured, when, by which command.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import yaml
 
+from longarm_comp.arm_folder.parameter_file import edited, parameters_of
+from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 
+if TYPE_CHECKING:
+    from longarm_comp.devices.stereo.calibrate import BoardCalibration
+
+CAMERAS = "cameras"
+SIDES = ("left", "right")
+BRIDGE, SIMULATED = "stereo_bridge.yaml", "simulated_arm.yaml"
+_NAMES = ("hand_eye.xyz", "hand_eye.quaternion")
 FILE = "measured.yaml"
 _HEAD = "# What was measured, when, by which command, and how well. `longarm check` lists it.\n"
 
@@ -28,7 +41,6 @@ class Measured:
 
 
 def read_measured(folder: Path) -> dict[str, Measured]:
-    """Measurements of a folder by file name."""
     path = folder / FILE
     if not path.is_file():
         return {}
@@ -50,3 +62,95 @@ def note_measured(folder: Path, file: str, by: str, facts: Mapping[str, Any]) ->
     entries = {name: vars(entry) for name, entry in known.items()}
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, width=100)
     write_text(folder / FILE, _HEAD + text)
+
+
+def camera_path(folder: Path, side: str) -> Path:
+    return folder / CAMERAS / f"{side}.yaml"
+
+
+def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
+    """Write both files and what was measured; returns their paths."""
+    from longarm_comp.devices.stereo.camera_file import calibration_of, write_camera
+
+    cameras = dict(zip(SIDES, calibration_of(found.fit.rig), strict=True))
+    head = (
+        f"Calibrated from {len(found.fit.used)} views, {found.fit.rms_px:.3f} px rms; boards that "
+        f"were left out:\n{found.held_out_mm:.3f} mm rms at {found.distances_m[0]:.2f} to "
+        f"{found.distances_m[1]:.2f} m. Both files belong together."
+    )
+    for side, camera in cameras.items():
+        write_camera(camera_path(folder, side), side, camera, head)
+    facts = {
+        "views": len(found.fit.used),
+        "rms_px": round(found.fit.rms_px, 4),
+        "held_out_mm": round(found.held_out_mm, 4),
+    }
+    note_measured(folder, CAMERAS, "stereo calibrate", facts)
+    return [camera_path(folder, side) for side in SIDES]
+
+
+def head_at(folder: Path, session: str) -> np.ndarray:
+    """Left optical frame in the base frame (4, 4), as it was taken when a session was measured.
+
+    That is what stereo_bridge.yaml has now, unless it was written from this very session.
+    """
+    entry = read_measured(folder).get(BRIDGE)
+    if entry is None or entry.facts.get("session") != session:
+        file = folder / BRIDGE
+        given = parameters_of("stereo_bridge", file)
+        return _pose(file, "hand_eye", [given[name] for name in _NAMES])
+    before = entry.facts.get("before")
+    pair = (before.get("xyz"), before.get("quaternion")) if isinstance(before, dict) else ()
+    return _pose(folder / FILE, f"{BRIDGE}: facts.before", pair)
+
+
+def write_head(
+    folder: Path, pose: np.ndarray, before: np.ndarray, session: str, facts: Mapping[str, Any]
+) -> list[str]:
+    """Write where the left camera stands; the simulated cameras move there too, level.
+
+    Args:
+        pose, before: (4, 4) left optical frame in the base frame, and what it was taken to be when
+            the session, of which the hash is given, was measured.
+        facts: how good it is, for the record.
+
+    Returns:
+        Names of the files that were written.
+    """
+    xyz, turn = _numbers(pose)
+    values = dict(zip(_NAMES, (xyz, turn), strict=True))
+    told = {
+        **facts,
+        "session": session,
+        "before": dict(zip(("xyz", "quaternion"), _numbers(before), strict=True)),
+    }
+    # The record first: it says where the head was, if the rest is broken off and done again.
+    note_measured(folder, BRIDGE, "stereo hand-eye", told)
+    _edit(folder / BRIDGE, values)
+    written = [BRIDGE]
+    if (folder / SIMULATED).is_file():
+        axis = [round(float(v), 9) for v in pose[:3, 2]]
+        _edit(folder / SIMULATED, {"camera.position": xyz, "camera.axis": axis})
+        written.append(SIMULATED)
+    return written
+
+
+def _pose(file: Path, field: str, given: Sequence[Any]) -> np.ndarray:
+    try:
+        xyz, turn = (np.array(value, dtype=float) for value in given)
+        good = xyz.shape == (3,) and turn.shape == (4,) and quaternion.is_unit(turn)
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise InputError(file, field, list(given), "xyz and a unit quaternion")
+    return quaternion.pose(xyz, turn)
+
+
+def _numbers(pose: np.ndarray) -> tuple[list[float], list[float]]:
+    turn = quaternion.from_rotation(pose[:3, :3])
+    return [round(float(v), 7) for v in pose[:3, 3]], [round(float(v), 12) for v in turn]
+
+
+def _edit(file: Path, values: Mapping[str, Sequence[float]]) -> None:
+    text = file.read_text("utf-8")
+    write_text(file, edited(text, {tuple(k.split(".")): v for k, v in values.items()}, file))

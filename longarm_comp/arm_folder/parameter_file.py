@@ -25,7 +25,6 @@ Keys = tuple[str, ...]
 
 
 def own_text(node: str) -> str:
-    """Text of the package's own parameter file of a node."""
     return (folder("config") / f"{node}.yaml").read_text("utf-8")
 
 
@@ -89,7 +88,6 @@ def with_values(node: str, values: Mapping[str, Any], head: str) -> str:
 
 
 def one_line(value: Any) -> str:
-    """A value as YAML on one line."""
     text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**6)
     return text.removesuffix("...\n").strip()
 

@@ -1,14 +1,21 @@
-"""``longarm diagnose``."""
+"""``longarm diagnose``, ``fleet`` and ``effects``: what models lack, of the library of effects."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_effects, print_json, print_rows, progress, say
+from longarm_comp.core.errors import JobError
+
+if TYPE_CHECKING:
+    from longarm_comp.core.effects.parameters import Parameter
+    from longarm_comp.workflows.fleet import Diagnosed
+
+_SHOWN = ("name", "unit", "prior", "unknown", "lower", "upper")
 
 
 @click.command()
@@ -56,3 +63,104 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
             say(f"{duty.lower()}: {card.title} ({size}): {said(card)} {card.software}")
     say(f"{report['verdict']}: {report['summary']}")
     note(f"report in {output / 'report.html'}, model in {output / 'model.yaml'}")
+
+
+@click.command()
+@options.folder
+@options.output(
+    "fleet",
+    "Folder to write: one diagnosis for each arm, fleet.json, fleet.html.",
+    outputs.folder("fleet.json", told_by="fleet.json", schema="longarm/fleet/1"),
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, help="Processes.")
+@options.without("network", "Train no network on the remaining error.")
+@options.seed
+@options.as_json
+def fleet(folder: Path, output: Path, **how: Any) -> None:
+    """Diagnose every arm in DIR and compare them: which arm drifts, which effects all arms have.
+
+    DIR has one folder for each arm, with arm.yaml, sessions (the newest is used) and, if there is
+    one, the model.yaml in use. Or DIR has one arm.yaml and one session for each arm. Called again,
+    the command continues, and diagnoses again what changed.
+
+    \b
+    Examples:
+      longarm fleet examples/panda_touch -o fleet --jobs 2
+      longarm fleet arms -o fleet
+    """
+    from longarm_comp.core.files import write_text
+    from longarm_comp.report.pages import fleet_page
+    from longarm_comp.workflows.fleet import fleet
+
+    with progress("fleet") as show:
+        arms = fleet(folder, output, progress=show, **how)
+    write_text(output / "fleet.html", fleet_page(folder.resolve().name, [a.row for a in arms]))
+    if all(arm.verdict == "failed" for arm in arms):
+        raise JobError(f"no arm of {folder} could be diagnosed: {arms[0].summary}")
+    print_json({"output": output, "arms": [arm.row for arm in arms]})
+    print_rows(f"{len(arms)} arms", [_cells(arm) for arm in arms])
+    for arm in arms:
+        if arm.verdict == "failed":
+            note(f"{arm.name}: {arm.summary}")
+        if arm.drifted:
+            note(f"{arm.name} drifted: its model errs by {arm.in_use_mm:.2f} mm, a calibration of "
+                 f"today by {arm.calibrated_mm:.2f} mm")  # fmt: skip
+    note(f"page in {output / 'fleet.html'}; a diagnosis an arm and fleet.json beside it")
+
+
+def _cells(arm: Diagnosed) -> dict[str, Any]:
+    found: dict[str, list[str]] = {}
+    for f in arm.findings:
+        found.setdefault(f.effect, []).append(f.where + " (of the kind)" * f.of_kind)
+    effects = "; ".join(f"{effect} at {', '.join(where)}" for effect, where in found.items())
+    return {
+        "arm": arm.name, "rows": arm.rows, "verdict": arm.verdict,
+        "in use, mm": arm.in_use_mm, "calibrated, mm": arm.calibrated_mm,
+        "diagnosed, mm": arm.diagnosed_mm, "found": effects,
+    }  # fmt: skip
+
+
+@click.command()
+@options.effects
+@options.as_json
+def effects() -> None:
+    """Print the library of effects: parameters, units, priors, bounds, needed inputs.
+
+    \b
+    Example:
+      longarm effects
+      longarm effects --json
+      longarm effects --effects my_effects.py
+    """
+    from longarm_comp.core.effects.catalogue import origin, registered
+    from longarm_comp.core.effects.effect import Bias
+
+    facts, lines = [], []
+    for name, kind in registered().items():
+        meaning = " ".join((kind.__doc__ or "").split("\n\n")[0].split())
+        source, parameters = origin(kind), kind.declared()
+        facts.append(
+            {
+                "effect": name,
+                "side": "camera" if issubclass(kind, Bias) else "arm",
+                "geometry": kind.geometry,
+                "from": source or "longarm_comp",
+                "meaning": meaning,
+                "needs": kind.needs,
+                "parameters": [{key: getattr(p, key) for key in _SHOWN} for p in parameters],
+            }
+        )
+        listed = "; ".join(map(_in_words, parameters))
+        where = f" ({source})" if source else ""
+        lines.append({
+            "effect": name, "what": meaning + where,
+            "parameters (unit, prior, bounds)": listed or "none", "needs": ", ".join(kind.needs),
+        })  # fmt: skip
+    print_json(facts)
+    print_rows(f"{len(lines)} effects", lines)
+
+
+def _in_words(p: Parameter) -> str:
+    bounds = [f"{sign} {end:g}" for sign, end in ((">=", p.lower), ("<=", p.upper))]
+    given = [text for text in bounds if "inf" not in text]
+    return f"{p.name} ({', '.join([p.unit, 'unknown' if p.unknown else f'{p.prior:g}', *given])})"

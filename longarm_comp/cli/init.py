@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, note_link_places, print_json, say
+from longarm_comp.cli.output import note, print_json, say
+from longarm_comp.cli.signals import numbers_by_name
 from longarm_comp.core.errors import InputError, JobError
 
 
@@ -81,27 +82,17 @@ def command(
         --joint 'alpha=90 limits=0..70 a=0 material=petg' --joint 'a=0.3 tube_a=30/26' \\
         --tip-at 0.2 0 0
     """
+    from longarm_comp.arm_folder import make
     from longarm_comp.arm_folder.dh_table import arm_of
-    from longarm_comp.arm_folder.make import (
-        ARM,
-        arm_file,
-        check_free,
-        demonstration,
-        in_sight,
-        narrowed,
-        parameter_files,
-        write_folder,
-    )
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.devices.servo_bus.registry import models
     from longarm_comp.sim.servo_emulator.wires import wires
     from longarm_comp.urdf import chain_ends, import_urdf
 
-    check_free(out)
+    make.check_free(out)
     _one_source(urdf, like, arm, rows)
-    made: Arm | None = None
     if like is not None:
-        files = demonstration()
+        files = make.demonstration()
     else:
         if arm is not None:
             made, text = Arm.load(arm), arm.read_text("utf-8")
@@ -111,25 +102,23 @@ def command(
                 data, where = import_urdf(urdf, base, tip), f"{urdf.name}, {base} to {tip}"
             else:
                 data, where = arm_of(name or out.name, rows, tip_at, payload), "a DH table"
-            homes = dict(map(_home, home))
+            homes = numbers_by_name("init", "--home", home, "JOINT=DEG, for instance joint2=30")
             if range_deg is None and hobby:
-                range_deg = in_sight(data, homes)
+                range_deg = make.in_sight(data, homes)
             elif range_deg is None:
                 # Range of a turning joint that is driven through all of it in a first session
                 range_deg = 45.0 if urdf is not None and not only_arm else 0.0
-            data, notes = narrowed(data, range_deg, homes)
+            data, notes = make.narrowed(data, range_deg, homes)
             head = f"The declared arm, from {where}. `longarm check` lists what is still assumed."
             head += _RANGES.format(range_deg) if notes else ""
-            text, made = arm_file(data, head, notes, seen=not only_arm)
-        files = {ARM: text}
+            text, made = make.arm_file(data, head, notes, seen=not only_arm)
+        files = {make.ARM: text}
         if not only_arm:
-            others = parameter_files(made, servos, hobby)
+            others = make.parameter_files(made, servos, hobby)
             files |= {f"{node}.yaml": text for node, text in others.items()}
-    write_folder(out, files)
+    make.write_folder(out, files)
     print_json({"folder": out, "files": list(files)})
     note(f"{', '.join(files)} in {out}")
-    if made is not None:
-        note_link_places(made)
     then = f"longarm up {out}/arm.yaml --sim"
     if only_arm:
         then = f"longarm import-data FILE --arm {out}/arm.yaml -o {out}/samples.csv"
@@ -149,14 +138,6 @@ def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Seq
     if len(given) != 1:
         allowed = "one of --urdf FILE, --like demo, --arm FILE, --joint ROW --joint ROW ..."
         raise InputError("init", "source", " and ".join(given) or "none", allowed)
-
-
-def _home(text: str) -> tuple[str, float]:
-    joint, _, degrees = text.rpartition("=")
-    try:
-        return joint, float(degrees)
-    except ValueError:
-        raise InputError("init", "--home", text, "JOINT=DEG, for instance joint2=30") from None
 
 
 @click.command()

@@ -1,11 +1,13 @@
-"""``longarm loop``."""
+"""``longarm apply``, ``undo``, ``verify`` and ``loop``: models at work on the running graph."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import kept_if_broken_off, note, print_json, print_rows, progress, say
@@ -16,6 +18,163 @@ if TYPE_CHECKING:
     from longarm_comp.report.record import DiagnosisReport
 
 SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")
+_BROKEN_OFF = (
+    "an interrupted verification keeps nothing; model and predictor are unchanged; "
+    "`longarm status` shows the state of the arm, and the same command starts again"
+)
+
+
+@click.command()
+@options.path_argument("diagnosis", "DIAGNOSIS")
+@options.path_option("--session", "Session that was diagnosed; default: as DIAGNOSIS names it.")
+@options.without("network", "Train no predictor.")
+@options.namespace
+@options.seed
+@options.effects
+@options.as_json
+def apply(diagnosis: Path, namespace: str, **how: Any) -> None:
+    """Use DIAGNOSIS, a folder that `longarm diagnose` wrote, on the running graph.
+
+    Replaces the model file that kinematics was started with and trains the predictor again on
+    the same session. Both nodes read their files again. A predictor that does not fit the new
+    model is set aside. `longarm undo MODEL` restores both files in one step.
+
+    A diagnosis is refused if it is of another arm, adds nothing, or was not made with the model in
+    use.
+
+    \b
+    Example:
+      longarm apply diagnosis
+    """
+    from dataclasses import asdict
+
+    from longarm_comp.jobs.apply import apply_on_graph
+
+    began: list[str] = []
+    kept = "model and predictor in use fit each other; run the same command again to finish"
+
+    def step(text: str, share: float) -> None:
+        began.append(text)
+        show(text, share)
+
+    with (
+        kept_if_broken_off(lambda: kept if began else ""),
+        on_graph("apply", namespace) as client,
+        progress("apply") as show,
+    ):
+        done = apply_on_graph(client, diagnosis, note=note, progress=step, **how)
+    print_json({**asdict(done), "undo": done.undo})
+    for change in done.changes:
+        say(str(change))
+    for name, pair in (("as commanded", done.commanded_mm), ("as seen", done.seen_mm)):
+        if pair is not None:
+            say(f"held-out mean error {name}: {pair[0]:.2f} -> {pair[1]:.2f} mm")
+    note(f"{done.model} is version {done.version}; predictor: {done.predictor or 'none'}")
+    if done.set_aside is not None:
+        note(f"the predictor before is kept as {done.set_aside}")
+    note(f"to take it back: {done.undo}")
+
+
+@click.command()
+@options.path_argument("model", "MODEL")
+def undo(model: Path) -> None:
+    """Restore the version of MODEL before the last change, byte for byte.
+
+    The predictor that belonged to that version is restored too. A predictor of the version that is
+    taken back is set aside. Running nodes notice the change.
+
+    \b
+    Example:
+      longarm undo model.yaml
+    """
+    from longarm_comp.workflows import apply as workflow
+
+    back = workflow.undo(model)
+    note(f"{model} is the previous version again")
+    if back is not None:
+        note(f"{back} is the predictor that belongs to it")
+
+
+@click.command()
+@options.arm
+@options.path_option("--targets", "CSV with x, y, z (m); default: random targets.")
+@click.option("-n", "count", type=click.IntRange(min=2), default=40,
+              help="Random targets.")  # fmt: skip
+@options.path_option("--model", "Model whose tip gives random targets; default: ARM.")
+@options.choice("--method", ["deflection", "network", "both"],
+                "Compensation to measure; default: that of the running node.")  # fmt: skip
+@options.choice("--by", ["cameras", "readings"], "What measures the tip.", default="cameras")
+@options.pace
+@options.namespace
+@options.seed
+@options.written(
+    "-o/--output",
+    "Folder for verify.json and verify.png.",
+    outputs.folder("verify.json", "verify.png", told_by="verify.json"),
+)
+@options.effects
+@options.as_json
+def verify(
+    arm: options.Arm,
+    targets: Path | None,
+    count: int,
+    model: Path | None,
+    method: str | None,
+    by: str,
+    pace: options.Paced,
+    namespace: str,
+    seed: int,
+    output: Path | None,
+) -> None:
+    """Drive fresh targets on ARM's running graph, without and with compensation.
+
+    The cameras measure tip - target, and both runs are compared target by target. Targets that the
+    graph refuses are left out and counted. The arm may be real or simulated. The graph's method is
+    restored at the end. --by readings needs no camera: the tip is computed from the encoders and
+    the model, so errors behind the encoders are known only as well as the model knows them. The
+    exit code is 0 if the 95 % interval of the gain lies above 0, else 3.
+
+    \b
+    Examples:
+      longarm verify arm.yaml -n 40
+      longarm verify arm.yaml --targets targets.csv -o verified
+    """
+    from longarm_comp.core.compensation.compensate import Method
+    from longarm_comp.core.data.plan import random_targets, sobol
+    from longarm_comp.core.files import write_text
+    from longarm_comp.jobs import targets as job
+    from longarm_comp.nodes import interfaces as graph
+    from longarm_comp.sessions.targets import read_targets
+    from longarm_comp.workflows.inputs import physics
+
+    drawn_from, rng = physics(arm, model), np.random.default_rng(seed)
+    draw: job.Draw = partial(random_targets, drawn_from, rng=rng)
+    if targets is not None:
+        given = read_targets(targets).xyz
+        draw, count = job.one_by_one(given), len(given)
+    paced = pace(drawn_from, sobol(arm, 16, seed).q)
+    tips = graph.TIP_BY_READINGS if by == "readings" else graph.TIP_MEASURED
+    with on_graph("verify", namespace, arm, tips=tips) as client, progress("verify") as show:
+        client.ready()
+        with kept_if_broken_off(lambda: _BROKEN_OFF):
+            runner = job.TargetRunner(client, paced)
+            runner.ready(drawn_from.tip(arm.mid), 30.0)
+            judged = Method(method) if method else job.method_at_work(client)
+            kept, refused = job.choose(runner, draw, count, (Method.NONE, judged))
+            result, report = job.verify(runner, kept, refused, judged, seed=seed, progress=show)
+    if output is not None:
+        write_text(output / "verify.json", outputs.json_text(report))
+        result.picture(output / "verify.png")
+        note(f"picture in {output / 'verify.png'}")
+    print_json(report)
+    print_rows(f"tip - target over {report['targets']} targets", result.rows)
+    for xyz, why in refused:
+        note(f"target {xyz.round(4).tolist()} was left out: {why}")
+    counts = ", ".join(f"{name} {n}" for name, n in report["status"].items())
+    note(f"{len(refused)} targets refused; with compensation: {counts}")
+    say(result.summary)
+    if not result.helps:
+        raise JobError(result.summary)
 
 
 @click.command()
@@ -32,7 +191,7 @@ SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_a
 @options.seed
 @options.effects
 @options.as_json
-def command(
+def loop(
     arm: options.Arm,
     output: Path,
     yes: bool,

@@ -11,13 +11,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
 
-if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
+from longarm_comp.cli.outputs import json_text
 
 _QUIET_S = 10.0
 """A reader of lines wants to know that the job goes on, not each of its steps."""
@@ -37,16 +36,6 @@ def note(text: str) -> None:
     click.echo(f"longarm: {text}", err=True)
 
 
-def note_link_places(arm: Arm) -> None:
-    """Say where links can be declared, of an arm that has none."""
-    from longarm_comp.core.arm.parts import link_places
-
-    if not arm.links and (places := link_places(arm.joints)):
-        named = (f"row {row} ({arm.joints[row - 1].name or f'joint{row}'}) {role} {size:.4g} m"
-                 for row, role, size in places)  # fmt: skip
-        note(f"no beam is declared; links (docs/arm.md) can lie along {', '.join(named)}")
-
-
 @contextmanager
 def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
     """Say what a long job leaves and the next command where it ends early; its cause follows."""
@@ -58,18 +47,10 @@ def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
         raise
 
 
-def as_text(data: object) -> str:
-    """Results as JSON text; NaN becomes null."""
-    from pydantic import TypeAdapter
-
-    written = TypeAdapter(Any).dump_json(data, indent=2, fallback=lambda array: array.tolist())
-    return written.decode()
-
-
 def print_json(data: object) -> None:
     """Print results as JSON, with ``--json``."""
     if _as_json():
-        click.echo(as_text(data))
+        click.echo(json_text(data))
 
 
 def say(text: str) -> None:
@@ -78,14 +59,9 @@ def say(text: str) -> None:
         click.echo(text)
 
 
-def print_table(
-    title: str, header: Sequence[str], rows: Sequence[Sequence[object]], on_stderr: bool = False
-) -> None:
-    """Print results as a table: text in the first column, numbers right-aligned.
-
-    With ``--json`` nothing on stdout.
-    """
-    if _as_json() and not on_stderr:
+def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print results as a table, without ``--json``; numbers stand to the right."""
+    if _as_json():
         return
     from rich.console import Console
     from rich.markup import escape
@@ -97,8 +73,7 @@ def print_table(
     for row in rows:
         table.add_row(*(escape(_cell(value)) for value in row))
     # A file or a pipe has no width: nothing is cut
-    width = None if (sys.stderr if on_stderr else sys.stdout).isatty() else 1000
-    Console(width=width, stderr=on_stderr).print(table)
+    Console(width=None if sys.stdout.isatty() else 1000).print(table)
 
 
 def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[Any, ...]]) -> None:

@@ -93,8 +93,15 @@ _DIAGNOSED = "report.json", "report.html", "model.yaml", "predictor.npz"
 DIAGNOSIS = folder(*_DIAGNOSED, told_by="report.json", schema="longarm/diagnosis/1")
 
 
+def json_text(data: object) -> str:
+    """Results as JSON text; NaN becomes null."""
+    from pydantic import TypeAdapter
+
+    written = TypeAdapter(Any).dump_json(data, indent=2, fallback=lambda array: array.tolist())
+    return written.decode()
+
+
 def diagnosed(path: Path) -> list[Path]:
-    """Files of a diagnosis in its folder."""
     return [path / name for name in _DIAGNOSED]
 
 

@@ -97,7 +97,7 @@ def command(
 
 
 def _sees(arm: Path) -> Callable[[np.ndarray], np.ndarray]:
-    from longarm_comp.arm_folder.visible import view_beside
+    from longarm_comp.arm_folder.head import view_beside
 
     view = view_beside(arm)
     if view is None:

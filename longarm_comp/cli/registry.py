@@ -6,13 +6,20 @@ A name of two words is a command of a group.
 from __future__ import annotations
 
 import importlib
+import sys
+from pathlib import Path
 from typing import NamedTuple
 
 import click
 
+from longarm_comp.core.errors import JobError
+
 
 class Entry(NamedTuple):
-    """One command: ``module:name`` of its click command, which is else named `command`."""
+    """One command: ``module:name`` of its click command, which is else named `command`.
+
+    A module with a point in its name is of a checkout and not installed.
+    """
 
     name: str
     module: str
@@ -20,33 +27,45 @@ class Entry(NamedTuple):
 
     def load(self, folder: str = "longarm_comp.cli") -> click.Command:
         module, _, name = self.module.partition(":")
-        command: click.Command = getattr(
-            importlib.import_module(f"{folder}.{module}"), name or "command"
-        )
+        if "." in module:
+            _use_checkout(module.partition(".")[0])
+        else:
+            module = f"{folder}.{module}"
+        command: click.Command = getattr(importlib.import_module(module), name or "command")
         return command
+
+
+def _use_checkout(folder: str) -> None:
+    """Make a folder of the checkout importable: from beside the package, else from here."""
+    for root in (Path(__file__).resolve().parents[2], Path.cwd()):
+        if (root / folder / "__init__.py").is_file():
+            if str(root) not in sys.path:
+                sys.path.append(str(root))
+            return
+    raise JobError(f"{folder} can only be run from a checkout of the project")
 
 
 COMMANDS = (
     Entry("init", "init", "Write an arm's folder: arm.yaml, servos, cameras, marker."),
     Entry("check", "init:check", "List what an arm's folder lacks or nobody has measured."),
-    Entry("calibrate", "calibrate", "Fit geometry and declared effects to a session."),
-    Entry("train", "train", "Train SSA-BP on the residual of the model."),
+    Entry("calibrate", "fit:calibrate", "Fit geometry and declared effects to a session."),
+    Entry("train", "fit:train", "Train SSA-BP on the residual of the model."),
     Entry("compensate", "compensate", "Compute joint commands that bring the real tip to targets."),
-    Entry("evaluate", "evaluate", "Print errors at measured poses, as in the paper's Table I."),
+    Entry("evaluate", "fit:evaluate", "Print errors at measured poses, as in the paper's Table I."),
     Entry("diagnose", "diagnose", "Find the effects that a model lacks, add and prove them."),
-    Entry("fleet", "fleet", "Diagnose many arms and compare them."),
+    Entry("fleet", "diagnose:fleet", "Diagnose many arms and compare them."),
     Entry("modes", "modes", "Predict how an arm rings after a move: frequencies, time to rest."),
     Entry("plan", "plan", "Plan poses to measure: grid, Sobol, optimal, or for a diagnosis."),
-    Entry("import-data", "import_data", "Convert another program's CSV or XLSX to a session."),
-    Entry("import-urdf", "urdf:import_urdf", "Write an arm.yaml of a URDF."),
-    Entry("export-urdf", "urdf:export_urdf", "Write a calibrated arm as a URDF."),
+    Entry("import-data", "files", "Convert another program's CSV or XLSX to a session."),
+    Entry("import-urdf", "files:import_urdf", "Write an arm.yaml of a URDF."),
+    Entry("export-urdf", "files:export_urdf", "Write a calibrated arm as a URDF."),
     Entry("bag info", "bag:info", "List the contents of a bag and the topics of a session."),
     Entry("bag to-csv", "bag:to_csv", "Convert a bag to samples.csv."),
     Entry("find-port", "servo:find_port", "Find the serial port of the servo bus."),
-    Entry("up", "up", "Start an arm's ROS graph, real or simulated."),
-    Entry("study", "study", "Print the figures of docs/studies.md, from a checkout."),
-    Entry("bench", "bench", "Compare the speed with other programs, from a checkout."),
-    Entry("demo", "demo", "Run the whole loop over the ROS graph on a simulated arm."),
+    Entry("up", "up:up", "Start an arm's ROS graph, real or simulated."),
+    Entry("study", "studies.commands", "Print the figures of docs/studies.md, from a checkout."),
+    Entry("bench", "bench.command", "Compare the speed with other programs, from a checkout."),
+    Entry("demo", "up:demo", "Run the whole loop over the ROS graph on a simulated arm."),
     Entry("view", "attend:view", "Show the running graph in the browser, with buttons to stop it."),
     Entry("status", "attend:status", "Print the state of the running arm: problems, what to do."),
     Entry("hold", "attend:hold", "Stop the running arm and keep it up."),
@@ -55,14 +74,18 @@ COMMANDS = (
     Entry("sim unplug", "attend:unplug", "Rehearse: a servo of the simulated arm does not answer."),
     Entry("sim cover", "attend:cover", "Rehearse: a camera of the simulated arm sees nothing."),
     Entry("sim freeze", "attend:freeze", "Rehearse: a node of the simulated arm hangs."),
-    Entry("collect", "collect", "Drive the poses of a plan and record the session."),
-    Entry("touch", "touch", "Record the joints while the tip touches points."),
-    Entry("verify", "verify", "Measure fresh targets without and with compensation."),
-    Entry("apply", "apply:apply", "Use a diagnosis on the running graph."),
-    Entry("loop", "loop", "Plan, collect, diagnose, apply and verify, round by round."),
+    Entry("collect", "collect:collect", "Drive the poses of a plan and record the session."),
+    Entry("touch", "collect:touch", "Record the joints while the tip touches points."),
+    Entry("verify", "loop:verify", "Measure fresh targets without and with compensation."),
+    Entry("apply", "loop:apply", "Use a diagnosis on the running graph."),
+    Entry("loop", "loop:loop", "Plan, collect, diagnose, apply and verify, round by round."),
     Entry("record", "bag:record", "Record an arm's topics as a rosbag2."),
     Entry("day-report", "bag:day_report", "Make a page of a recorded day: errors, what changed."),
-    Entry("effects", "effects", "Print the library of effects: parameters, units, priors, inputs."),
+    Entry(
+        "effects",
+        "diagnose:effects",
+        "Print the library of effects: parameters, priors, inputs.",
+    ),
     Entry("servo scan", "servo:scan", "List the servos on a bus: id, model, ids used twice."),
     Entry("servo set-id", "servo:set_id", "Give the only connected servo its id."),
     Entry("servo setup", "servo:setup", "Find zeros and directions of the servos."),
@@ -70,7 +93,7 @@ COMMANDS = (
     Entry("stereo webcams", "stereo:webcams", "List the webcams, and how to publish their images."),
     Entry("stereo calibrate", "stereo:calibrate", "Calibrate the two cameras from a board."),
     Entry("stereo hand-eye", "stereo:hand_eye", "Find where the two cameras stand."),
-    Entry("undo", "apply:undo", "Restore the version of a model.yaml before the last change."),
+    Entry("undo", "loop:undo", "Restore the version of a model.yaml before the last change."),
 )
 
 GROUPS = {

@@ -31,7 +31,6 @@ class LazyGroup(click.Group):
                 self.add_command(LazyGroup(within, first, summary))
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in the order of the list."""
         return [*self._entries, *self.commands]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -88,7 +87,6 @@ def _of_ros(error: ModuleNotFoundError) -> bool:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line of ``longarm`` and return the exit code."""
     return run_command(root(), arguments, "longarm")
 
 

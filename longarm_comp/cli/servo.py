@@ -16,7 +16,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_table, progress
-from longarm_comp.cli.signals import ask, by_name, go_on, handled
+from longarm_comp.cli.signals import ask, by_name, go_on, handled, numbers_by_name
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
@@ -44,29 +44,29 @@ def scan(port: str | None, **line: Any) -> None:
       longarm servo scan --port /dev/ttyUSB0
       longarm servo scan --port /dev/ttyUSB0 --protocol feetech --baud 1000000 --ids 1-20 --json
     """
-    found = scanned(asked_port("servo scan", port, None), **line)
+    found = _scanned("servo scan", port, **line)
     print_json(asdict(found))
     _show(found)
 
 
-def asked_port(command: str, port: str | None, known: str | None) -> str:
-    """The port, asked where it is not given. ``known``: what the servo file has."""
-    from longarm_comp.devices.servo_bus.registry import usable_ports
-
-    if port is not None:
-        return port
-    found = usable_ports()
-    for device, description in found:
-        note(f"{device}  {description}")
-    default = found[0][0] if len(found) == 1 else known
-    return str(ask(command, "--port", "serial port", "a serial port", default=default))
-
-
-def scanned(
-    port: str, protocol: str | None, baud: int | None, ids: str, timeout: float = 0.02
+def _scanned(
+    command: str,
+    port: str | None,
+    protocol: str | None,
+    baud: int | None,
+    ids: str,
+    timeout: float = 0.02,
+    known: str | None = None,
 ) -> Scan:
-    from longarm_comp.devices.servo_bus.registry import scan_line
+    """The servos that answer; a port that is not given is asked. `known`: the servo file has it."""
+    from longarm_comp.devices.servo_bus.registry import scan_line, usable_ports
 
+    if port is None:
+        there = usable_ports()
+        for device, description in there:
+            note(f"{device}  {description}")
+        default = there[0][0] if len(there) == 1 else known
+        port = str(ask(command, "--port", "serial port", "a serial port", default=default))
     with progress("scan") as tell:
         found = scan_line(port, protocol, baud, _ids(ids), timeout, tell)
     if found is None:
@@ -78,7 +78,7 @@ def scanned(
     return found
 
 
-def _show(found: Scan, on_stderr: bool = False) -> None:
+def _show(found: Scan) -> None:
     """Print the servos; refuse ids that are not clear."""
     rows = [
         (s.servo_id, s.model or f"unknown model {s.model_number}", s.firmware,
@@ -86,7 +86,7 @@ def _show(found: Scan, on_stderr: bool = False) -> None:
         for s in found.servos
     ]  # fmt: skip
     title = f"{found.port}: {found.protocol}, {found.baudrate} bit/s"
-    print_table(title, ("id", "model", "firmware", ""), rows, on_stderr)
+    print_table(title, ("id", "model", "firmware", ""), rows)
     if found.clashes:
         raise JobError(
             "answers are damaged or doubled: connect these servos one at a time and give each its "
@@ -121,7 +121,7 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
     """
     from longarm_comp.devices.servo_bus.registry import renumber
 
-    found = scanned(asked_port("servo set-id", port, None), **line)
+    found = _scanned("servo set-id", port, **line)
     old = renumber(found, servo_id)
     note(f"servo {old} is servo {servo_id} now: write it on the servo")
     note("next: connect the next servo alone; when all are done, longarm servo setup DIR")
@@ -208,8 +208,8 @@ def setup(
         raise InputError(file, "servo file", "missing", "`longarm init` makes it")
     config = ServoConfig.load(file)
     held, directions, bus = _held(config, pose), _given(config, direction), config.bus
-    found = scanned(asked_port(_COMMAND, port, bus.port), **line)
-    _show(found, on_stderr=True)
+    found = _scanned(_COMMAND, port, known=bus.port, **line)
+    _show(found)
     blind = _on_the_bus(config, found)
     wait("The torque goes off: hold or support the arm.")
     servo_bus = open_bus(
@@ -261,32 +261,24 @@ def _held(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
 
     joints = config.joints
     held = {name: min(max(0.0, joint.lower), joint.upper) for name, joint in joints.items()}
-    for name, text in by_name(_COMMAND, "--pose", pose, list(joints)).items():
-        held[name] = _number(text) * hand_unit(joints[name])[0]
+    form = "JOINT=NUMBER, deg or mm"
+    for name, value in numbers_by_name(_COMMAND, "--pose", pose, form, list(joints)).items():
+        held[name] = value * hand_unit(joints[name])[0]
     return held
 
 
 def _given(config: ServoConfig, direction: Sequence[str]) -> dict[str, int]:
     """+1 or -1 of the joints whose direction is given: of all where nobody is there to be asked."""
-    given = by_name(_COMMAND, "--direction", direction, list(config.joints))
+    form = "JOINT=+ or JOINT=-"
+    given = by_name(_COMMAND, "--direction", direction, form, list(config.joints))
     for text in given.values():
         if text not in _SIGNS:
-            raise InputError(_COMMAND, "--direction", text, "JOINT=+ or JOINT=-")
+            raise InputError(_COMMAND, "--direction", text, form)
     blind = [name for name in config.joints if name not in given]
     if blind and not sys.stdin.isatty():
         allowed = f"+ or - of {', '.join(blind)}; or a terminal to ask on"
         raise InputError(_COMMAND, "--direction", "missing", allowed)
     return {name: _SIGNS[text] for name, text in given.items()}
-
-
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < 1e6:
-        raise InputError(_COMMAND, "--pose", text, "JOINT=NUMBER, deg or mm")
-    return value
 
 
 def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:

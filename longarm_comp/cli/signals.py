@@ -5,6 +5,7 @@ Questions are also flags: what is not given is asked, where there is somebody to
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
@@ -89,12 +90,30 @@ def go_on(command: str, yes: bool, text: str) -> None:
         raise click.Abort
 
 
-def by_name(command: str, flag: str, given: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Values of a flag ``NAME=VALUE`` that may be repeated."""
-    values = {}
+def by_name(
+    command: str, flag: str, given: Sequence[str], form: str, names: Sequence[str] | None = None
+) -> dict[str, str]:
+    """Values of a flag ``NAME=VALUE`` that may be repeated; `form`: what it is called in errors."""
+    values: dict[str, str] = {}
     for text in given:
-        name, equals, value = text.partition("=")
-        if not equals or name not in names:
-            raise InputError(command, flag, text, f"NAME=VALUE, names {', '.join(names)}")
+        name, _, value = map(str.strip, text.partition("="))
+        if not name or not value or name in values or (names is not None and name not in names):
+            known = "" if names is None else f", names {', '.join(names)}"
+            raise InputError(command, flag, text, f"{form}, each once{known}")
         values[name] = value
+    return values
+
+
+def numbers_by_name(
+    command: str, flag: str, given: Sequence[str], form: str, names: Sequence[str] | None = None
+) -> dict[str, float]:
+    """The same of values that are numbers below a million."""
+    values = {}
+    for name, text in by_name(command, flag, given, form, names).items():
+        try:
+            values[name] = float(text)
+        except ValueError:
+            values[name] = math.nan
+        if not abs(values[name]) < 1e6:
+            raise InputError(command, flag, f"{name}={text}", form)
     return values

@@ -134,7 +134,7 @@ def calibrate(
       longarm stereo calibrate my_arm --live
       longarm stereo calibrate my_arm --images pictures --board 7x5 --square-mm 25.1
     """
-    from longarm_comp.arm_folder.camera_files import write_cameras
+    from longarm_comp.arm_folder.measured import write_cameras
     from longarm_comp.devices.stereo.calibrate import calibrated
 
     if (images is not None) == live:
@@ -225,7 +225,7 @@ def hand_eye(folder: Path, session: Path, model: Path | None) -> None:
     Example:
       longarm stereo hand-eye my_arm my_arm/session --model my_arm/model.yaml
     """
-    from longarm_comp.arm_folder.camera_files import head_at, write_head
+    from longarm_comp.arm_folder.measured import head_at, write_head
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.camera_placement import placed_cameras
     from longarm_comp.sessions.read import read_session

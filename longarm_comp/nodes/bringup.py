@@ -24,8 +24,8 @@ from typing import Any
 
 import yaml
 
-from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES
 from longarm_comp.arm_folder.make import parameter_files
+from longarm_comp.arm_folder.measured import CAMERAS, SIDES
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, ros_parameters
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError

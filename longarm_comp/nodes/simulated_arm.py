@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64, Header, String
 
-from longarm_comp.arm_folder.camera_files import SIDES
+from longarm_comp.arm_folder.measured import SIDES
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph

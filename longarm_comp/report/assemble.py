@@ -15,11 +15,10 @@ from longarm_comp.core.identify.diagnosis import WITH_EFFECTS, WITH_FUNCTIONS, D
 from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import EffectFinding, left_in_words
 from longarm_comp.core.identify.practical import Gain, Practical, practical
-from longarm_comp.report.candidate_states import candidate_rows, sizes
+from longarm_comp.report.candidate_states import Smallest, candidate_rows, sizes
 from longarm_comp.report.detail import SPLITS, Detail, detail
 from longarm_comp.report.noise_floor import FIGURES, excess, noise_floor
 from longarm_comp.report.record import SCHEMA, DiscoveredTerm
-from longarm_comp.report.visible_size import Smallest
 from longarm_comp.version import __version__
 
 _TERM = tuple(DiscoveredTerm.model_fields)

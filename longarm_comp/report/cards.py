@@ -7,12 +7,7 @@ from dataclasses import dataclass
 
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.posterior.found import CREDIBLE
-from longarm_comp.report.record import (
-    DiagnosisReport,
-    FindingParameter,
-    ReportDiscovered,
-    ReportFinding,
-)
+from longarm_comp.report import record
 from longarm_comp.report.words import change, interval, listed, millimetres, number, odds
 
 CERTAIN = 0.999
@@ -56,13 +51,13 @@ class _Card:
     figure: str = "mean error without → with it"
 
 
-def cards(report: DiagnosisReport) -> list[_Card]:
+def cards(report: record.DiagnosisReport) -> list[_Card]:
     """A card per finding, then one per cause without a name that is in the model."""
     unnamed = [_unnamed(found, report) for found in report.discovered if found.kept]
     return [_card(finding, report) for finding in report.findings] + unnamed
 
 
-def to_do(report: DiagnosisReport) -> dict[str, list[_Card]]:
+def to_do(report: record.DiagnosisReport) -> dict[str, list[_Card]]:
     """The cards by what is to be done about them, in the order of `DUTIES`; empty ones left out."""
     made = cards(report)
     return {duty: held for duty in DUTIES if (held := [c for c in made if c.duty == duty])}
@@ -75,7 +70,7 @@ def said(card: _Card) -> str:
     return f"{card.because_of} {card.action}" if card.duty == DUTIES[0] else card.because_of
 
 
-def _duty(gain_mm: float, first: str, report: DiagnosisReport) -> tuple[str, str]:
+def _duty(gain_mm: float, first: str, report: record.DiagnosisReport) -> tuple[str, str]:
     """What to do about a cause, and why; ``first``: what must be known before, or nothing."""
     noise = math.hypot(*(report.noise.sigma_mm or ()))
     if gain_mm < max(WORTH_MM, noise):
@@ -84,7 +79,7 @@ def _duty(gain_mm: float, first: str, report: DiagnosisReport) -> tuple[str, str
     return (DUTIES[1], first) if first else (DUTIES[0], f"It is worth {millimetres(gain_mm)}.")
 
 
-def _first(finding: ReportFinding, report: DiagnosisReport) -> str:
+def _first(finding: record.ReportFinding, report: record.DiagnosisReport) -> str:
     """What would decide a doubt; empty where there is none."""
     if len(finding.set) > 1:
         poses = "the poses of next_poses.csv show" if report.next_poses else "a look at it shows"
@@ -96,7 +91,7 @@ def _first(finding: ReportFinding, report: DiagnosisReport) -> str:
     return "" if finding.probability >= CERTAIN else "a second session finds it again."
 
 
-def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
+def _unnamed(found: record.ReportDiscovered, report: record.DiagnosisReport) -> _Card:
     others = found.set[1:]
     said = f"Odds of {odds(found.log_evidence)} for it, counting all functions that were tried."
     if others:
@@ -122,7 +117,7 @@ def _unnamed(found: ReportDiscovered, report: DiagnosisReport) -> _Card:
     )
 
 
-def _card(finding: ReportFinding, report: DiagnosisReport) -> _Card:
+def _card(finding: record.ReportFinding, report: record.DiagnosisReport) -> _Card:
     title, where = finding.title or finding.effect.replace("_", " "), _places(finding.where)
     before, after = finding.seen_mm or (0.0, 0.0)
     duty, why = _duty(before - after, _first(finding, report), report)
@@ -155,7 +150,7 @@ def _places(where: list[str]) -> str:
     return f"{kinds.pop()}s {', '.join(values[:-1])} and {values[-1]}"
 
 
-def _size(parameter: FindingParameter) -> tuple[str, ...]:
+def _size(parameter: record.FindingParameter) -> tuple[str, ...]:
     times, unit = for_people(parameter.unit)
     gap = "" if unit == "°" else " "
     shown = f"{number(times * parameter.value, 3)}{gap}{unit}"
@@ -169,7 +164,7 @@ def _tip(typical_mm: float, most_mm: float) -> str:
     return f"{typical} at the tip" + (f", up to {most}" if most != typical else "")
 
 
-def _because(finding: ReportFinding) -> str:
+def _because(finding: record.ReportFinding) -> str:
     said = [f"Odds of {odds(finding.log_bayes_factor)} for it against leaving it out"]
     if finding.others:
         said.append(f"These data do not tell it from {listed(finding.others)}")
@@ -181,7 +176,7 @@ def _because(finding: ReportFinding) -> str:
     return ". ".join(said) + "."
 
 
-def _sure(finding: ReportFinding) -> str:
+def _sure(finding: record.ReportFinding) -> str:
     sure = _word(finding.probability)
     named = _word(finding.probability * finding.set_probability.get(finding.effect, 1.0))
     if finding.open:
@@ -201,7 +196,7 @@ def _word(probability: float) -> str:
     return "likely" if probability >= CREDIBLE else "not sure"
 
 
-def _software(finding: ReportFinding, report: DiagnosisReport) -> str:
+def _software(finding: record.ReportFinding, report: record.DiagnosisReport) -> str:
     if finding.compensated:
         return "The new model.yaml compensates it."
     mine = [s for s in report.held_out.not_commanded if s.startswith(f"{finding.effect} (")]
@@ -209,7 +204,7 @@ def _software(finding: ReportFinding, report: DiagnosisReport) -> str:
     return f"Commands leave it out{why}; the software does not compensate it."
 
 
-def _improves(finding: ReportFinding) -> str:
+def _improves(finding: record.ReportFinding) -> str:
     """Held-out mean error without and with it, as commanded and, where it differs, as seen."""
     if finding.commanded_mm is None or finding.seen_mm is None:
         return ""

@@ -17,25 +17,16 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.planning.splitting_poses import SplittingPoses
-from longarm_comp.core.vibration.modes import modes
-from longarm_comp.core.vibration.ring import ring_of_moves
-from longarm_comp.core.vibration.shaper import USUAL_DAMPING
-from longarm_comp.report.candidate_states import best_forms
-from longarm_comp.report.visible_size import Smallest
+from longarm_comp.report.candidate_states import Smallest, best_forms
 
 SPLITS = 3.0
 """Smallest expected log odds for which poses are worth measuring."""
 _UNITS = {"temperature_c": "°C", "payload_kg": "kg", "t_s": "s"}
-_MOVE_S = 0.5
-"""Time of a move that the page's rings are said of, as in `longarm modes`."""
-
-
 Line = tuple[str | float | None, ...]
 
 
@@ -75,17 +66,16 @@ class SeenRows:
 
 
 class SetSplit(NamedTuple):
-    """Effects that these data cannot distinguish, and poses (M, n) that would.
+    """Effects that these data cannot distinguish, and how many poses to measure would.
 
-    `sides`: (M,) from below (+1), above (-1) or anywhere (0). `expected_log_bayes_factor`: between
-    the two closest members after measuring the poses.
+    `reason`: why none would. `expected_log_bayes_factor`: between the two closest members after
+    measuring the poses.
     """
 
     members: tuple[str, ...]
-    reason: str
     expected_log_bayes_factor: float
-    q: np.ndarray = np.empty((0, 0))
-    sides: tuple[int, ...] = ()
+    poses: int = 0
+    reason: str = ""
 
 
 class Marked(NamedTuple):
@@ -105,21 +95,17 @@ class Detail:
         detectable: the smallest size of each effect that these data would have shown, and its RMS
             at the tip (mm); None where no size would show, as the data do not excite it.
         encoders: reading - command of the joints over the fitted rows.
-        rings: how the arm rings, its drives held; None where nothing of the model bends.
         marked: where each finding is on the arm, in the order of the cards.
         provenance: further facts, shown after those of report.json.
     """
 
     title: str = "Diagnosis"
-    joints: tuple[str, ...] = ()
-    joint_units: tuple[str, ...] = ()
     held_out: SeenRows | None = None
     guilty: tuple[str, ...] = ()
     correlation: PageTable | None = None
     detectable: PageTable | None = None
     splits: tuple[SetSplit, ...] = ()
     encoders: PageTable | None = None
-    rings: PageTable | None = None
     marked: tuple[Marked, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
 
@@ -131,39 +117,15 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
     rows = _rows(diagnosis, units)
     return Detail(
         title=f"{diagnosis.arm.name}: {facts.get('session', 'session')}",
-        joints=tuple(arm.joint_names),
-        joint_units=units,
         held_out=rows,
         guilty=_guilty(diagnosis, rows),
         correlation=_correlation(diagnosis),
         detectable=_detectable(diagnosis, tried),
         splits=tuple(_split(diagnosis, s) for s in diagnosis.split_by),
         encoders=_encoders(diagnosis, units),
-        rings=rings(diagnosis.model),
         marked=_marked(diagnosis),
         provenance=facts,
     )
-
-
-def rings(model: Model) -> PageTable | None:
-    """How a model rings at both ends of its joints and in their middle, in that order."""
-    arm, damping = model.arm, model.arm.damping or USUAL_DAMPING
-    at = {"lower ends": arm.lower, "middle": arm.mid, "upper ends": arm.upper}
-    found = ring_of_moves(model, np.array(list(at.values())), _MOVE_S, damping)
-    if not all(len(each.omega) for each, _ in found):
-        return None
-    bare = [modes(declared_model(arm), q).hz for q in at.values()]
-    rows = tuple(
-        (name, float(hz[0]) if len(hz) else None, float(each.hz[0]), left.settle_s())
-        for name, hz, (each, left) in zip(at, bare, found, strict=True)
-    )
-    caption = (
-        f"Slowest mode, drives held, and the time after a move of {_MOVE_S:g} s from the posture "
-        "above until the tip stays within 0.1 mm, at a damping of "
-        f"{damping:.3g} ({'assumed' if arm.damping is None else 'arm.yaml'})"
-    )
-    head = ("Joints at their", "as declared, Hz", "this model, Hz", "still after, s")
-    return PageTable(caption, head, rows)
 
 
 def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
@@ -247,25 +209,24 @@ def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> PageTable:
 
 
 def _split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
-    """A set with the poses that split it; no poses if none would."""
+    """A set with the number of poses that split it; no poses if none would."""
     found = next(f for f in diagnosis.findings if f.name == by.between[0])
+    if by.log_bayes_factor >= SPLITS:
+        return SetSplit(found.names, by.log_bayes_factor, len(by.q))
     pair = f"{by.between[0]} and {by.between[1]}"
-    if by.log_bayes_factor < SPLITS:
-        reason = f"No pose tells {pair} apart: expected log odds {by.log_bayes_factor:.1f}."
-        others = [a.candidate.terms[0] for a in found.alternatives[:1]]
-        first, read = found.terms[0], diagnosis.fit.session.read_joints
-        deciding = [
-            f"read_q{k + 1}"
-            for k, row in enumerate(diagnosis.arm.commanded)
-            if k not in read and any(tell_apart(diagnosis.arm, [row], first, o) for o in others)
-        ]
-        if deciding:
-            reason += f" What the encoders say does ({', '.join(deciding)})."
-        if any({"temperature_c", "t_s"} & set(t.needs) for t in (*found.terms, *others)):
-            reason += " Measure again after a pause, at another temperature."
-        return SetSplit(found.names, reason, by.log_bayes_factor)
-    reason, sides = f"These poses do not tell {pair} apart.", tuple(map(int, by.approach))
-    return SetSplit(found.names, reason, by.log_bayes_factor, by.q, sides)
+    reason = f"No pose tells {pair} apart: expected log odds {by.log_bayes_factor:.1f}."
+    others = [a.candidate.terms[0] for a in found.alternatives[:1]]
+    first, read = found.terms[0], diagnosis.fit.session.read_joints
+    deciding = [
+        f"read_q{k + 1}"
+        for k, row in enumerate(diagnosis.arm.commanded)
+        if k not in read and any(tell_apart(diagnosis.arm, [row], first, o) for o in others)
+    ]
+    if deciding:
+        reason += f" What the encoders say does ({', '.join(deciding)})."
+    if any({"temperature_c", "t_s"} & set(t.needs) for t in (*found.terms, *others)):
+        reason += " Measure again after a pause, at another temperature."
+    return SetSplit(found.names, by.log_bayes_factor, reason=reason)
 
 
 def _encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable | None:

@@ -185,7 +185,6 @@ _ROUND = np.array([1.0, 2.0, 5.0])
 
 
 def stages_of(rows: SeenRows) -> tuple[str, ...]:
-    """The stages that these rows have, in order."""
     return tuple(stage for stage in LOOKS if stage in rows.errors_m)
 
 

@@ -76,7 +76,6 @@ _DARK = (b"@media screen and (prefers-color-scheme: dark)"
 
 
 def rc() -> AbstractContextManager[None]:
-    """Context manager with the common style."""
     return mpl.rc_context(RC)
 
 

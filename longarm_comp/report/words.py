@@ -1,10 +1,15 @@
-"""Words and numbers of the page: for its tables and sentences."""
+"""Words of the page: numbers, the verdict, what it changed, what the data could not tell."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from longarm_comp.report.record import DiagnosisReport, FindingParameter
+from longarm_comp.core.calibration.candidates import NO_PLACE
+from longarm_comp.core.data.commanded import MEASURING_SIDE
+from longarm_comp.report.detail import Detail, SetSplit
+from longarm_comp.report.record import DiagnosisReport, ErrorRow, FindingParameter
 
 DASH = "–"
 _CERTAIN = 100
@@ -39,7 +44,6 @@ def to_three_places(value: float | None) -> str:
 
 
 def odds(log_bayes_factor: float) -> str:
-    """A log Bayes factor as odds."""
     power = abs(log_bayes_factor) / np.log(10)
     if power < 4:
         larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"
@@ -75,7 +79,6 @@ COLUMNS = {
     "excess_mm": "excess",
 }
 """Figures of an error row, and what the page calls them."""
-SIDES = {1: "all joints from below", -1: "all joints from above"}
 
 
 def headline(report: DiagnosisReport) -> str:
@@ -92,3 +95,133 @@ def plausible(parameter: FindingParameter) -> str:
     times = abs(parameter.value) / parameter.prior_scale
     verdict = "usual" if times <= 2 else "large" if times <= 4 else "implausible"
     return f"{verdict}: {times:.1f} × prior scale"
+
+
+STAGES = {
+    "nominal": "the arm as declared",
+    "frames_only": "base and marker placed",
+    "calibrated": "the calibrated geometry",
+    "with_effects": "the geometry with the effects found",
+    "with_functions": "the model with what was found without a name",
+    "with_network": "the model with the network",
+}
+COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+
+
+def meaning(report: DiagnosisReport) -> str:
+    n, open_ = len(report.findings), sum(f.open for f in report.findings)
+    left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
+    explain = _counted(n, "physical effect") + (" explains" if n == 1 else " explain")
+    causes = _counted(unnamed, "cause") + " without a name"
+    added = f"{causes.lower()} {'was' if unnamed == 1 else 'were'} found and added"
+    if not unnamed:
+        added = "none was added"
+    part = explain
+    if unnamed and n:
+        part = f"{_counted(n, 'physical effect')} and {causes.lower()} explain"
+    elif unnamed:
+        part = f"{causes} explain{'s' * (unnamed == 1)}"
+    of = f"{_count(open_).lower()} of them"
+    if open_ == n:
+        of = "it" if n == 1 else "each of them"
+    noise = "Nothing beyond the noise was found; nothing was added."
+    if report.written is not None and report.written.model == "with_effects" and not n:
+        noise = "Every part of the arm is a little off, which was added; only noise is left."
+    return {
+        "noise": noise,
+        "named": f"{explain} what the model lacked.",
+        "set": f"{explain} what the model lacked; {of} may have another name, and more poses may "
+        "tell.",
+        "partly": f"{part} a part of what the model lacked; "
+        + ("structure is left." if left.flag else "too many names could explain the rest."),
+        "unknown": f"There is structure that no effect of the library explains; {added}."
+        if left.flag
+        else f"Effects were found in the fitted poses, but not proven at other poses; {added}.",
+        "bad_data": "The data were refused; nothing was fitted, nothing was added.",
+    }[report.verdict]
+
+
+def _count(n: int) -> str:
+    return (COUNTS[n] if n < len(COUNTS) else str(n)).capitalize()
+
+
+def _counted(n: int, what: str) -> str:
+    return f"{_count(n)} {what}{'' if n == 1 else 's'}"
+
+
+def improvement(report: DiagnosisReport) -> dict[str, Any] | None:
+    """Mean held-out errors from the arm as declared to the stage that the verdict ends with.
+
+    `commanded`: as a command would have it; `between`: what a command leaves out, where it differs
+    from `seen`, which is else empty. `between_mm`: the error of the stage from which what was found
+    is counted, and its name. `proof`: what the interval says. `camera`: a finding is on the
+    measuring side. None: there are no rows.
+    """
+    held = report.held_out
+    rows = {row.model: row for row in held.rows}
+    if held.before not in rows or held.after not in rows:
+        return None
+    before, after = rows[held.before], rows[held.after]
+    first = rows.get("nominal", before)
+    seen = change((first.mean_mm, after.mean_mm))
+
+    def as_commanded(row: ErrorRow) -> float:
+        return row.mean_mm if row.commanded_mean_mm is None else row.commanded_mean_mm
+
+    commanded = change((as_commanded(first), as_commanded(after)))
+    between = f"{millimetres(as_commanded(before))} with {STAGES[before.model]}"
+    differs = commanded != seen
+    camera = any(said.endswith(MEASURING_SIDE) for said in held.not_commanded)
+    return {
+        "stages": (STAGES[first.model], STAGES[after.model]),
+        "commanded": commanded,
+        "seen": seen if differs else "",
+        "between_mm": "" if before is first else between,
+        "proof": _proof(held.commanded_ci95_mm or held.before_after_ci95_mm),
+        "between": held.not_commanded if differs else [],
+        "camera": camera and bool(report.findings),
+    }
+
+
+def _proof(pair: tuple[float, float] | None) -> str:
+    if pair is None:
+        return ""
+    if pair[0] > 0:
+        return f"The mean falls by {interval(pair, 3)} mm (95 %)."
+    if pair[1] < 0:
+        return f"The mean grows by {interval((-pair[1], -pair[0]), 3)} mm (95 %)."
+    return f"The change of the mean, {interval((-pair[1], -pair[0]), 3)} mm (95 %), is not proven."
+
+
+def open_questions(report: DiagnosisReport, detail: Detail) -> list[tuple[str, tuple[str, ...]]]:
+    """What these data cannot tell, and the effects that it is about."""
+    made: list[tuple[str, tuple[str, ...]]] = [(_split_by(split), ()) for split in detail.splits]
+    split = {tuple(split.members) for split in detail.splits}
+    made += [
+        (f"Whether it is {listed(f.set)}. No poses to decide it were looked for.", ())
+        for f in report.findings
+        if len(f.set) > 1 and tuple(f.set) not in split
+    ]
+    doubts = dict.fromkeys(d for found in report.discovered if found.kept for d in found.doubts)
+    more = len(report.next_poses) - sum(split.poses for split in detail.splits)
+    if doubts:
+        poses = f": {more} poses in next_poses.csv would tell" if more > 0 else ""
+        made.append((f"The function without a name is in doubt{poses}:", tuple(doubts)))
+    rows = report.candidates
+    untested = tuple(
+        f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable" and c.why != NO_PLACE
+    )
+    if untested:
+        made.append(("Not testable with this session:", untested))
+    unseen = tuple(f"{c.effect}, {c.where}: {c.why}" for c in rows if c.state == "invisible")
+    if unseen:
+        made.append(("May exist, but would not show at its usual size:", unseen))
+    return made
+
+
+def _split_by(split: SetSplit) -> str:
+    said = f"Whether it is {listed(list(split.members))}"
+    if not split.poses:
+        return f"{said}. {split.reason}"
+    figure = f"expected odds {odds(split.expected_log_bayes_factor)}"
+    return f"{said}: {split.poses} poses in next_poses.csv would tell ({figure})."

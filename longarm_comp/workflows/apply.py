@@ -11,9 +11,8 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -62,7 +61,7 @@ class _Change:
         shown = []
         for name, unit, *values in self.values:
             times, read = for_people(unit)
-            before, after = (_number(times * value) for value in values)
+            before, after = ("none" if np.isnan(v) else f"{times * v:.4g}" for v in values)
             shown.append(f"{name} {before} -> {after} {read}")
         listed = f" ({', '.join(shown)})" if shown else ""
         return f"{self.what}{place} {self.kind}: {self.tip_mm:.3f} mm at the tip{listed}"
@@ -246,13 +245,13 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
         # A change that moves the tip by less than this is not reported
         if tip_mm < 5e-4:
             continue
+        if name in (GEOMETRY, CAMERA):
+            found.append(_Change(name, "", "changed", (), tip_mm))
+            continue
         was, now = old.get(keys[0]), new.get(keys[0])
-        change = _Change(name, "", "changed", (), tip_mm)
-        if name not in (GEOMETRY, CAMERA):
-            kind = "added" if was is None else "removed" if now is None else "changed"
-            term: Any = now or was
-            change = replace(change, where=term.where, kind=kind, values=_values(was, now, after))
-        found.append(change)
+        kind = "added" if was is None else "removed" if now is None else "changed"
+        where = (now or old[keys[0]]).where
+        found.append(_Change(name, where, kind, _values(was, now, after), tip_mm))
     return sorted(found, key=lambda change: -change.tip_mm)
 
 
@@ -270,10 +269,6 @@ def _values(old: Term | None, new: Term | None, model: Model) -> tuple[Value, ..
         if not np.isclose(was, now, rtol=1e-9, atol=0.0):
             rows.append((p.name, p.unit, was, now))
     return tuple(rows)
-
-
-def _number(value: float) -> str:
-    return "none" if np.isnan(value) else f"{value:.4g}"
 
 
 _HASH = 12

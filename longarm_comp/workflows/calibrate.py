@@ -7,22 +7,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration import plausible
 from longarm_comp.core.calibration.calibrate import Rung, ladder, stages
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.plausible import (
-    check_carries_over,
-    check_fits,
-    check_sizes,
-    check_worth,
-)
 from longarm_comp.core.calibration.standing import untold
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.holdout import blocked_split
@@ -39,9 +33,6 @@ from longarm_comp.core.model.model_file import read_stored, restore, save_model,
 from longarm_comp.version import __version__
 from longarm_comp.workflows import inputs
 from longarm_comp.workflows.evaluate import ErrorTable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def kind_from(arm: Arm, given: Sequence[inputs.ModelLike]) -> tuple[KindOfArm, str]:
@@ -170,10 +161,6 @@ class Calibration:
     def _repr_html_(self) -> str:
         return html_table(self.summary, self.held_out.rows)
 
-    def plot(self) -> Figure:
-        """Errors of every model on rows that were not fitted."""
-        return self.held_out.plot()
-
     def __repr__(self) -> str:
         return f"Calibration({self.summary})"
 
@@ -228,9 +215,6 @@ def calibrate(
         frames alone, much worse there than at the fitted rows, or has an effect of a size that no
         arm has.
     """
-    for effect in effects:
-        if isinstance(effect, str):
-            instances(effect, arm)
     whole = inputs.admitted(session, arm, note=note)
     chosen = [_named(effect, arm, whole, note) for effect in effects]
     kind, origin = kind_from(arm, kind_of) if kind_of else (None, "")
@@ -245,8 +229,8 @@ def calibrate(
     size, unit = (errors, "mm") if held_out.placed.any() else (turns, "mrad")
     held = size(last, held_out)
     for rung, than in ((rungs[1], "placed frames alone"), (rungs[0], "the declared arm")):
-        check_worth(held, size(rung.model, held_out), whole.source, than, unit)
-    check_carries_over(size(last, train), held, whole.source, unit)
+        plausible.check_worth(held, size(rung.model, held_out), whole.source, than, unit)
+    plausible.check_carries_over(size(last, train), held, whole.source, unit)
     tell("all rows", (steps - 1) / steps)
     if kind is None:
         final = fit(last, whole)
@@ -256,20 +240,12 @@ def calibrate(
             terms = [term for _, each in chosen for term in each]
             final = fit(final.model.plus(*terms), whole, usual=kind.noise)
         final = folded(final)
-    check_fits(final.model, whole)
-    check_sizes(final.model, whole.source)
+    plausible.check_fits(final.model, whole)
+    plausible.check_sizes(final.model, whole.source)
     return Calibration(tuple(rungs), len(chosen), len(held_out), final, whole, seed, origin)
 
 
-def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]:
-    """An effect on every joint or beam of an arm that may have it."""
-    terms: tuple[Term, ...] = effect_class(name, where).for_arm(arm)
-    if not terms:
-        raise InputError(where, name, "no place on this arm", "an effect this arm can have")
-    return terms
-
-
-def recorded(terms: tuple[Term, ...], session: Session, note: inputs.Note) -> tuple[Term, ...]:
+def _recorded(terms: tuple[Term, ...], session: Session, note: inputs.Note) -> tuple[Term, ...]:
     """Of the places of an effect, those whose inputs were recorded and moved."""
     context = session.context()
     usable, why = [], None
@@ -301,7 +277,11 @@ def _named(
     given: str | Term | Sequence[Term], arm: Arm, session: Session, note: inputs.Note
 ) -> tuple[str, tuple[Term, ...]]:
     if isinstance(given, str):
-        return given, recorded(instances(given, arm), session, note)
+        places: tuple[Term, ...] = effect_class(given, "calibrate").for_arm(arm)
+        if not places:
+            allowed = "an effect this arm can have"
+            raise InputError("calibrate", given, "no place on this arm", allowed)
+        return given, _recorded(places, session, note)
     terms = (given,) if isinstance(given, Term) else tuple(given)
     if not terms:
         raise InputError("calibrate", "effects", "nothing", "a name or instances of an effect")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,11 +33,7 @@ from longarm_comp.sessions.csv import XYZ, joint_names
 from longarm_comp.sessions.read import read_session
 from longarm_comp.sessions.table import WriteTable, write_table
 from longarm_comp.sessions.targets import Targets
-from longarm_comp.workflows.evaluate import bars
 from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,12 +106,6 @@ class Commands(Sequence[Compensation]):
             for number, each in zip(self.numbers, self, strict=True)
         ]  # fmt: skip
         return html_table(f"{self.summary}{self.promise}", rows)
-
-    def plot(self) -> Figure:
-        """Expected error of every command."""
-        heights = {"expected": [1e3 * each.expected_m for each in self],
-                   "90 % within": [1e3 * each.p90_m for each in self]}  # fmt: skip
-        return bars([str(k) for k in self.numbers], heights, "expected error, mm")
 
     def __repr__(self) -> str:
         return f"Commands({self.summary}{self.promise})"

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -31,16 +31,13 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
 from longarm_comp.report.assemble import assemble, refused
 from longarm_comp.report.detail import SPLITS
-from longarm_comp.report.write import write_report
+from longarm_comp.report.pages import write_report
 from longarm_comp.sessions.poses import FILE, write_poses
 from longarm_comp.version import __version__
 from longarm_comp.workflows import inputs
 from longarm_comp.workflows.calibrate import kind_from
 from longarm_comp.workflows.evaluate import ErrorTable
 from longarm_comp.workflows.train import training_rows
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,19 +84,11 @@ class DiagnosisResult:
     @property
     def held_out(self) -> ErrorTable:
         """Errors of every model on the hold-out."""
-        found = self.diagnosis
-        seen, commanded = (
-            {name: Errors.of(error) for name, error in left.items()}
-            for left in (found.errors, found.commanded)
-        )
-        return ErrorTable(seen, commanded)
+        commanded = {name: Errors.of(e) for name, e in self.diagnosis.commanded.items()}
+        return ErrorTable(self.diagnosis.rows, commanded)
 
     def _repr_html_(self) -> str:
         return html_table(self.summary, self.held_out.rows)
-
-    def plot(self) -> Figure:
-        """Errors of every model on rows that were not fitted."""
-        return self.held_out.plot()
 
     def __repr__(self) -> str:
         return f"DiagnosisResult({self.verdict}: {self.summary})"
@@ -228,9 +217,14 @@ def diagnose(
             allowed = "rows that say where the tip is (longarm calibrate takes orientations alone)"
             raise InputError(rows.source, "x, y, z", "blank in all rows", allowed)
     kind, origin_of_kind = kind_from(arm, kind_of) if kind_of else (None, "")
+
+    def train_on(fitted: Model, rows: Session) -> Predictor:
+        origin = Provenance(arm.hash, rows.hash, arm.joint_names, {"deflection": True})
+        return networks.train(*training_rows(fitted, rows), seed=seed, provenance=origin)
+
     found = core.diagnose(
         arm, whole, test=held_out, model=known, kind=kind, seed=seed,
-        progress=inputs.teller(progress), train_network=_train(seed) if network else None,
+        progress=inputs.teller(progress), train_network=train_on if network else None,
     )  # fmt: skip
     facts = {"session": _path(session).name, "arm": arm.hash, "rows": str(len(whole))}
     if test is not None and held_out is not None:
@@ -273,16 +267,6 @@ def diagnose_files(
     inputs.teller(progress)("report")
     found.save(folder)
     return found
-
-
-def _train(seed: int) -> core.Train:
-    def train_on(model: Model, session: Session) -> Predictor:
-        arm = model.arm
-        origin = Provenance(arm.hash, session.hash, arm.joint_names, {"deflection": True})
-        rows = training_rows(model, session)
-        return networks.train(*rows, seed=seed, provenance=origin)
-
-    return train_on
 
 
 def _path(given: inputs.SessionLike) -> Path:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,24 +21,6 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.workflows import inputs
 from longarm_comp.workflows.train import expected
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-def bars(labels: Sequence[str], heights: Mapping[str, Sequence[float]], what: str) -> Figure:
-    """Bars side by side, one colour for each of ``heights`` (mm), one place a label."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 3.2), layout="constrained")
-    axes = figure.add_subplot()
-    width, at = 0.8 / len(heights), np.arange(len(labels))
-    for k, (name, values) in enumerate(heights.items()):
-        axes.bar(at + (k - (len(heights) - 1) / 2) * width, values, width, label=name)
-    axes.set_xticks(at, labels, rotation=30 if len(labels) > 4 else 0)
-    axes.set_ylabel(what)
-    axes.legend()
-    return figure
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,12 +49,6 @@ class ErrorTable(Mapping[str, Errors]):
 
     def _repr_html_(self) -> str:
         return html_table("errors on rows that were not fitted", self.rows)
-
-    def plot(self) -> Figure:
-        """Mean and 95 % of every model as bars."""
-        rows = self.rows
-        heights = {name: [row[f"{name}_mm"] for row in rows] for name in ("mean", "p95")}
-        return bars([row["model"] for row in rows], heights, "error, mm")
 
     def __repr__(self) -> str:
         import pandas as pd
@@ -160,7 +136,11 @@ def evaluate(
     taken_off = {name: np.zeros(3) for name in models}
     outside, refused, learned = 0, 0, None
     if predictor is not None:
-        learned = inputs.predictor_of(predictor, arm, model)
+        if isinstance(predictor, Predictor):
+            inputs.check_predictor(predictor, inputs.physics(arm, model), "predictor")
+            learned = predictor
+        else:
+            learned = inputs.load_predictor(predictor, arm, model)
         beside = learned.provenance.beside_deflection
         found = expected(learned, session)
         inside = np.asarray(found.in_domain)

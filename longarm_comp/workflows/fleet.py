@@ -8,8 +8,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing import get_context
@@ -142,7 +141,6 @@ def fleet(
     output: Path,
     *,
     jobs: int = 1,
-    dask: str | None = None,
     network: bool = True,
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda text, share: None,
@@ -154,7 +152,6 @@ def fleet(
 
     Args:
         jobs: processes.
-        dask: address of a scheduler whose workers see the same files, instead of processes.
         network: whether to train networks on what remains.
         progress: called with each finished arm and the share of all.
     """
@@ -173,7 +170,7 @@ def fleet(
         else:
             left.append((member, kind, key))
     look = partial(_diagnosed, output=output, network=network, seed=seed)
-    for one in _worked(look, left, jobs, dask):
+    for one in _worked(look, left, jobs):
         made[one.name] = one
         _write(made.values(), output)
         progress(one.name, len(made) / len(found))
@@ -197,37 +194,16 @@ def _write(arms: Iterable[Diagnosed], output: Path) -> None:
 
 
 def _worked(
-    look: Callable[..., Diagnosed], left: Sequence[tuple[_Member, int, str]], jobs: int,
-    dask: str | None,
-) -> Iterator[Diagnosed]:  # fmt: skip
+    look: Callable[..., Diagnosed], left: Sequence[tuple[_Member, int, str]], jobs: int
+) -> Iterator[Diagnosed]:
     """Each arm as it is done; nothing else of it is kept."""
-    if dask is None and jobs == 1:
+    if jobs == 1:
         yield from (look(*one) for one in left)
         return
-    with _pool(jobs, dask) as pool:
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         begun = {pool.submit(look, *one) for one in left}
         for done in as_completed(begun):
             yield done.result()
-
-
-@contextmanager
-def _pool(jobs: int, dask: str | None) -> Iterator[Executor]:
-    """Processes of this machine, or the workers of a dask cluster."""
-    if dask is None:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            yield pool
-        return
-    try:
-        from dask.distributed import Client
-    except ImportError:
-        wanted = "pip install 'longarm_comp[cluster]'"
-        raise InputError("fleet", "--dask", "not installed", wanted) from None
-    try:
-        client = Client(dask, timeout=20.0)  # s; one that is there has answered by then
-    except (OSError, ValueError) as error:
-        raise InputError("fleet", "--dask", dask, f"a scheduler ({error})") from error
-    with client, client.get_executor() as workers:
-        yield workers
 
 
 def _diagnosed(

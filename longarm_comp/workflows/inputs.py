@@ -6,8 +6,9 @@ import dataclasses
 import hashlib
 import logging
 import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from longarm_comp.core.identify.wind_up import as_fitted
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, store
+from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sessions.read import read_session
 
 if TYPE_CHECKING:
@@ -91,6 +93,35 @@ def admitted(
     return admission.session
 
 
+def import_table(
+    files: FilePath | Sequence[FilePath],
+    arm: Arm,
+    *,
+    units: Sequence[str] = (),
+    names: Mapping[str, str] | None = None,
+    like: FilePath | None = None,
+    **told: str | None,
+) -> Session:
+    """Read CSV, TXT or XLSX of another program; several files make one session.
+
+    Args:
+        units: units of columns whose names have none, such as ``("mm", "deg")``.
+        names: session column by the file's, ``{"A": "q1", "B": "q2:mm"}``.
+        like: mapping of an earlier file of the same kind, instead of the other arguments.
+        told: ``rotation``, ``sheet``, ``decimal``, ``join`` and ``sort``, as the options of
+            `longarm import-data`.
+    """
+    from longarm_comp.sessions.foreign import convert
+
+    options = convert.Options(tuple(units), dict(names or {}), arm=arm, **told)
+    found = convert.import_table(files, options if like is None else options.like(Path(like)))
+    with tempfile.TemporaryDirectory() as folder:
+        csv = Path(folder) / "samples.csv"
+        found.save(csv)
+        session = read_csv(csv, arm)
+    return dataclasses.replace(session, source=", ".join(file.name for file in found.files))
+
+
 def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model:
     """The calibrated model, or the declared arm; without sag if ``deflection`` is False.
 
@@ -135,14 +166,6 @@ def load_predictor(path: FilePath, arm: Arm, model: ModelLike | None = None) -> 
         belongs(predictor, path, wanted, to)
     check_predictor(predictor, physics(arm, model), path)
     return predictor
-
-
-def predictor_of(given: Predictor | FilePath, arm: Arm, model: ModelLike | None) -> Predictor:
-    """A predictor in memory or in a file that belongs to the arm and the model."""
-    if isinstance(given, str | Path):
-        return load_predictor(given, arm, model)
-    check_predictor(given, physics(arm, model), "predictor")
-    return given
 
 
 def check_predictor(predictor: Predictor, model: Model, where: object) -> None:

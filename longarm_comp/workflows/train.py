@@ -20,18 +20,7 @@ from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
-from longarm_comp.workflows.inputs import (
-    FilePath,
-    ModelLike,
-    Note,
-    SessionLike,
-    Telling,
-    admitted,
-    log_note,
-    physics,
-    physics_mark,
-    teller,
-)
+from longarm_comp.workflows import inputs as given
 
 
 def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray, Context]:
@@ -68,7 +57,7 @@ class TrainedPredictor(Predictor):
         """Result of the training in one sentence."""
         return f"{self.samples} samples: {self.gain}"
 
-    def save(self, path: FilePath) -> None:
+    def save(self, path: given.FilePath) -> None:
         """Write it (npz), whole or not at all."""
         if not self.gain.helps:
             raise JobError(f"not written: {self.gain}; compensate with the physics alone")
@@ -80,17 +69,17 @@ class TrainedPredictor(Predictor):
 
 def train(
     arm: Arm,
-    session: SessionLike,
+    session: given.SessionLike,
     *,
-    model: ModelLike | None = None,
+    model: given.ModelLike | None = None,
     deflection: bool = True,
     inputs: Literal["context", "joints"] = "context",
     init: Literal["ssa", "xavier"] = "ssa",
     ensemble: int = 5,
     hidden: int | None = None,
     seed: int = 0,
-    note: Note = log_note,
-    progress: Telling = False,
+    note: given.Note = given.log_note,
+    progress: given.Telling = False,
 ) -> TrainedPredictor:
     """Train SSA-BP on the residual that the physics of an arm leaves in a session.
 
@@ -112,15 +101,16 @@ def train(
             pose; the model is for another arm; an option is not allowed.
         JobError: the arm does not stand where the model says.
     """
-    base, tell = physics(arm, model, deflection), teller(progress)
-    whole = admitted(session, arm, None if model is None else base, note=note)
+    base, tell = given.physics(arm, model, deflection), given.teller(progress)
+    whole = given.admitted(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
     located = whole.take(whole.located)
     if far := displaced(base, located):
         raise JobError(far, session=located.source)
     if partly := int((whole.seen & ~whole.located).sum()):
         note(f"{whole.source}: {partly} rows hold no whole position: the network leaves them out")
-    origin = Provenance(arm.hash, whole.hash, arm.joint_names, physics_mark(model, deflection))
+    mark = given.physics_mark(model, deflection)
+    origin = Provenance(arm.hash, whole.hash, arm.joint_names, mark)
     predictor = networks.train(
         *rows, inputs=inputs, init=init, seed=seed, ensemble=ensemble, hidden=hidden,
         provenance=origin, progress=lambda k, of: tell(f"{k} of {of} networks", k / of),

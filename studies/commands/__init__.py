@@ -1,6 +1,7 @@
 """``longarm study``: one command a file, each with a click command named `command`."""
 
 from longarm_comp.cli.registry import Entry
+from longarm_comp.cli.run import LazyGroup
 
 STUDIES = (
     Entry("table1", "table1", "The paper's Table I on simulated arms."),
@@ -22,3 +23,10 @@ STUDIES = (
     Entry("loop", "loop", "Benchmark the diagnosis on simulated arms."),
 )
 """Name, module in this folder, one line of help."""
+
+command = LazyGroup(
+    STUDIES,
+    "study",
+    "Studies that print the figures of docs/studies.md, from a checkout of the project.",
+    folder="studies.commands",
+)

@@ -20,7 +20,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, String
 
-from longarm_comp.arm_folder.visible import View
+from longarm_comp.arm_folder.head import View
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.rest import NO_REST
 from longarm_comp.core.data.session import Session

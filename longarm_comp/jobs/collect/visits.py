@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from longarm_comp.arm_folder.visible import View
+from longarm_comp.arm_folder.head import View
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.arm.moves import run_up_lengths
