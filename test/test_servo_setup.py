@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from cli_shell import Shell
-from servo_bench import POSE, POSE_FLAGS, TRUE, bus, folder, off_by
+from servo_bench import POSE, POSE_FLAGS, TRUE, SharedBus, bus, folder, off_by
 
 from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.measured import read_measured
@@ -36,7 +36,7 @@ def nobody_there(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(params=MODELS)
-def emulator(request: pytest.FixtureRequest) -> Iterator[ServoEmulator]:
+def emulator(request: pytest.FixtureRequest) -> Iterator[SharedBus]:
     with bus(request.param) as made:
         yield made
 
@@ -45,7 +45,7 @@ def emulator(request: pytest.FixtureRequest) -> Iterator[ServoEmulator]:
 
 
 def test_scan_finds_protocol_ids_models_and_two_servos_with_one_id(
-    shell: Shell, emulator: ServoEmulator
+    shell: Shell, emulator: SharedBus
 ) -> None:
     found = shell.json("servo", "scan", "--port", emulator.port, "--ids", "1-4")
     assert (found["protocol"], [s["servo_id"] for s in found["servos"]]) == (

@@ -15,7 +15,7 @@ from longarm_comp.devices.stereo.eye import StereoEye
 from longarm_comp.devices.stereo.found import Limits
 from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
 from longarm_comp.sim import cameras
-from longarm_comp.sim.cameras import charuco_plate, render, tag_plate
+from longarm_comp.sim.cameras import Plate, charuco_plate, render, tag_plate
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,8 @@ def test_a_print_of_the_wrong_size_moves_the_scale_not_the_point() -> None:
     """1 % too large: pure size-from-perspective would be 12 mm off at 1.2 m."""
     rng = np.random.default_rng(8)
     truth = marker_pose(HEAD, 1.2, rng)
-    large = render(truth, tag_plate(0.06, print_scale=1.01), HEAD, rng)
+    plate = tag_plate(0.06)
+    large = render(truth, Plate(plate.texture, (1.01 * plate.size_m[0],) * 2), HEAD, rng)
     seen = eye_for(limits=Limits(size_tolerance=0.02)).measure(*large, 0)
     assert seen.scale == pytest.approx(1.01, abs=0.002)
     assert np.linalg.norm(seen.point - truth[:3, 3]) < 3e-4

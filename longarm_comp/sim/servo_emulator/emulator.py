@@ -89,7 +89,6 @@ class ServoEmulator:
         self._devices: dict[int, Device] = {
             i: self._wire.device(i, Motor(specs[i], ticks)) for i, ticks in positions.items()
         }
-        self._twins: dict[int, Device] = {}
         self._link = link
         self._load_of = load_of
         self._lock = threading.RLock()
@@ -175,12 +174,6 @@ class ServoEmulator:
         with self.motor(servo_id) as motor:
             motor.turn(ticks - motor.position)
 
-    def add_twin(self, servo_id: int, ticks: float) -> None:
-        """Put another servo with the same id on the bus; both answer at once."""
-        with self._lock:
-            motor = Motor(self._devices[servo_id].motor.spec, ticks)
-            self._twins[servo_id] = self._wire.device(servo_id, motor)
-
     def _advance(self) -> None:
         """Bring the mechanics up to the present in small steps (the load follows the motion)."""
         now = self._clock()
@@ -220,17 +213,11 @@ class ServoEmulator:
     def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
         try:
             replies = self._wire.answer(frame, self._devices)
-            others = dict(self._wire.answer(frame, self._twins)) if self._twins else {}
         except IndexError:
             return []  # fewer parameters than the instruction needs: a servo ignores it
         if any(i != device.servo_id for i, device in self._devices.items()):
             self._devices = {device.servo_id: device for device in self._devices.values()}
-        return [(i, _collided(reply, others.get(i, reply))) for i, reply in replies]
-
-
-def _collided(one: bytes, other: bytes) -> bytes:
-    """Two frames at once on one line: low wins."""
-    return bytes(a & b for a, b in zip(one, other, strict=False))
+        return replies
 
 
 def _send(master: int, data: bytes) -> None:
