@@ -88,16 +88,11 @@ def test_whatever_the_picture_the_answer_is_right_or_a_refusal() -> None:
         eye_for().measure(noise[0], noise[1], 0)
 
 
-def test_wrong_size_and_wrong_kind_of_image() -> None:
+def test_an_image_of_another_size_and_one_in_colour() -> None:
     left, right = pair()
-    for bad, reason in [
-        (left[:240], RefusalReason.WRONG_SIZE),
-        (left.astype(float), RefusalReason.BAD_IMAGE),
-        (left[None], RefusalReason.BAD_IMAGE),
-    ]:
-        with pytest.raises(StereoRefusal) as refusal:
-            eye_for().measure(bad, right, 0)
-        assert refusal.value.reason is reason
+    with pytest.raises(StereoRefusal) as refusal:
+        eye_for().measure(left[:240], right, 0)
+    assert refusal.value.reason is RefusalReason.WRONG_SIZE
     colour = cv2.cvtColor(left, cv2.COLOR_GRAY2BGR)
     assert eye_for().measure(colour, right, 0).corners == 4
 

@@ -97,7 +97,6 @@ class JointConfig(ServoSettings):
 
     @property
     def servo(self) -> ServoModel:
-        """The servo's model."""
         return models()[self.model]
 
     @property

@@ -23,8 +23,6 @@ class ServoTrouble(Enum):
 
 @dataclass(frozen=True)
 class JointFault:
-    """One fault of one joint, with a message."""
-
     trouble: ServoTrouble
     joint: str
     message: str
