@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from cli_shell import Shell
+from faulty_bus import FaultyBus
 
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
-from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
-from longarm_comp.sim.servo_emulator.wire import Device
 
 ROWS = ("d=0.1 limits=-60..60", "alpha=90 limits=-30..50", "type=prismatic a=0.3 limits=0..0.1")
 
@@ -53,28 +52,11 @@ def folder(shell: Shell, model: str, to: Path | str = "mine") -> Path:
     return shell.folder / "mine"
 
 
-class SharedBus(ServoEmulator):
-    """A bus on which two servos may have the same id; both answer at once, and low wins."""
-
-    twins: Mapping[int, Device] = {}
-
-    def add_twin(self, servo_id: int, ticks: float) -> None:
-        self.twins = {servo_id: self._wire.device(servo_id, Motor(MotorSpec(), ticks))}
-
-    def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
-        replies = super()._answers(frame)
-        others = dict(self._wire.answer(frame, self.twins)) if replies else {}
-        return [
-            (i, bytes(a & b for a, b in zip(reply, others.get(i, reply), strict=False)))
-            for i, reply in replies
-        ]
-
-
 @contextmanager
-def bus(protocol: str) -> Iterator[SharedBus]:
+def bus(protocol: str) -> Iterator[FaultyBus]:
     """The true servos, in the pose."""
     start = {TRUE[name].servo_id: TRUE[name].ticks(POSE[name]) for name in TRUE}
-    with SharedBus(protocol, start) as emulator:
+    with FaultyBus(protocol, start) as emulator:
         yield emulator
 
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from faulty_bus import FaultyBus
 
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.dialect import Block
@@ -24,7 +25,7 @@ from longarm_comp.sim.servo_emulator.motor import MotorSpec
 START = {1: 2048.0, 2: 1000.0, 3: 3000.0, 4: 512.0}
 IDS = list(START)
 MODEL = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
-Rig = tuple[ServoEmulator, SerialServoBus]
+Rig = tuple[FaultyBus, SerialServoBus]
 
 
 def _open(protocol: str, port: str, retries: int = 2) -> SerialServoBus:
@@ -42,7 +43,7 @@ def _until(done: Callable[[], bool], limit_s: float = 20.0) -> bool:
 
 @pytest.fixture(params=sorted(protocols()))
 def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
-    with ServoEmulator(request.param, START, MotorSpec(overload_s=0.3)) as emulator:
+    with FaultyBus(request.param, START, MotorSpec(overload_s=0.3)) as emulator:
         bus = _open(request.param, emulator.port)
         yield emulator, bus
         bus.close()
@@ -197,7 +198,7 @@ def test_turns_are_kept_without_power_and_torque_is_not(rig: Rig) -> None:
 
 def test_an_adapter_that_hears_itself_changes_nothing(rig: Rig) -> None:
     emulator, bus = rig
-    emulator.faults.echo = True
+    emulator.echo = True
     bus.torque(IDS, on=True)
     bus.write_goal({2: 1111})
     assert _until(lambda: bus.read(IDS)[2].position_ticks == 1111)

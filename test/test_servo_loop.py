@@ -98,7 +98,8 @@ def loop(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Loop]:
     path = tmp_path / "servo_driver.yaml"
     path.write_text(CONFIG % (request.param, link, model, model))
     arm = read_arm(path)
-    start = arm.start_ticks({"shoulder": 0.2, "boom": 0.02})
+    at = {"shoulder": 0.2, "boom": 0.02}
+    start = {joint.servo_id: joint.ticks(at[joint.name]) for joint in arm.joints}
     with ServoEmulator(request.param, start, MotorSpec(max_speed_ticks_s=6000), link) as emulator:
         loop = Loop(ServoConfig.load(path), emulator, arm)
         loop.connect()

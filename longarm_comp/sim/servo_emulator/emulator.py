@@ -21,7 +21,7 @@ from longarm_comp.sim.servo_emulator.wires import wire_of
 
 @dataclass
 class WireFaults:
-    """Replies to lose, damage, cut or delay; counts go down as replies are sent."""
+    """Replies to lose, damage or cut; counts go down as replies are sent."""
 
     silent: set[int] = field(default_factory=set)  # servos that hear and move but answer nothing
     drops: Counter[int] = field(default_factory=Counter)
@@ -29,21 +29,16 @@ class WireFaults:
     or are sent by half."""
     corrupt: Counter[int] = field(default_factory=Counter)
     cuts: Counter[int] = field(default_factory=Counter)
-    delays_s: dict[int, float] = field(default_factory=dict)
-    """By how much a servo's replies are late, s."""
-    noise: bytes = b""  # bytes put on the line ahead of the next reply
-    echo: bool = False  # every instruction is sent back first, as adapters that hear themselves do
 
-    def apply(self, servo_id: int, reply: bytes) -> tuple[float, bytes]:
-        """Delay (s) and bytes that are sent for ``reply``."""
+    def apply(self, servo_id: int, reply: bytes) -> bytes:
+        """What is sent for ``reply``."""
         if servo_id in self.silent or _take(self.drops, servo_id):
-            return 0.0, b""
+            return b""
         if _take(self.corrupt, servo_id):
             reply = reply[:-1] + bytes((reply[-1] ^ 0x5A,))
         if _take(self.cuts, servo_id):
             reply = reply[: len(reply) // 2]
-        noise, self.noise = self.noise, b""
-        return self.delays_s.get(servo_id, 0.0), noise + reply
+        return reply
 
 
 def _take(counts: Counter[int], servo_id: int) -> bool:
@@ -192,10 +187,7 @@ class ServoEmulator:
         while not self._stop.is_set():
             ready, _, _ = select.select([master], [], [], _STEP_S)
             if ready:
-                heard = os.read(master, 4096)
-                buffer += heard
-                if self.faults.echo:
-                    _send(master, heard)
+                buffer += os.read(master, 4096)
             with self._lock:
                 self._advance()
                 frames = self._wire.take(buffer)
@@ -205,9 +197,7 @@ class ServoEmulator:
                     for frame in frames
                     for servo_id, reply in self._answers(frame)
                 ]
-            for late_s, reply in sent:
-                if late_s:
-                    self._stop.wait(late_s)
+            for reply in sent:
                 _send(master, reply)
 
     def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
