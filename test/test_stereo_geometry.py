@@ -107,5 +107,5 @@ def test_a_rendered_calibration_session_gives_the_cameras_back() -> None:
     assert found.rig.baseline_m == pytest.approx(head.baseline_m, rel=0.003)
     truth = marker_pose(head, 1.0, rng)
     eye = StereoEye(found.rig, TAG, head.left_in_base)
-    seen = eye.measure(*render(truth, PLATE, head, rng), 0)
+    seen = eye.measure(*render(truth, PLATE, head, rng))
     assert np.linalg.norm(seen.point - truth[:3, 3]) < 3e-3

@@ -35,7 +35,6 @@ def protocols() -> dict[str, type[Dialect]]:
 
 @cache
 def models() -> dict[str, ServoModel]:
-    """The servos of all protocols, by name."""
     return {model.name: model for kind in protocols().values() for model in kind.models}
 
 

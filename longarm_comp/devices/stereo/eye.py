@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.found import Limits, found
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
-from longarm_comp.devices.stereo.target import Target
+from longarm_comp.devices.stereo.target import Grey, Target
 from longarm_comp.devices.stereo.triangulate import (
     PixelNoise,
     epipolar_px,
@@ -25,7 +25,6 @@ _KEPT = 1.0 - 1.0 / 200.0  # of the residuals of sightings: the last 200 count, 
 
 @dataclass(frozen=True)
 class StereoSighting:
-    stamp_ns: int  # stamp of the left image
     point: Array  # (3,) m, tip in the base frame
     pose: Array  # (4, 4) marker in the base frame
     pose_covariance: Array  # (6, 6) of ``[tip; rotation]`` along the base axes, m and rad
@@ -50,16 +49,14 @@ class StereoEye:
         self._hand_eye = np.asarray(self.camera_in_base, dtype=float)
         self._tip = np.asarray(self.tip_in_marker, dtype=float)
 
-    def measure(
-        self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
-    ) -> StereoSighting:
+    def measure(self, left: Grey, right: Grey) -> StereoSighting:
         """The sighting of one pair, images (H, W) grey or (H, W, 3) BGR, uint8.
 
         Raises:
             StereoRefusal: with the reason.
         """
         try:
-            return self._measure(left, right, stamp_ns)
+            return self._measure(left, right)
         except np.linalg.LinAlgError as error:  # rays so nearly parallel that nothing can be solved
             raise StereoRefusal(RefusalReason.REPROJECTION, cause=str(error)) from error
 
@@ -75,9 +72,7 @@ class StereoEye:
         sigma_px = self.noise.estimate(np.sqrt(self._square_px2), self._freedom)
         return PixelNoise(sigma_px, self.noise.weight)
 
-    def _measure(
-        self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
-    ) -> StereoSighting:
+    def _measure(self, left: Grey, right: Grey) -> StereoSighting:
         greys = _as_grey(left, self.rig.left, "left"), _as_grey(right, self.rig.right, "right")
         in_left = found(self.target, greys[0], "left", self.limits)
         in_right = found(self.target, greys[1], "right", self.limits)
@@ -104,7 +99,6 @@ class StereoEye:
         turn = self._hand_eye[:3, :3]
         turns = np.kron(np.eye(2), turn)
         return StereoSighting(
-            stamp_ns=stamp_ns,
             point=turn @ point + self._hand_eye[:3, 3],
             pose=self._hand_eye @ pose.transform,
             pose_covariance=turns @ covariance @ turns.T,
@@ -114,7 +108,7 @@ class StereoEye:
         )
 
 
-def _as_grey(image: NDArray[np.uint8], camera: Camera, side: str) -> NDArray[np.uint8]:
+def _as_grey(image: Grey, camera: Camera, side: str) -> Grey:
     """An image as (H, W) of the camera's size. Raises StereoRefusal: WRONG_SIZE."""
     height, width = image.shape[:2]
     if (width, height) != camera.size:

@@ -81,10 +81,10 @@ def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
         lacking.append(f"more views: {len(views)} of {FEWEST_VIEWS}")
     if not views:
         return lacking
-    for side, cells in zip(("left", "right"), covered(views, size), strict=True):
+    for side in ("left", "right"):
         bare = [
             "centre" if row == column == 1 else f"{_ROWS[row]} {_COLUMNS[column]}"
-            for row, column in np.argwhere(~cells)
+            for row, column in np.argwhere(~_covered(views, side, size))
         ]
         if bare:
             lacking.append(f"{side} camera: no corner at the {', '.join(bare)} of what both see")
@@ -102,21 +102,17 @@ def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
     return lacking
 
 
-def covered(
-    views: Sequence[BoardView], size: tuple[int, int]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Ninths (3, 3) of the part of each image that both cameras see, with corners in them."""
+def _covered(views: Sequence[BoardView], side: str, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Ninths (3, 3) of the part of a side's image that both cameras see, with corners in them."""
     width, height = size
     shared = max(width - max(0.0, float(np.median([v.disparity_px for v in views]))), 1.0)
-    made = []
-    for start, side in ((width - shared, "left"), (0.0, "right")):
-        pixels = np.vstack([getattr(view, side).pixels for view in views])
-        across = np.clip((pixels[:, 0] - start) / shared * 3, 0, 2).astype(int)
-        down = np.clip(pixels[:, 1] / height * 3, 0, 2).astype(int)
-        cells = np.zeros((3, 3), dtype=bool)
-        cells[down, across] = True
-        made.append(cells)
-    return made[0], made[1]
+    start = width - shared if side == "left" else 0.0
+    pixels = np.vstack([getattr(view, side).pixels for view in views])
+    across = np.clip((pixels[:, 0] - start) / shared * 3, 0, 2).astype(int)
+    down = np.clip(pixels[:, 1] / height * 3, 0, 2).astype(int)
+    cells = np.zeros((3, 3), dtype=bool)
+    cells[down, across] = True
+    return cells
 
 
 def _rough_pose(
