@@ -172,7 +172,7 @@ def test_an_unplugged_bus_is_said_so_and_can_be_opened_again(rig: Rig) -> None:
         with pytest.raises(BusUnplugged):
             action()
     bus.close()
-    emulator.replug()
+    emulator.start()
     again = _open(emulator.protocol, emulator.port)
     assert sorted(again.read(IDS)) == IDS
     again.close()

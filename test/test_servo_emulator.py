@@ -216,7 +216,7 @@ def test_link_follows_an_unplug_and_a_replug(tmp_path: Path) -> None:
         port.closePort()
         with ServoEmulator("feetech", START):  # of another program, whose number may be the same
             assert not link.is_symlink()
-        emulator.replug()
+        emulator.start()
         assert link.resolve() == Path(emulator.port)
         fresh = scs.PortHandler(str(link))
         assert fresh.openPort()

@@ -177,7 +177,7 @@ def test_an_unplugged_bus_is_a_fault_and_the_arm_goes_on_after_reset(loop: Loop)
     loop.emulator.unplug()
     assert loop.until(lambda: loop.state() is FollowerState.FAULT)
     assert {trouble for trouble, _ in loop.troubles} == {ServoTrouble.SILENT}
-    loop.emulator.replug()
+    loop.emulator.start()
     loop.connect()
     loop.cycle()
     loop.follower.reset(time.monotonic())
@@ -236,7 +236,7 @@ def test_torque_is_on_only_where_that_was_asked_for_and_nothing_speaks_against_i
     with pytest.raises(BusUnplugged):
         arm.power(False)
     assert driven() == {True}  # nobody can reach them
-    emulator.replug()
+    emulator.start()
     until(lambda cycle: arm.bus is not None)
     assert driven() == {False}
     arm.close()

@@ -62,7 +62,7 @@ class ServoEmulator:
         protocol: name of one of `wires`, or a wire.
         positions: initial position of each servo, ticks, by id.
         spec: mechanics of all servos, or of each by id; none: an unloaded STS3215.
-        link: path of a symbolic link to the pseudo-terminal, updated by ``replug``.
+        link: path of a symbolic link to the pseudo-terminal, the same after every ``start``.
         load_of: external load from positions; none: unloaded.
         clock: seconds, by which the servos move.
 
@@ -97,7 +97,7 @@ class ServoEmulator:
         self.frames_heard = 0
 
     def start(self) -> None:
-        """Open the pseudo-terminal (``port`` is its path) and begin to answer."""
+        """Open a new pseudo-terminal (``port`` is its path) and begin to answer."""
         master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(master, False)
@@ -125,11 +125,6 @@ class ServoEmulator:
             for fd in self._fds:
                 os.close(fd)
             self._fds = None
-
-    def replug(self) -> None:
-        """Put the cable back: a new pseudo-terminal, a link of the same name, the same servos."""
-        self.unplug()
-        self.start()
 
     def __enter__(self) -> ServoEmulator:
         self.start()
