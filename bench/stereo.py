@@ -85,7 +85,7 @@ def measure_rows(
                 images = render(truth, plate, cameras, rng, now)
                 started = time.process_time()
                 try:
-                    seen = eye.measure(*images, number)
+                    seen = eye.measure(*images)
                 except StereoRefusal as refusal:
                     refused[refusal.reason] += 1
                     continue

@@ -64,14 +64,13 @@ class MakerServo(Dialect):
 
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
         """Position, speed, load (1/1000), voltage (0.1 V), temperature (deg C), moving."""
-        ticks, speed, load, volts, celsius, moving = struct.unpack("<hhhBBB", data)
+        ticks, speed, load, volts, celsius, _ = struct.unpack("<hhhBBB", data)
         return ServoState(
             position_ticks=ticks,
             velocity_ticks_s=float(speed),
             load=load / model.full_load,
             voltage_v=volts / 10.0,
             temperature_c=float(celsius),
-            moving=bool(moving),
             error_flags=alarms,
         )
 

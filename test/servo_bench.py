@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cli_shell import Shell
+from faulty_bus import FaultyBus
 
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
@@ -52,10 +53,10 @@ def folder(shell: Shell, model: str, to: Path | str = "mine") -> Path:
 
 
 @contextmanager
-def bus(protocol: str) -> Iterator[ServoEmulator]:
+def bus(protocol: str) -> Iterator[FaultyBus]:
     """The true servos, in the pose."""
     start = {TRUE[name].servo_id: TRUE[name].ticks(POSE[name]) for name in TRUE}
-    with ServoEmulator(protocol, start) as emulator:
+    with FaultyBus(protocol, start) as emulator:
         yield emulator
 
 

@@ -65,10 +65,10 @@ def seen_from(
     eye = StereoEye(rig, TagBoard.of(bridge), hand_eye, bridge["tip_in_marker"])
     rng = np.random.default_rng(0)
     off, lost = [], []
-    for k, tip in enumerate(declared_model(arm).pose(sobol(arm, poses, 0).q)):
+    for tip in declared_model(arm).pose(sobol(arm, poses, 0).q):
         left, right = render(tip @ on_tip, plate, head, rng)
         try:
-            off.append(np.linalg.norm(eye.measure(left, right, k).point - tip[:3, 3]))
+            off.append(np.linalg.norm(eye.measure(left, right).point - tip[:3, 3]))
         except StereoRefusal:
             lost.append(tip)
     why = View.of(bridge, simulated).unseen(np.array(lost)) if lost else []

@@ -70,7 +70,7 @@ def test_a_fault_is_told_with_its_cause_and_stays_until_it_is_cured(rig: Rig, sh
     rig.emulator.unplug()
     rig.stage.spin(lambda: "unplugged" in rig.told("servo bus"))
     assert "unplugged" in str(shell.json("status")["troubles"])
-    rig.emulator.replug()
+    rig.emulator.start()
     rig.stage.spin(lambda: rig.told("servo bus") == "every servo answers")
     shell("reset")
 

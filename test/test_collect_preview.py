@@ -70,9 +70,9 @@ def test_geometry_knows_what_the_detector_finds_in_rendered_pictures() -> None:
     markers = [facing(head, rng, angle) for angle in angles]
     why = View.of(bridge, simulated).unseen(np.array([marker @ on_tip for marker in markers]))
     found = []
-    for k, marker in enumerate(markers):
+    for marker in markers:
         try:
-            eye.measure(*render(marker, plate, head, rng), k)
+            eye.measure(*render(marker, plate, head, rng))
             found.append("")
         except StereoRefusal as refusal:
             found.append(str(refusal.reason))

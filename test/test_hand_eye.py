@@ -61,7 +61,7 @@ class Head:
         eye = StereoEye(rig, TagBoard.of(self._bridge), head_at(self.folder, ""))
         tips = declared_model(self.arm).pose(q)
         images = (render(t @ self._on_tip, self._plate, self.true, self._rng) for t in tips)
-        return np.array([eye.measure(*pair, 0).point for pair in images])
+        return np.array([eye.measure(*pair).point for pair in images])
 
     def missed_mm(self, q: np.ndarray) -> np.ndarray:
         return 1e3 * np.linalg.norm(self.seen(q) - declared_model(self.arm).tip(q), axis=1)

@@ -98,7 +98,7 @@ pictures = cache(pair)
 
 def tip(read: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     left, right = pictures()
-    return eye_for().measure(read(left), read(right), 0).point
+    return eye_for().measure(read(left), read(right)).point
 
 
 @cache

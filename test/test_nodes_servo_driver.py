@@ -204,7 +204,7 @@ def test_a_stalled_servo_stops_the_arm_until_reset(rig: Rig) -> None:
 def test_an_unplugged_cable_is_told_and_taken_up_again(rig: Rig) -> None:
     rig.emulator.unplug()
     rig.stage.spin(lambda: "unplugged" in rig.told("servo bus"))
-    rig.emulator.replug()
+    rig.emulator.start()
     rig.stage.spin(lambda: rig.told("servo bus") == "every servo answers")
     if "idle" not in rig.told(": arm"):
         assert rig.call(graph.RESET, Trigger.Request()).success
@@ -215,7 +215,7 @@ def test_an_unplugged_cable_is_told_and_taken_up_again(rig: Rig) -> None:
 def test_servos_that_come_after_the_driver_are_no_error(rig: Rig) -> None:
     process = rig.begins_without_servos(patience_s=60.0)
     rig.stage.spin(lambda: "not usable" in rig.told("servo bus"))
-    rig.emulator.replug()
+    rig.emulator.start()
     rig.is_idle()
     said = rig.stage.output(process)
     assert "ERROR" not in said
@@ -226,7 +226,7 @@ def test_servos_that_come_after_the_driver_are_no_error(rig: Rig) -> None:
 def test_servos_that_stay_away_are_an_error(rig: Rig) -> None:
     process = rig.begins_without_servos(patience_s=0.0)
     rig.stage.spin(lambda: "ERROR" in rig.stage.output(process))
-    rig.emulator.replug()
+    rig.emulator.start()
     rig.is_idle()
 
 

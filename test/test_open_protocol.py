@@ -105,7 +105,8 @@ graph = BringUp(arm=Path("mine/arm.yaml").absolute(), sim=True).fitted(Path("scr
 file = graph.file("servo_driver")
 arm = read_arm(file)
 at = {"joint1": 0.1, "joint2": 0.2}
-with ServoEmulator(arm.protocol, arm.start_ticks(at), link=Path("bus")) as made:
+start = {j.servo_id: j.ticks(at[j.name]) for j in arm.joints}
+with ServoEmulator(arm.protocol, start, link=Path("bus")) as made:
     config = ServoConfig.load(file)
     bus = ServoConfig.parse(config.model_dump() | {"bus": {**config.bus.model_dump(),
         "port": "bus", "reply_timeout_s": 0.2}}, "here").open_bus()

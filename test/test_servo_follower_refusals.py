@@ -92,8 +92,3 @@ def test_an_arm_outside_its_limits_or_too_hot_is_not_moved(rig: Rig) -> None:
     rig.run(0.1)
     with pytest.raises(JobError, match="overheated"):
         rig.send((1.0, {"turn": 0.0}))
-
-
-def test_a_clock_that_is_not_finite_is_refused(rig: Rig) -> None:
-    with pytest.raises(InputError, match="finite seconds"):
-        rig.follower.step(math.nan, {})

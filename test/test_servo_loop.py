@@ -98,7 +98,8 @@ def loop(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Loop]:
     path = tmp_path / "servo_driver.yaml"
     path.write_text(CONFIG % (request.param, link, model, model))
     arm = read_arm(path)
-    start = arm.start_ticks({"shoulder": 0.2, "boom": 0.02})
+    at = {"shoulder": 0.2, "boom": 0.02}
+    start = {joint.servo_id: joint.ticks(at[joint.name]) for joint in arm.joints}
     with ServoEmulator(request.param, start, MotorSpec(max_speed_ticks_s=6000), link) as emulator:
         loop = Loop(ServoConfig.load(path), emulator, arm)
         loop.connect()
@@ -176,7 +177,7 @@ def test_an_unplugged_bus_is_a_fault_and_the_arm_goes_on_after_reset(loop: Loop)
     loop.emulator.unplug()
     assert loop.until(lambda: loop.state() is FollowerState.FAULT)
     assert {trouble for trouble, _ in loop.troubles} == {ServoTrouble.SILENT}
-    loop.emulator.replug()
+    loop.emulator.start()
     loop.connect()
     loop.cycle()
     loop.follower.reset(time.monotonic())
@@ -235,7 +236,7 @@ def test_torque_is_on_only_where_that_was_asked_for_and_nothing_speaks_against_i
     with pytest.raises(BusUnplugged):
         arm.power(False)
     assert driven() == {True}  # nobody can reach them
-    emulator.replug()
+    emulator.start()
     until(lambda cycle: arm.bus is not None)
     assert driven() == {False}
     arm.close()

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 from cli_shell import Shell
+from faulty_bus import FaultyBus
 from servo_bench import POSE, POSE_FLAGS, TRUE, bus, folder, off_by
 
 from longarm_comp.arm_folder.check import of_record
@@ -36,7 +37,7 @@ def nobody_there(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(params=MODELS)
-def emulator(request: pytest.FixtureRequest) -> Iterator[ServoEmulator]:
+def emulator(request: pytest.FixtureRequest) -> Iterator[FaultyBus]:
     with bus(request.param) as made:
         yield made
 
@@ -45,7 +46,7 @@ def emulator(request: pytest.FixtureRequest) -> Iterator[ServoEmulator]:
 
 
 def test_scan_finds_protocol_ids_models_and_two_servos_with_one_id(
-    shell: Shell, emulator: ServoEmulator
+    shell: Shell, emulator: FaultyBus
 ) -> None:
     found = shell.json("servo", "scan", "--port", emulator.port, "--ids", "1-4")
     assert (found["protocol"], [s["servo_id"] for s in found["servos"]]) == (

@@ -144,7 +144,7 @@ def test_body_behind_the_bearing_keeps_its_weight() -> None:
     arm = one_beam(joints=[lift, joint], links=[rod], tip={"frame": 2}, point_masses=[])
     q = np.array([np.pi / 2, 0.1])
     assert abs(TrueArm(arm).tip(q)[0]) == pytest.approx(0.3)
-    torque = TrueArm(arm).torques(q)[0, 0]
+    torque = TrueArm(arm).settled(q).torques[0, 0]
     assert abs(torque) == pytest.approx(2.0 * G * 0.2, rel=1e-6)
     rise = TrueArm(arm).tip(q + np.array([1e-3, 0.0]))[2] - TrueArm(arm).tip(q)[2]
     assert torque * rise > 0  # the weight behind the bearing lifts the tip
@@ -169,7 +169,8 @@ def test_torques_are_the_slope_of_potential_energy(twin: Arm, rng: np.random.Gen
     """Virtual work: at rest, with joints held, torque = dE/dq' by the payload's share."""
     stiff = stiffened(twin, 4e4)  # as stiff as arm.yaml can say
     q = rng.uniform(twin.lower, twin.upper, (1, twin.n))[0]
-    heavy, light = (TrueArm(stiff).torques(q, TrueContext(payload_kg=m))[0] for m in (0.35, 0.25))
+    true = TrueArm(stiff)
+    heavy, light = (true.settled(q, TrueContext(payload_kg=m)).torques[0] for m in (0.35, 0.25))
     step = 1e-5
     for k in range(twin.n):
         dq = step * np.eye(twin.n)[k]
@@ -227,13 +228,11 @@ def read_noise_free(folder: Path, n: int) -> tuple[np.ndarray, dict[str, np.ndar
 
 
 def test_another_authors_simulator(data_dir: Path, twin: Arm) -> None:
-    """Its beams also shear: with shear 0.005 mm apart, without 0.05 mm, at 13 mm of sag."""
+    """Its beams also shear: by 0.05 mm, at 13 mm of sag."""
     q, answer = read_noise_free(data_dir / "twin" / "none_mid_300", twin.n)
     weightless = twin.model_copy(update={"gravity_mps2": (0.0, 0.0, 0.0)})
     assert np.abs(TrueArm(weightless).tip(q) - answer["rigid_"]).max() < 2e-7  # its last digit
-    for shear, allowed in ((True, 5e-6), (False, 5e-5)):
-        tip = TrueArm(twin, shear=shear).tip(q)
-        assert np.linalg.norm(tip - answer[""], axis=1).max() < allowed
+    assert np.linalg.norm(TrueArm(twin).tip(q) - answer[""], axis=1).max() < 5e-5
 
 
 @pytest.mark.parametrize("case", range(8))

@@ -134,7 +134,7 @@ def test_joint_compliance_yields_under_the_true_torque() -> None:
         theta = -c * 2.0 * G * 0.5 * np.cos(theta)
     found = angle(lever(), loads.JointCompliance(np.array([c])))
     assert found == pytest.approx(theta, abs=1e-9)
-    assert TrueArm(lever()).torques(np.zeros(1))[0, 0] == pytest.approx(-2.0 * G * 0.5)
+    assert TrueArm(lever()).settled(np.zeros(1)).torques[0, 0] == pytest.approx(-2.0 * G * 0.5)
 
 
 def test_base_compliance_tilts_the_same_lever() -> None:

@@ -91,7 +91,7 @@ def test_the_written_files_measure_the_tip_where_it_is(shell: Shell, pictures: P
     seen, true = [], []
     for _ in range(6):  # another target, at places that are not the board's
         truth = marker_pose(TRUE, rng.uniform(0.85, 1.3), rng)
-        sighting = StereoEye(rig, tag).measure(*render(truth, plate, TRUE, rng), 0)
+        sighting = StereoEye(rig, tag).measure(*render(truth, plate, TRUE, rng))
         seen.append(raw_from_rectified @ sighting.point)
         true.append((np.linalg.inv(TRUE.left_in_base) @ truth)[:3, 3])
     assert np.linalg.norm(np.subtract(seen, true), axis=1).max() < 1.5e-3

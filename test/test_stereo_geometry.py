@@ -46,9 +46,9 @@ def test_triangulation_is_exact_also_through_distorted_and_turned_cameras() -> N
     rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
     points = np.array([[0.1, -0.05, 1.5], [-0.2, 0.1, 0.8], [0.3, 0.2, 2.5]])
     left, right = rig.left.project(points)[0], rig.right.project(points)[0]
-    exact = triangulate(rig, left, right)
-    np.testing.assert_allclose(exact.points, points, atol=1e-9)
-    assert exact.rms_px < 1e-6
+    exact, rms_px = triangulate(rig, left, right)
+    np.testing.assert_allclose(exact, points, atol=1e-9)
+    assert rms_px < 1e-6
 
 
 # ---- hand-eye -----------------------------------------------------------------------------------
@@ -107,5 +107,5 @@ def test_a_rendered_calibration_session_gives_the_cameras_back() -> None:
     assert found.rig.baseline_m == pytest.approx(head.baseline_m, rel=0.003)
     truth = marker_pose(head, 1.0, rng)
     eye = StereoEye(found.rig, TAG, head.left_in_base)
-    seen = eye.measure(*render(truth, PLATE, head, rng), 0)
+    seen = eye.measure(*render(truth, PLATE, head, rng))
     assert np.linalg.norm(seen.point - truth[:3, 3]) < 3e-3

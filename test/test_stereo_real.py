@@ -68,11 +68,11 @@ def test_held_out_square_lengths(views: Views, calibration: StereoCalibration) -
     errors, shape, off = [], [], []
     for number in range(2, 26, 2):
         left, right = views[number]
-        seen = triangulate(calibration.rig, left.pixels, right.pixels)
-        grid = seen.points.reshape(6, 9, 3)
+        seen, _ = triangulate(calibration.rig, left.pixels, right.pixels)
+        grid = seen.reshape(6, 9, 3)
         sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).ravel() for axis in (0, 1)]
         errors.append(np.concatenate(sides) - 1.0)
-        shape.append(rigid_rms(BOARD.points(left.ids), seen.points))
+        shape.append(rigid_rms(BOARD.points(left.ids), seen))
         off.append(epipolar_px(calibration.rig, left.pixels, right.pixels))
     error = np.concatenate(errors)
     assert error.size == 12 * 93

@@ -54,7 +54,7 @@ def command(
     from longarm_comp.core.vibration.seen import SeenWave, as_tips, corrected, steps, waves
     from longarm_comp.core.vibration.shaper import USUAL_DAMPING
     from longarm_comp.sessions.poses import read_poses
-    from longarm_comp.sessions.ring import read_ring
+    from longarm_comp.sessions.read import read_ring
     from longarm_comp.workflows.inputs import physics
 
     known = physics(arm, model)

@@ -11,8 +11,6 @@ from longarm_comp.devices.servo_watch import JointFault
 
 
 class FollowerState(Enum):
-    """State of the follower."""
-
     IDLE = "idle"
     TRACKING = "tracking"
     HOLDING = "holding"
@@ -21,8 +19,6 @@ class FollowerState(Enum):
 
 
 class EventKind(Enum):
-    """Kind of an event in a step, or since the last one."""
-
     STARTED = "started"
     REPLACED = "replaced"
     SLOWED = "slowed"
@@ -57,8 +53,6 @@ class Accepted:
 
 @dataclass(frozen=True)
 class Step:
-    """The outcome of one step."""
-
     state: FollowerState  # after the step
     goals: dict[int, int] | None  # ticks by servo id to send now; None: send nothing
     set_points: dict[str, float]

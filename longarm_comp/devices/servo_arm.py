@@ -36,8 +36,6 @@ class ServoReading:
 
 @dataclass(frozen=True)
 class Cycle:
-    """The outcome of one cycle."""
-
     step: Step  # step of the follower
     joints: dict[str, ServoReading]
     """All joints by name; empty unless every servo answered in this cycle."""

@@ -123,7 +123,6 @@ class ServoConfig(ServoSettings):
 
     @property
     def models(self) -> dict[int, ServoModel]:
-        """The model of each servo, by id."""
         return {joint.servo_id: joint.servo for joint in self.joints.values()}
 
     @property

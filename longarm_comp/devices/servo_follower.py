@@ -7,7 +7,6 @@ goals are sent.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -77,7 +76,7 @@ class TrajectoryFollower:
         self._goals: dict[int, int] | None = None
         self._way: TakenOver | InParts | None = None
         self._way_time = 0.0
-        self._trim = Trim(config) if trim else None
+        self._trim, self._may_trim = Trim(config), trim
         self._trims, self._untrimmed = False, ""
 
     @property
@@ -87,9 +86,8 @@ class TrajectoryFollower:
 
     @property
     def trimmed(self) -> dict[str, float]:
-        """Correction of each joint's goal by trim, ticks; empty without trim."""
-        offset = [] if self._trim is None else self._trim.offset.tolist()
-        return dict(zip(self._names, offset, strict=False))
+        """Correction of each joint's goal by trim, ticks."""
+        return dict(zip(self._names, self._trim.offset.tolist(), strict=True))
 
     def fresh(self, now: float) -> bool:
         """Whether every servo was read, and believed, in the last step, and that was just now."""
@@ -127,10 +125,8 @@ class TrajectoryFollower:
             if entry:
                 raise JobError(entry)
         self._set, self._way, self._way_time = start, way, 0.0
-        self._trims = self._trim is not None and moves and not several
-        self._untrimmed = ""
-        if self._trim is not None:
-            self._trim.begin(path=several)
+        self._trims, self._untrimmed = self._may_trim and moves and not several, ""
+        self._trim.begin(path=several)
         self.state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
         kind = EventKind.REPLACED if replaces else EventKind.STARTED
         self._say(kind, f"{len(trajectory.points)} points, {way.duration:.2f} s")
@@ -185,8 +181,6 @@ class TrajectoryFollower:
         ``driven``, given now and then, is the result of ``SerialServoBus.driven``. It reveals a
         servo that lost power for a moment: it answers as before, but its torque is off.
         """
-        if not math.isfinite(now):
-            raise InputError("servo follower", "now", now, "finite seconds")
         limit = self._config.follower.max_step_s
         dt = 0.0 if self._now is None else min(max(now - self._now, 0.0), limit)
         self._now = now if self._now is None else max(now, self._now)
@@ -220,9 +214,8 @@ class TrajectoryFollower:
             self.state = FollowerState.HOLDING
             self._settle(dt)
         wanted = self._wanted()
-        if self._trim is not None:
-            for name, by in zip(wanted, self._trim.applied(dt).tolist(), strict=True):
-                wanted[name] = self._config.joints[name].bounded(wanted[name] + by)
+        for name, by in zip(wanted, self._trim.applied(dt).tolist(), strict=True):
+            wanted[name] = self._config.joints[name].bounded(wanted[name] + by)
         self._goals = {self._config.ids[name]: goal for name, goal in wanted.items()}
         return self._goals
 
@@ -233,7 +226,7 @@ class TrajectoryFollower:
 
     def _trimmed(self, states: Mapping[str, ServoState]) -> str | None:
         """Trim a resting arm: None while it goes on, then what it could not do, or nothing."""
-        if self._trim is None or not self._trims:
+        if not self._trims:
             return self._untrimmed
         if self._still_s < self._config.follower.trim_pause_s:
             return None
@@ -290,8 +283,7 @@ class TrajectoryFollower:
         return hold
 
     def _drop_motion(self) -> None:
-        if self._trim is not None:
-            self._trim.drop()
+        self._trim.drop()
         self._way = self._set = self._goals = None
         self._velocity = np.zeros_like(self._velocity)
 

@@ -97,7 +97,6 @@ class JointConfig(ServoSettings):
 
     @property
     def servo(self) -> ServoModel:
-        """The servo's model."""
         return models()[self.model]
 
     @property
@@ -165,7 +164,6 @@ class JointConfig(ServoSettings):
 
     @property
     def max_speed_ticks_s(self) -> float:
-        """``max_velocity`` at the servo."""
         return self.max_velocity / self.si_per_tick
 
     def having(self, **values: object) -> JointConfig:

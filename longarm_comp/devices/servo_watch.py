@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -23,8 +23,6 @@ class ServoTrouble(Enum):
 
 @dataclass(frozen=True)
 class JointFault:
-    """One fault of one joint, with a message."""
-
     trouble: ServoTrouble
     joint: str
     message: str
@@ -77,7 +75,7 @@ class ServoWatch:
             if state is None or self._doubtful(seen, joint, state, now, goals is not None):
                 fresh = False
             else:
-                before, seen.ill = seen.ill, tuple(self._health(name, state))
+                before, seen.ill = seen.ill, tuple(self._health(name, joint, state))
                 if seen.ill and not before:
                     fresh = False
                 else:
@@ -126,31 +124,27 @@ class ServoWatch:
             return False
         return commanded or said is None or abs(state.position_ticks - said) > jump
 
-    def _silence(self, name: str, seen: _Seen, now: float) -> list[JointFault]:
+    def _silence(self, name: str, seen: _Seen, now: float) -> Iterator[JointFault]:
         since = seen.at if seen.state is not None else self._started
-        if since is None or now - since <= self._config.follower.silence_s:
-            return []
-        message = f"no trusted reading for {now - since:.2f} s"
-        return [JointFault(ServoTrouble.SILENT, name, message)]
+        if since is not None and now - since > self._config.follower.silence_s:
+            message = f"no trusted reading for {now - since:.2f} s"
+            yield JointFault(ServoTrouble.SILENT, name, message)
 
-    def _health(self, name: str, state: ServoState) -> list[JointFault]:
-        joint = self._config.joints[name]
-        findings = []
+    def _health(self, name: str, joint: JointConfig, state: ServoState) -> Iterator[JointFault]:
         if state.error_flags:
             alarm = ServoAlarm(state.error_flags).name or int(state.error_flags)
-            findings.append(JointFault(ServoTrouble.ALARM, name, f"the servo reports {alarm}"))
+            yield JointFault(ServoTrouble.ALARM, name, f"the servo reports {alarm}")
         if not state.temperature_c <= joint.max_temperature_c:
             hot = f"{state.temperature_c:.0f} C, allowed {joint.max_temperature_c:.0f} C"
-            findings.append(JointFault(ServoTrouble.OVERHEATED, name, hot))
-        return findings
+            yield JointFault(ServoTrouble.OVERHEATED, name, hot)
 
     def _obedience(
         self, name: str, joint: JointConfig, seen: _Seen, goal: int | None, now: float
-    ) -> list[JointFault]:
+    ) -> Iterator[JointFault]:
         """Compare goal and read-back: a stalled joint, or one far from its goal."""
         if goal is None or seen.state is None:
             seen.off_since = seen.lost_since = None
-            return []
+            return
         limits = self._config.follower
         off = abs(goal - seen.state.position_ticks)
         pushing = off > limits.stall_error_ticks and abs(seen.state.load) >= joint.max_load
@@ -164,10 +158,9 @@ class ServoWatch:
         )
         if seen.off_since is not None and now - seen.off_since >= limits.stall_time_s:
             load = f"{where} at {abs(seen.state.load):.0%} load"
-            return [JointFault(ServoTrouble.STALLED, name, load)]
-        if seen.lost_since is not None and now - seen.lost_since >= limits.stall_time_s:
-            return [JointFault(ServoTrouble.NOT_FOLLOWING, name, where)]
-        return []
+            yield JointFault(ServoTrouble.STALLED, name, load)
+        elif seen.lost_since is not None and now - seen.lost_since >= limits.stall_time_s:
+            yield JointFault(ServoTrouble.NOT_FOLLOWING, name, where)
 
 
 def _since(start: float | None, holds: bool, now: float) -> float | None:

@@ -164,7 +164,7 @@ class _StereoBridge(ArmNode):
     def _measure(self, eye: StereoEye, pair: Pair[Any]) -> None:
         """Measure a pair and publish the tip, on the worker's thread."""
         try:
-            seen = eye.measure(self._pixels(pair.left), self._pixels(pair.right), pair.stamp_ns)
+            seen = eye.measure(self._pixels(pair.left), self._pixels(pair.right))
         except LongarmError as error:
             self._refuse(error, pair.stamp_ns)
             return
@@ -172,7 +172,7 @@ class _StereoBridge(ArmNode):
         self._lost = False
         self._last = f"{seen.corners} corners, rms {seen.rms_px:.3f} px"
         message = tip_message(
-            seen.point, seen.pose_covariance, stamp_of(seen.stamp_ns), self._base_frame
+            seen.point, seen.pose_covariance, stamp_of(pair.stamp_ns), self._base_frame
         )
         message.pose.pose.orientation = pose_message(seen.pose).orientation
         self._tips.publish(message)

@@ -90,7 +90,6 @@ class Rows:
         buffer.forget(end)
 
     def session(self) -> Session:
-        """All rows."""
         buffer = self._buffer
         if not self._rows:
             allowed = "a sighting per command"
@@ -210,7 +209,6 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
 
 @contextmanager
 def open_bag(path: str | Path) -> Iterator[Reader]:
-    """Open a bag for reading."""
     where = str(path)
     if Path(path).is_dir() and not (Path(path) / "metadata.yaml").is_file():
         allowed = "a bag folder with metadata.yaml (a recording that was killed has none)"

@@ -95,7 +95,7 @@ class SegmentedBag:
 
     def write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
         """Add one serialised message (CDR) of a type that `message_types` knows."""
-        writer = self._writer or self._open()
+        writer = self._open()
         connection = self._connections.get((topic, kind))
         if connection is None:
             connection = writer.add_connection(

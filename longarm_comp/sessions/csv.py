@@ -99,7 +99,6 @@ _COVARIANCE = (*_VARIANCE, "cov_xy", "cov_xz", "cov_yz")
 
 
 def read_csv(path: str | Path, arm: Arm) -> Session:
-    """Read a session."""
     table = read_table(path)
     joints = joint_names(arm.n)
     per_joint = (f"{w}_{q}" for w in ("approach", "run_up", "read") for q in joint_names(arm.n))

@@ -10,9 +10,8 @@ from __future__ import annotations
 import dataclasses
 import struct
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -92,13 +91,13 @@ Numbers = tuple[float, ...]
 
 
 class _Layout(NamedTuple):
-    """Bytes before the positions, format of the positions, and which of them are the arm's."""
+    """Bytes before the positions, and format and order of the positions."""
 
     encoding: bytes
     head: bytes
     begin: int
     numbers: struct.Struct
-    pick: Callable[[Numbers], Numbers] | None
+    order: list[int]  # places of the arm's joints; empty where one of them lacks
 
 
 class JointStates:
@@ -117,23 +116,17 @@ class JointStates:
         stamp_ns = stamp_of_raw(raw)
         for known in self._layouts:
             if raw[_STAMP : known.begin] == known.head and raw[_ENCODING] == known.encoding:
-                numbers = known.numbers.unpack_from(raw, known.begin)
-                return stamp_ns, known.pick(numbers) if known.pick else None
-        return stamp_ns, self._parsed(raw)
-
-    def _parsed(self, raw: bytes) -> Numbers | None:
+                return stamp_ns, _picked(known.numbers.unpack_from(raw, known.begin), known.order)
         message: Any = self._types.deserialize_cdr(raw, KIND)
         place = {name: k for k, name in enumerate(message.name[: len(message.position)])}
         order = [place[name] for name in self._names if name in place]
-        mine = len(order) == len(self._names)
-        layout = self._layout(raw, message, _picker(order) if mine else None)
+        order = order if len(order) == len(self._names) else []
+        layout = self._layout(raw, message, order)
         if layout is not None:
             self._layouts.appendleft(layout)
-        return tuple(float(message.position[k]) for k in order) if mine else None
+        return stamp_ns, _picked(tuple(map(float, message.position)), order)
 
-    def _layout(
-        self, raw: bytes, message: Any, pick: Callable[[Numbers], Numbers] | None
-    ) -> _Layout | None:
+    def _layout(self, raw: bytes, message: Any, order: list[int]) -> _Layout | None:
         """Find the offset of the positions: serialise marks in their place and search them."""
         count = len(message.position)
         marks = 1.5 + np.arange(count)
@@ -144,10 +137,8 @@ class JointStates:
         if begin < 0 or not alike:
             return None
         numbers = struct.Struct(f"<{count}d")
-        return _Layout(bytes(raw[_ENCODING]), bytes(raw[_STAMP:begin]), begin, numbers, pick)
+        return _Layout(bytes(raw[_ENCODING]), bytes(raw[_STAMP:begin]), begin, numbers, order)
 
 
-def _picker(order: list[int]) -> Callable[[Numbers], Numbers]:
-    if len(order) == 1:
-        return lambda values: (values[order[0]],)
-    return itemgetter(*order)
+def _picked(values: Numbers, order: list[int]) -> Numbers | None:
+    return tuple([values[k] for k in order]) if order else None

@@ -1,13 +1,17 @@
-"""Reads a session from any supported format."""
+"""Reads what was recorded, a session or a ring, from any supported format."""
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv, read_touches
+from longarm_comp.sessions.table import read_table
 
 
 def read_session(path: str | Path, arm: Arm) -> Session:
@@ -19,10 +23,64 @@ def read_session(path: str | Path, arm: Arm) -> Session:
         InputError: it cannot be read in the format of its name.
     """
     path = Path(path)
-    if path.is_dir() or path.suffix in (".mcap", ".db3"):
+    if _is_bag(path):
         from longarm_comp.sessions.bag import read_bag  # a CSV needs none of its libraries
 
         session = read_bag(path, arm)
     else:
         session = read_csv(path, arm)
-    return dataclasses.replace(session, touch_distances=read_touches(path))
+    return replace(session, touch_distances=read_touches(path))
+
+
+def _is_bag(path: Path) -> bool:
+    return path.is_dir() or path.suffix in (".mcap", ".db3")
+
+
+@dataclass(frozen=True, eq=False)
+class _RecordedRing:
+    """What was seen at times (N,) s: the tip (N, 3) m, or the joints (N, n) rad and m."""
+
+    times: np.ndarray
+    seen: np.ndarray
+    of_joints: bool
+    at: np.ndarray | None = None  # (n,) joints that were commanded; None: the file does not say
+
+
+def read_ring(path: str | Path, arm: Arm) -> _RecordedRing:
+    """A ring after a move: a CSV with t_s and x, y, z of the tip, or read_q1..qn; or a bag.
+
+    Rows with a blank are left out. Of a bag it is the ring after the last command, from where the
+    joints stand: of the tip, or of the joints where it was not seen often enough.
+    """
+    path = Path(path)
+    if _is_bag(path):
+        return _ring_of_bag(path, arm)
+    table = read_table(path)
+    readings = [f"read_q{joint}" for joint in range(1, arm.n + 1)]
+    of_joints = table.has(readings)
+    names = readings if of_joints else list("xyz")
+    (times,) = table.block(("t_s",), "s").T
+    seen = table.block(names, "rad or m" if of_joints else "m", True)
+    kept = np.isfinite(seen).all(axis=1)
+    return _RecordedRing(times[kept], seen[kept], of_joints)
+
+
+def _ring_of_bag(path: Path, arm: Arm) -> _RecordedRing:
+    from longarm_comp.core.data.rest import still_since
+    from longarm_comp.core.vibration.seen import LEAST
+    from longarm_comp.sessions.bag import read_last
+    from longarm_comp.sessions.message_buffer import between
+
+    buffer = read_last(path, arm)
+    begin, points = buffer.commands[0]
+    times, joints = buffer.states_between(begin, np.inf)
+    if not len(times):
+        allowed = "what tells when the joints stand after the last command"
+        raise InputError(str(path), "joint_states", "no message", allowed)
+    since = still_since(times, joints, begin)
+    seen = [s for s in between(buffer.sightings, since, np.inf) if np.isfinite(s.xyz).all()]
+    if len(seen) >= LEAST:
+        at, xyz = np.array([s.t for s in seen]), np.array([s.xyz for s in seen])
+        return _RecordedRing(at, xyz, False, points[-1])
+    stands = times > since
+    return _RecordedRing(times[stands], joints[stands], True, points[-1])

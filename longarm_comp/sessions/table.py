@@ -32,11 +32,9 @@ class Table:
     cells: dict[str, list[str]]
 
     def __len__(self) -> int:
-        """Number of rows."""
         return len(self.lines)
 
     def error(self, row: int | np.integer, column: str, allowed: str) -> InputError:
-        """An error about one cell."""
         value = self.cells[column][row]
         return InputError(self.where, f"line {self.lines[row]}, {column}", value, allowed)
 

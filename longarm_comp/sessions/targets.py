@@ -34,7 +34,6 @@ class Targets:
     frame: tuple[str, ...] = ()  # (N,) ``base`` or ``measured``; blank where it is not said
 
     def __len__(self) -> int:
-        """Number of targets."""
         return len(self.xyz)
 
     def context(self, n: int) -> Context:

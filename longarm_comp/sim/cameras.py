@@ -39,13 +39,10 @@ def tag_plate(
     rows: int = 1,
     dictionary: str = "DICT_4X4_50",
     first_id: int = 0,
-    print_scale: float = 1.0,
 ) -> Plate:
-    """A grid of tags, ids along the rows from the top left, a white margin of 0.2 tags.
-
-    `print_scale` is the printed size over the declared size.
-    """
-    tag_px = 30 * _dictionary(dictionary).markerSize
+    """A grid of tags, ids along the rows from the top left, a white margin of 0.2 tags."""
+    known = _dictionary(dictionary)
+    tag_px = 30 * known.markerSize
     gap_px, margin_px = round(gap_m / tag_m * tag_px), round(0.2 * tag_px)
     pitch = tag_px + gap_px
     if abs(gap_px / tag_px - gap_m / tag_m) > 1e-9:
@@ -57,9 +54,9 @@ def tag_plate(
         row, column = divmod(index, columns)
         top, left = margin_px + row * pitch, margin_px + column * pitch
         texture[top : top + tag_px, left : left + tag_px] = cv2.aruco.generateImageMarker(
-            _dictionary(dictionary), first_id + index, tag_px
+            known, first_id + index, tag_px
         )
-    texel = tag_m / tag_px * print_scale
+    texel = tag_m / tag_px
     return Plate(texture, (width * texel, height * texel))
 
 

@@ -61,8 +61,6 @@ def _with_play(hidden: tuple[HiddenEffect, ...], more: Array) -> tuple[HiddenEff
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """Parts of the plant and its conditions."""
-
     arm: Arm
     servos: EmulatedArm
     cameras: CameraPair

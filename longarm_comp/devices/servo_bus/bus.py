@@ -11,12 +11,9 @@ from longarm_comp.devices.servo_bus.port import SerialPort
 from longarm_comp.devices.servo_bus.state import (
     IncompleteReply,
     ServoAlarm,
-    ServoChecksum,
     ServoFault,
     ServoModel,
-    ServoRejected,
     ServoState,
-    ServoTimeout,
 )
 
 
@@ -62,7 +59,7 @@ class SerialServoBus:
         self.counters = _BusCounters()
 
     def ping(self, servo_id: int) -> int:
-        """The servo's model number. Raises ServoTimeout, ServoChecksum."""
+        """The servo's model number. Raises IncompleteReply."""
         reply = self._fetch([servo_id], self._dialect.model)[servo_id]
         return int.from_bytes(reply.data, "little")
 
@@ -70,8 +67,8 @@ class SerialServoBus:
         """The state of every servo from one sync read.
 
         Raises:
-            ServoTimeout, ServoChecksum: ``states`` holds those of the servos that did answer.
-            ServoRejected: a servo refused the read.
+            IncompleteReply: ``states`` holds those of the servos that did answer.
+            ServoFault: a servo refused the read.
         """
         answers = self.ask(ids, self._dialect.state)
         self._refuse(answers.replies)
@@ -103,7 +100,7 @@ class SerialServoBus:
         Off is sent before any read, so that it also reaches a disturbed bus.
 
         Raises:
-            ServoTimeout, ServoChecksum: some servos did not confirm.
+            IncompleteReply: some servos did not confirm.
             ServoFault: a servo with an alarm would not switch on.
         """
         if on:
@@ -113,7 +110,7 @@ class SerialServoBus:
     def driven(self, ids: Sequence[int]) -> dict[int, bool]:
         """Whether each servo's drive is on. It goes off after an alarm or a loss of power.
 
-        Raises: ServoTimeout, ServoChecksum.
+        Raises: IncompleteReply.
         """
         replies = self._fetch(ids, self._dialect.torque)
         return {servo_id: reply.data == b"\1" for servo_id, reply in replies.items()}
@@ -197,7 +194,7 @@ class SerialServoBus:
         for servo_id, reply in replies.items():
             code = self._dialect.refusal(reply.error)
             if code:
-                raise ServoRejected("the servo refused the instruction", id=servo_id, code=code)
+                raise ServoFault("the servo refused the instruction", id=servo_id, code=code)
 
     def _alarms(self, replies: Mapping[int, Reply]) -> dict[int, ServoAlarm]:
         """Alarms by id. If the status byte only flags that there is one, the register is read."""
@@ -240,6 +237,5 @@ def _incomplete(
         "silent": silent, "corrupt": list(answers.corrupt), "answered": sorted(states),
         "attempts": answers.attempts,
     }  # fmt: skip
-    if silent:
-        return ServoTimeout("servos did not answer in time", states, **facts)
-    return ServoChecksum("answers of servos failed their checksum", states, **facts)
+    damaged = "answers of servos failed their checksum"
+    return IncompleteReply("servos did not answer in time" if silent else damaged, states, **facts)

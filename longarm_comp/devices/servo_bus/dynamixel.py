@@ -109,7 +109,6 @@ class DynamixelX(Dialect):
             load=_value(data[4:6]) / model.full_load,
             voltage_v=_value(data[22:24]) / 10.0,
             temperature_c=float(data[24]),
-            moving=bool(data[0]),
             error_flags=alarms,
         )
 

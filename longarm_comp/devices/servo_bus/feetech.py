@@ -79,7 +79,6 @@ class FeetechSts(Dialect):
             load=_value(data[4:6], 10) / model.full_load,
             voltage_v=data[6] / 10.0,
             temperature_c=float(data[7]),
-            moving=bool(data[10]),
             error_flags=alarms | self.alarm_flags(data[9]),
         )
 

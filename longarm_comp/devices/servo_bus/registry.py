@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
@@ -35,7 +35,6 @@ def protocols() -> dict[str, type[Dialect]]:
 
 @cache
 def models() -> dict[str, ServoModel]:
-    """The servos of all protocols, by name."""
     return {model.name: model for kind in protocols().values() for model in kind.models}
 
 
@@ -47,19 +46,7 @@ def open_bus(
     reply_timeout_s: float = 0.02,
     retries: int = 2,
 ) -> SerialServoBus:
-    """Open a port and speak ``protocol`` on it.
-
-    Raises:
-        InputError: unknown protocol, or a servo model with another protocol.
-        BusUnplugged: the port cannot be opened.
-    """
-    if protocol not in protocols():
-        raise InputError("servo bus", "protocol", protocol, ", ".join(protocols()))
-    for servo_id, model in servos.items():
-        if model.protocol != protocol:
-            raise InputError(
-                "servo bus", f"servo {servo_id}", model.name, f"a model that speaks {protocol}"
-            )
+    """Open a port and speak a known protocol on it. Raises BusUnplugged."""
     line = SerialPort(port, baudrate, reply_timeout_s)
     return SerialServoBus(line, protocols()[protocol](), servos, retries)
 
@@ -68,14 +55,9 @@ _ALL_IDS = range(253)
 _LOOKS, _DAMAGED = 5, 2
 """States read of a servo that answers, and damaged ones among them that are no accident."""
 
-Tell = Callable[[str, float], None]
-"""Told what is being asked and the share done, 0 to 1."""
-
 
 @dataclass(frozen=True, slots=True)
 class FoundServo:
-    """One id that answered."""
-
     servo_id: int
     model_number: int
     model: str  # its name; empty where the model number is unknown here
@@ -100,16 +82,17 @@ class Scan:
 
 def scan_line(
     port: str,
-    protocol: str | None = None,
-    baudrate: int | None = None,
-    ids: Iterable[int] = _ALL_IDS,
-    reply_timeout_s: float = 0.02,
-    tell: Tell = lambda text, share: None,
+    protocol: str | None,
+    baudrate: int | None,
+    ids: Sequence[int],
+    reply_timeout_s: float,
+    tell: Callable[[str, float], None],
 ) -> Scan | None:
     """The first protocol and rate at which a servo answers, with all servos that answer then.
 
     Args:
         protocol, baudrate: only this one; None: all that are known, one after the other.
+        tell: told what is being asked and the share done, 0 to 1.
 
     Returns:
         None where nothing answered.
@@ -119,7 +102,6 @@ def scan_line(
     """
     if protocol is not None and protocol not in protocols():
         raise InputError("servo bus", "protocol", protocol, ", ".join(protocols()))
-    asked = list(ids)
     tries = [
         (name, rate)
         for name in ([protocol] if protocol else protocols())
@@ -128,8 +110,8 @@ def scan_line(
     for k, (name, rate) in enumerate(tries):
         with closing(SerialPort(port, rate, reply_timeout_s)) as line:
             servos = []
-            for n, servo_id in enumerate(asked):
-                tell(f"{name}, {rate} bit/s, id {servo_id}", (k + n / len(asked)) / len(tries))
+            for n, servo_id in enumerate(ids):
+                tell(f"{name}, {rate} bit/s, id {servo_id}", (k + n / len(ids)) / len(tries))
                 servo = look(line, protocols()[name](), servo_id)
                 servos += [servo] if servo else []
         if servos:

@@ -33,7 +33,6 @@ class ServoState:
     load: float  # drive effort as a signed share of the servo's maximum, -1 to 1
     voltage_v: float  # supply voltage at the servo
     temperature_c: float  # inside the case
-    moving: bool  # whether the servo reports that it moves
     error_flags: ServoAlarm = ServoAlarm.NONE  # alarms it raises now
 
 
@@ -65,7 +64,7 @@ class BusUnplugged(ServoBusError):  # noqa: N818
 
 
 class IncompleteReply(ServoBusError):  # noqa: N818
-    """Some servos gave no usable answer after every retry.
+    """Some servos were silent after every retry, or their answers were damaged on the way.
 
     ``facts`` has the ids of the silent, of those whose answer failed its checksum (``corrupt``),
     and of those that answered.
@@ -81,17 +80,5 @@ class IncompleteReply(ServoBusError):  # noqa: N818
         self.states: dict[int, ServoState] = dict(states or {})
 
 
-class ServoTimeout(IncompleteReply):
-    """At least one servo was silent."""
-
-
-class ServoChecksum(IncompleteReply):
-    """Every servo answered, but at least one answer was damaged on the way."""
-
-
 class ServoFault(ServoBusError):  # noqa: N818
-    """A servo reports an alarm of its own (overheating, overload, voltage, sensor)."""
-
-
-class ServoRejected(ServoBusError):  # noqa: N818
-    """A servo refused an instruction (range, access, length); the code is the servo's own."""
+    """A servo reports an alarm of its own, or refuses an instruction with a code of its own."""

@@ -23,8 +23,6 @@ _ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 300, 1e-10)
 
 @dataclass(frozen=True)
 class StereoCalibration:
-    """A calibrated rig and how well it fits."""
-
     rig: StereoRig  # frame = the raw left optical frame; lengths in the unit of the board's points
     rms_px: float  # of the boards' reprojection, both cameras
     used: tuple[int, ...]  # indices of the pairs that were fitted
@@ -61,7 +59,7 @@ def calibrate_stereo(
             )  # fmt: skip
             left = Camera(k_l, np.eye(3), np.zeros(3), size, d_l)
             rig = StereoRig(left, Camera(k_r, turn, move, size, d_r))
-            off = {i: triangulate(rig, *common[i][1:]).rms_px for i in views}
+            off = {i: triangulate(rig, *common[i][1:])[1] for i in views}
             limit = 2.0 * np.median([off[i] for i in used])
             keep = [i for i in views if off[i] <= limit]
             if keep == used or len(keep) < _FEWEST_PAIRS:
@@ -85,8 +83,6 @@ _HELD_OUT_EVERY = 4
 
 @dataclass(frozen=True)
 class BoardCalibration:
-    """A calibration and what it is worth."""
-
     fit: StereoCalibration  # of all views
     held_out_mm: float
     """Rms distance of the board's corners, triangulated with a calibration of the other views,
@@ -116,7 +112,8 @@ def calibrated(
 
 def _points(rig: StereoRig, left: Corners, right: Corners) -> tuple[np.ndarray, np.ndarray]:
     ids, left_px, right_px = left.shared(right)
-    return ids, triangulate(rig, left_px, right_px).points
+    points, _ = triangulate(rig, left_px, right_px)
+    return ids, points
 
 
 def _off(board: Target, rig: StereoRig, left: Corners, right: Corners) -> np.ndarray:

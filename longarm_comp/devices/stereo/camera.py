@@ -111,7 +111,6 @@ class StereoRig:
 
     @property
     def baseline_m(self) -> float:
-        """Distance of the two camera centres, m."""
         return float(np.linalg.norm((self.right.pose - self.left.pose)[:3, 3]))
 
     @classmethod

@@ -88,7 +88,6 @@ def write_camera(path: Path, name: str, camera: CameraInfo, head: str) -> None:
 
 
 def read_camera(path: Path) -> CameraInfo:
-    """A camera's file."""
     data = read_yaml(path)
     values: dict[str, tuple[float, ...]] = {}
     for key, (field, rows, columns) in _MATRICES.items():

@@ -6,17 +6,17 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
-from longarm_comp.devices.stereo.found import Limits, found_pair
+from longarm_comp.devices.stereo.found import Limits, found
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
-from longarm_comp.devices.stereo.target import Target
+from longarm_comp.devices.stereo.target import Grey, Target
 from longarm_comp.devices.stereo.triangulate import (
-    MarkerPose,
     PixelNoise,
     epipolar_px,
     marker_pose,
+    rms,
     triangulate,
 )
 
@@ -25,9 +25,6 @@ _KEPT = 1.0 - 1.0 / 200.0  # of the residuals of sightings: the last 200 count, 
 
 @dataclass(frozen=True)
 class StereoSighting:
-    """The tip as measured from one stereo pair."""
-
-    stamp_ns: int  # stamp of the left image
     point: Array  # (3,) m, tip in the base frame
     pose: Array  # (4, 4) marker in the base frame
     pose_covariance: Array  # (6, 6) of ``[tip; rotation]`` along the base axes, m and rad
@@ -38,8 +35,6 @@ class StereoSighting:
 
 @dataclass
 class StereoEye:
-    """Measures the tip with a stereo rig."""
-
     rig: StereoRig
     target: Target
     camera_in_base: ArrayLike = field(default_factory=lambda: np.eye(4))
@@ -54,16 +49,14 @@ class StereoEye:
         self._hand_eye = np.asarray(self.camera_in_base, dtype=float)
         self._tip = np.asarray(self.tip_in_marker, dtype=float)
 
-    def measure(
-        self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
-    ) -> StereoSighting:
+    def measure(self, left: Grey, right: Grey) -> StereoSighting:
         """The sighting of one pair, images (H, W) grey or (H, W, 3) BGR, uint8.
 
         Raises:
             StereoRefusal: with the reason.
         """
         try:
-            return self._measure(left, right, stamp_ns)
+            return self._measure(left, right)
         except np.linalg.LinAlgError as error:  # rays so nearly parallel that nothing can be solved
             raise StereoRefusal(RefusalReason.REPROJECTION, cause=str(error)) from error
 
@@ -79,11 +72,10 @@ class StereoEye:
         sigma_px = self.noise.estimate(np.sqrt(self._square_px2), self._freedom)
         return PixelNoise(sigma_px, self.noise.weight)
 
-    def _measure(
-        self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
-    ) -> StereoSighting:
+    def _measure(self, left: Grey, right: Grey) -> StereoSighting:
         greys = _as_grey(left, self.rig.left, "left"), _as_grey(right, self.rig.right, "right")
-        in_left, in_right = found_pair(self.target, greys, self.limits)
+        in_left = found(self.target, greys[0], "left", self.limits)
+        in_right = found(self.target, greys[1], "right", self.limits)
         ids, left_px, right_px = in_left.shared(in_right)
         corners = self.target.points(ids)
         fewest = max(4, int(np.ceil(self.limits.seen_share * self.target.n_corners)))
@@ -92,48 +84,38 @@ class StereoEye:
         off = float(np.median(epipolar_px(self.rig, left_px, right_px)))
         if not off <= self.limits.epipolar_px:
             raise StereoRefusal(RefusalReason.EPIPOLAR, epipolar_px=round(off, 3))
-        points = triangulate(self.rig, left_px, right_px).points
+        points, _ = triangulate(self.rig, left_px, right_px)
         size = _size_seen(points, corners)
         if abs(size - 1.0) > self.limits.size:
             raise StereoRefusal(RefusalReason.MARKER_SIZE, seen_over_declared=round(size, 4))
         tolerance, noise = self.limits.tolerance(left_px), self.expected_noise
         pose = marker_pose(self.rig, corners, points, left_px, right_px, tolerance, noise)
-        rms = pose.rms_px
-        if not rms <= self.limits.rms_px:
-            raise StereoRefusal(RefusalReason.REPROJECTION, rms_px=round(rms, 3))
+        rms_px = rms(pose.residuals)
+        if not rms_px <= self.limits.rms_px:
+            raise StereoRefusal(RefusalReason.REPROJECTION, rms_px=round(rms_px, 3))
         self._square_px2 = _KEPT * self._square_px2 + float(np.sum(np.square(pose.residuals)))
         self._freedom = _KEPT * self._freedom + pose.residuals.size - 6
-        return self._sighting(pose, len(ids), stamp_ns)
-
-    def _sighting(self, pose: MarkerPose, corners: int, stamp_ns: int) -> StereoSighting:
         point, covariance = pose.at(self._tip)
         turn = self._hand_eye[:3, :3]
         turns = np.kron(np.eye(2), turn)
         return StereoSighting(
-            stamp_ns=stamp_ns,
             point=turn @ point + self._hand_eye[:3, 3],
             pose=self._hand_eye @ pose.transform,
             pose_covariance=turns @ covariance @ turns.T,
-            corners=corners,
-            rms_px=pose.rms_px,
+            corners=len(ids),
+            rms_px=rms_px,
             scale=pose.scale,
         )
 
 
-def _as_grey(image: NDArray[np.uint8], camera: Camera, side: str) -> NDArray[np.uint8]:
-    """An image as (H, W) uint8 of the camera's size.
-
-    Raises:
-        StereoRefusal: BAD_IMAGE or WRONG_SIZE.
-    """
-    shape, kind = np.shape(image), getattr(image, "dtype", None)
-    if kind != np.uint8 or not (len(shape) == 2 or (len(shape) == 3 and shape[2] == 3)):
-        raise StereoRefusal(RefusalReason.BAD_IMAGE, image=side, shape=shape, type=kind)
-    if (shape[1], shape[0]) != camera.size:
-        size = f"{shape[1]}x{shape[0]}"
+def _as_grey(image: Grey, camera: Camera, side: str) -> Grey:
+    """An image as (H, W) of the camera's size. Raises StereoRefusal: WRONG_SIZE."""
+    height, width = image.shape[:2]
+    if (width, height) != camera.size:
+        size = f"{width}x{height}"
         allowed = f"{camera.size[0]}x{camera.size[1]}"
         raise StereoRefusal(RefusalReason.WRONG_SIZE, image=side, size=size, calibrated=allowed)
-    grey = image if len(shape) == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     return np.ascontiguousarray(grey)
 
 

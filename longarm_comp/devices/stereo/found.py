@@ -40,14 +40,6 @@ _PRESMOOTH_PX = 1.0
 """Gaussian sigma: pixel noise then makes no edge, and it is about the blur of a sharp lens."""
 
 
-def _edge_sigma_px(grey: NDArray[np.uint8], pixels: Array) -> float:
-    """Sigma (px) of the sharpest edges inside the box around a marker's corners (N, 2)."""
-    low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - 4, 0)
-    high = np.ceil(pixels.max(axis=0)).astype(int) + 5
-    patch = grey[low[1] : high[1], low[0] : high[0]]
-    return _edge_px(patch, float(np.ptp(np.percentile(patch, [5.0, 95.0]))))
-
-
 def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
     """Sigma (px) of the sharpest edges of an image (H, W), its range of grey being `height`.
 
@@ -66,23 +58,21 @@ def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
     return float(np.sqrt(max(total**2 - _PRESMOOTH_PX**2, 0.0)))
 
 
-def found_pair(target: Target, greys: tuple[Grey, Grey], limits: Limits) -> tuple[Corners, Corners]:
-    """Corners of a target in the images (H, W) of the left and the right camera.
+def found(target: Target, grey: Grey, side: str, limits: Limits) -> Corners:
+    """Corners of a target in the image (H, W) of the ``left`` or the ``right`` camera.
 
     Raises:
         StereoRefusal: AMBIGUOUS, BLURRED; TOO_DARK, TOO_BRIGHT, NOT_FOUND where nothing is seen.
     """
-    left, right = greys
-    return _found(target, left, "left", limits), _found(target, right, "right", limits)
-
-
-def _found(target: Target, grey: Grey, side: str, limits: Limits) -> Corners:
     seen = target.detect(grey)
     if seen.repeated:
         raise StereoRefusal(RefusalReason.AMBIGUOUS, image=side, ids=seen.repeated)
     if not len(seen):
         raise _unseen(grey, side, limits)
-    blur = _edge_sigma_px(grey, seen.pixels)
+    low = np.maximum(np.floor(seen.pixels.min(axis=0)).astype(int) - 4, 0)
+    high = np.ceil(seen.pixels.max(axis=0)).astype(int) + 5
+    patch = grey[low[1] : high[1], low[0] : high[0]]
+    blur = _edge_px(patch, float(np.ptp(np.percentile(patch, [5.0, 95.0]))))
     if not blur <= limits.edge_px:
         raise StereoRefusal(RefusalReason.BLURRED, image=side, edge_px=round(blur, 2))
     return seen

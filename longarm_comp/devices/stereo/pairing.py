@@ -13,8 +13,6 @@ _RESTART_NS = 1_000_000_000
 
 
 class Drop(str, Enum):
-    """Reasons for dropping an image without a pair."""
-
     UNSYNCHRONISED = "no partner within the slop"
     OVERFLOW = "queue was full"
     OUT_OF_ORDER = "stamp older than, or equal to, an image already paired or dropped"
@@ -25,8 +23,6 @@ class Drop(str, Enum):
 
 
 class Side(Enum):
-    """One of the two cameras."""
-
     LEFT = 0
     RIGHT = 1
 

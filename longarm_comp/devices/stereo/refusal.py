@@ -33,13 +33,11 @@ class StereoRefusal(JobError):  # noqa: N818 - a refusal is an answer, not a fau
     """A pair of images, or a camera, that cannot be used for a measurement.
 
     Args:
-        reason: one of the known reasons.
         facts: values that explain it, with their unit in the name (``rms_px=3.1``).
     """
 
     reason: RefusalReason
 
-    def __init__(self, reason: RefusalReason | str, **facts: object) -> None:
-        reason = RefusalReason(reason)
+    def __init__(self, reason: RefusalReason, **facts: object) -> None:
         super().__init__(reason.value, **facts)
         self.reason = reason

@@ -88,7 +88,6 @@ class TagBoard:
 
     @property
     def n_corners(self) -> int:
-        """Four a tag."""
         return 4 * self.columns * self.rows
 
     def points(self, ids: NDArray[np.int64]) -> Array:
@@ -154,7 +153,6 @@ class CharucoTarget:
 
     @property
     def n_corners(self) -> int:
-        """Inner corners of the chessboard."""
         return (self.columns - 1) * (self.rows - 1)
 
     def points(self, ids: NDArray[np.int64]) -> Array:

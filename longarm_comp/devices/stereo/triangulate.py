@@ -36,23 +36,8 @@ class PixelNoise:
         return float(np.sqrt(total / count)) if count > 0.0 else self.sigma_px
 
 
-@dataclass(frozen=True)
-class Triangulation:
-    """Points (N, 3) m in the rig frame, residuals (N, 4) px.
-
-    Residuals are seen - projected, ordered (left u, left v, right u, right v).
-    """
-
-    points: Array
-    residuals: Array
-
-    @property
-    def rms_px(self) -> float:
-        return float(np.sqrt(np.mean(np.square(self.residuals))))
-
-
-def triangulate(rig: StereoRig, left_px: Array, right_px: Array) -> Triangulation:
-    """Triangulate corners seen in both images.
+def triangulate(rig: StereoRig, left_px: Array, right_px: Array) -> tuple[Array, float]:
+    """Points (N, 3) m in the rig frame of corners seen in both images, and their rms residual, px.
 
     Args:
         left_px, right_px: (N, 2) pixels of the same N >= 1 corners in the images as they came
@@ -70,7 +55,12 @@ def triangulate(rig: StereoRig, left_px: Array, right_px: Array) -> Triangulatio
         gradient = jacobian.transpose(0, 2, 1) @ residuals[..., None]
         points = points + np.linalg.solve(normal, gradient)[..., 0]
     in_front(rig, points)
-    return Triangulation(points, stereo_residuals(rig, points, left_px, right_px)[0])
+    return points, rms(stereo_residuals(rig, points, left_px, right_px)[0])
+
+
+def rms(values: Array) -> float:
+    """Root mean square of numbers."""
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def stereo_residuals(
@@ -125,10 +115,6 @@ class MarkerPose:
     covariance: Array
     scale: float
     residuals: Array
-
-    @property
-    def rms_px(self) -> float:
-        return float(np.sqrt(np.mean(np.square(self.residuals))))
 
     def at(self, in_marker: Array) -> tuple[Array, Array]:
         """A point (3,) m fixed to the marker, seen in the rig frame; the pose covariance there."""

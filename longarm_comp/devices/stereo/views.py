@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.devices.stereo.camera import Array
-from longarm_comp.devices.stereo.found import Limits, found_pair
+from longarm_comp.devices.stereo.found import Limits, found
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
@@ -65,58 +65,54 @@ def view_of(board: Target, left: Grey, right: Grey) -> BoardView:
         raise StereoRefusal(
             RefusalReason.WRONG_SIZE, left=left.shape[::-1], right=right.shape[::-1]
         )
-    seen = found_pair(board, (left, right), Limits())
-    ids, left_px, right_px = seen[0].shared(seen[1])
+    in_left, in_right = found(board, left, "left", Limits()), found(board, right, "right", Limits())
+    ids, left_px, right_px = in_left.shared(in_right)
     if len(ids) < FEWEST_CORNERS:
         raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
     shift = np.median(left_px[:, 0] - right_px[:, 0])
     distance, tilt = _rough_pose(board.points(ids), left_px, left.shape[1], left.shape[0])
-    return BoardView(*seen, float(shift), distance, tilt)
+    return BoardView(in_left, in_right, float(shift), distance, tilt)
 
 
 def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
     """What the views lack, as instructions; none when they are enough."""
-    found = []
+    lacking = []
     if len(views) < FEWEST_VIEWS:
-        found.append(f"more views: {len(views)} of {FEWEST_VIEWS}")
+        lacking.append(f"more views: {len(views)} of {FEWEST_VIEWS}")
     if not views:
-        return found
-    for side, cells in zip(("left", "right"), covered(views, size), strict=True):
+        return lacking
+    for side in ("left", "right"):
         bare = [
             "centre" if row == column == 1 else f"{_ROWS[row]} {_COLUMNS[column]}"
-            for row, column in np.argwhere(~cells)
+            for row, column in np.argwhere(~_covered(views, side, size))
         ]
         if bare:
-            found.append(f"{side} camera: no corner at the {', '.join(bare)} of what both see")
+            lacking.append(f"{side} camera: no corner at the {', '.join(bare)} of what both see")
     distances = [view.distance_m for view in views]
     # Least ratio of the largest to the smallest distance
     if max(distances) < 1.25 * min(distances):
         ends = f"{min(distances):.2f} to {max(distances):.2f} m"
-        found.append(f"nearer and farther: all views are from about {ends}")
+        lacking.append(f"nearer and farther: all views are from about {ends}")
     for axis, name in enumerate(("horizontal", "vertical")):
         tilts = [view.tilt_deg[axis] for view in views]
         # Least range of the board's tilt about either axis. The focal length is only guessed here
         if np.ptp(tilts) < 30.0:
             ends = f"{min(tilts):.0f} to {max(tilts):.0f} deg"
-            found.append(f"tilt about the {name} axis: only {ends} yet")
-    return found
+            lacking.append(f"tilt about the {name} axis: only {ends} yet")
+    return lacking
 
 
-def covered(
-    views: Sequence[BoardView], size: tuple[int, int]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Ninths (3, 3) of the part of each image that both cameras see, with corners in them."""
+def _covered(views: Sequence[BoardView], side: str, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Ninths (3, 3) of the part of a side's image that both cameras see, with corners in them."""
     width, height = size
     shared = max(width - max(0.0, float(np.median([v.disparity_px for v in views]))), 1.0)
-    made = []
-    for start, side in ((width - shared, "left"), (0.0, "right")):
-        pixels = np.vstack([getattr(view, side).pixels for view in views])
-        across = np.clip((pixels[:, 0] - start) / shared * 3, 0, 2).astype(int)
-        down = np.clip(pixels[:, 1] / height * 3, 0, 2).astype(int)
-        cells = np.zeros((3, 3), dtype=bool)
-        cells[down, across] = True
-        made.append(cells)
-    return made[0], made[1]
+    start = width - shared if side == "left" else 0.0
+    pixels = np.vstack([getattr(view, side).pixels for view in views])
+    across = np.clip((pixels[:, 0] - start) / shared * 3, 0, 2).astype(int)
+    down = np.clip(pixels[:, 1] / height * 3, 0, 2).astype(int)
+    cells = np.zeros((3, 3), dtype=bool)
+    cells[down, across] = True
+    return cells
 
 
 def _rough_pose(

@@ -30,8 +30,6 @@ _NONE = {"", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"}
 
 @dataclass(frozen=True)
 class Cells:
-    """A table of another program."""
-
     where: str
     names: tuple[str, ...]
     """Columns; header lines are joined, a line of units is put behind the names."""
@@ -43,7 +41,6 @@ class Cells:
     """Number of each row in the session, where the rows do not simply follow each other."""
 
     def column(self, place: int) -> list[str]:
-        """The texts of one column."""
         return [row[place] for _, row in self.rows]
 
     def place(self, key: str, field: str) -> int:

@@ -92,8 +92,6 @@ class Options:
 
 @dataclass(frozen=True)
 class _Imported:
-    """A converted table."""
-
     cells: Cells
     columns: Mapping[str, np.ndarray]
     """Session columns by name, (N,) numbers or texts; `sources`: how each was read."""
@@ -261,9 +259,7 @@ def _values(cells: Cells, column: Column) -> np.ndarray:
     power = 2 if column.name.startswith("cov_") else 1
     unit = column.unit
     values = _numbers(cells, column.place, bool(_MAY_BE_BLANK.fullmatch(column.name)))
-    if column.name.startswith(("index", "repeat_id", "approach")) or unit is None:
-        return values
-    return values * unit.factor**power + unit.offset
+    return values if unit is None else values * unit.factor**power + unit.offset
 
 
 def _numbers(cells: Cells, place: int, blanks: bool) -> np.ndarray:

@@ -48,7 +48,6 @@ class Dosed:
     """Fields that are its size; by default the first."""
 
     def __init_subclass__(cls) -> None:
-        """Name the class."""
         if "name" not in vars(cls):
             cls.name = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
 

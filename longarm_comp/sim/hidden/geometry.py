@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from longarm_comp.sim.context import Array, State
 from longarm_comp.sim.hidden.base import THETA, A, D, HiddenEffect
+from longarm_comp.sim.rods import rpy_matrix
 
 
 @dataclass(frozen=True)
@@ -43,15 +42,12 @@ class BasePose(HiddenEffect):
 
 @dataclass(frozen=True)
 class GravityDirection(HiddenEffect):
-    """Gravity tilted by `tilt` (2,), rad about x and y of the base frame."""
+    """Gravity tilted by `tilt` (2,), rad about x, then y of the base frame."""
 
     tilt: Array
 
     def gravity(self, gravity: Array) -> Array:
-        (cx, cy), (sx, sy) = np.cos(self.tilt), np.sin(self.tilt)
-        x, y, z = gravity
-        y, z = cx * y - sx * z, sx * y + cx * z
-        return np.array([cy * x + sy * z, y, cy * z - sy * x])
+        return rpy_matrix([*self.tilt, 0.0]) @ gravity
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import IntEnum
 
 from longarm_comp.sim.servo_emulator.motor import Motor
@@ -34,7 +33,6 @@ class DynamixelWire(RegisterWire):
     name = "dynamixel"
     kept_below = _At.TORQUE
     word = 2
-    answers_all = (Told.PING,)
 
     def device(self, servo_id: int, motor: Motor) -> Device:
         device = Device(servo_id, bytearray(_At.MEMORY), motor)
@@ -75,14 +73,6 @@ class DynamixelWire(RegisterWire):
         size = (len(body) + 2).to_bytes(2, "little")
         frame = b"\xff\xff\xfd\x00" + bytes((device.servo_id,)) + size + body
         return device.servo_id, frame + _crc16(frame).to_bytes(2, "little")
-
-    def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
-        _, instruction, params = self.parts(frame)
-        if instruction != Told.BULK_READ:
-            return super().answer(frame, devices)
-        items = [params[start : start + 5] for start in range(0, len(params) - 4, 5)]
-        asked = [(devices[p[0]], self.words(p[1:])) for p in items if p[0] in devices]
-        return [self.status(device, *self.read(device, *block)) for device, block in asked]
 
     def carry_out(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
         if instruction == Told.PING:

@@ -21,7 +21,7 @@ from longarm_comp.sim.servo_emulator.wires import wire_of
 
 @dataclass
 class WireFaults:
-    """Replies to lose, damage, cut or delay; counts go down as replies are sent."""
+    """Replies to lose, damage or cut; counts go down as replies are sent."""
 
     silent: set[int] = field(default_factory=set)  # servos that hear and move but answer nothing
     drops: Counter[int] = field(default_factory=Counter)
@@ -29,21 +29,16 @@ class WireFaults:
     or are sent by half."""
     corrupt: Counter[int] = field(default_factory=Counter)
     cuts: Counter[int] = field(default_factory=Counter)
-    delays_s: dict[int, float] = field(default_factory=dict)
-    """By how much a servo's replies are late, s."""
-    noise: bytes = b""  # bytes put on the line ahead of the next reply
-    echo: bool = False  # every instruction is sent back first, as adapters that hear themselves do
 
-    def apply(self, servo_id: int, reply: bytes) -> tuple[float, bytes]:
-        """Delay (s) and bytes that are sent for ``reply``."""
+    def apply(self, servo_id: int, reply: bytes) -> bytes:
+        """What is sent for ``reply``."""
         if servo_id in self.silent or _take(self.drops, servo_id):
-            return 0.0, b""
+            return b""
         if _take(self.corrupt, servo_id):
             reply = reply[:-1] + bytes((reply[-1] ^ 0x5A,))
         if _take(self.cuts, servo_id):
             reply = reply[: len(reply) // 2]
-        noise, self.noise = self.noise, b""
-        return self.delays_s.get(servo_id, 0.0), noise + reply
+        return reply
 
 
 def _take(counts: Counter[int], servo_id: int) -> bool:
@@ -67,7 +62,7 @@ class ServoEmulator:
         protocol: name of one of `wires`, or a wire.
         positions: initial position of each servo, ticks, by id.
         spec: mechanics of all servos, or of each by id; none: an unloaded STS3215.
-        link: path of a symbolic link to the pseudo-terminal, updated by ``replug``.
+        link: path of a symbolic link to the pseudo-terminal, the same after every ``start``.
         load_of: external load from positions; none: unloaded.
         clock: seconds, by which the servos move.
 
@@ -89,7 +84,6 @@ class ServoEmulator:
         self._devices: dict[int, Device] = {
             i: self._wire.device(i, Motor(specs[i], ticks)) for i, ticks in positions.items()
         }
-        self._twins: dict[int, Device] = {}
         self._link = link
         self._load_of = load_of
         self._lock = threading.RLock()
@@ -103,7 +97,7 @@ class ServoEmulator:
         self.frames_heard = 0
 
     def start(self) -> None:
-        """Open the pseudo-terminal (``port`` is its path) and begin to answer."""
+        """Open a new pseudo-terminal (``port`` is its path) and begin to answer."""
         master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(master, False)
@@ -131,11 +125,6 @@ class ServoEmulator:
             for fd in self._fds:
                 os.close(fd)
             self._fds = None
-
-    def replug(self) -> None:
-        """Put the cable back: a new pseudo-terminal, a link of the same name, the same servos."""
-        self.unplug()
-        self.start()
 
     def __enter__(self) -> ServoEmulator:
         self.start()
@@ -175,12 +164,6 @@ class ServoEmulator:
         with self.motor(servo_id) as motor:
             motor.turn(ticks - motor.position)
 
-    def add_twin(self, servo_id: int, ticks: float) -> None:
-        """Put another servo with the same id on the bus; both answer at once."""
-        with self._lock:
-            motor = Motor(self._devices[servo_id].motor.spec, ticks)
-            self._twins[servo_id] = self._wire.device(servo_id, motor)
-
     def _advance(self) -> None:
         """Bring the mechanics up to the present in small steps (the load follows the motion)."""
         now = self._clock()
@@ -199,10 +182,7 @@ class ServoEmulator:
         while not self._stop.is_set():
             ready, _, _ = select.select([master], [], [], _STEP_S)
             if ready:
-                heard = os.read(master, 4096)
-                buffer += heard
-                if self.faults.echo:
-                    _send(master, heard)
+                buffer += os.read(master, 4096)
             with self._lock:
                 self._advance()
                 frames = self._wire.take(buffer)
@@ -212,25 +192,17 @@ class ServoEmulator:
                     for frame in frames
                     for servo_id, reply in self._answers(frame)
                 ]
-            for late_s, reply in sent:
-                if late_s:
-                    self._stop.wait(late_s)
+            for reply in sent:
                 _send(master, reply)
 
     def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
         try:
             replies = self._wire.answer(frame, self._devices)
-            others = dict(self._wire.answer(frame, self._twins)) if self._twins else {}
         except IndexError:
             return []  # fewer parameters than the instruction needs: a servo ignores it
         if any(i != device.servo_id for i, device in self._devices.items()):
             self._devices = {device.servo_id: device for device in self._devices.values()}
-        return [(i, _collided(reply, others.get(i, reply))) for i, reply in replies]
-
-
-def _collided(one: bytes, other: bytes) -> bytes:
-    """Two frames at once on one line: low wins."""
-    return bytes(a & b for a, b in zip(one, other, strict=False))
+        return replies
 
 
 def _send(master: int, data: bytes) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from longarm_comp.sim.servo_emulator.motor import SHUTDOWN_C, Motor
+from longarm_comp.sim.servo_emulator.motor import Motor
 from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire
 
 _STATUS_BITS = {"voltage": 1, "sensor": 2, "overheat": 4, "current": 8, "overload": 32}
@@ -13,9 +13,9 @@ _STATUS_BITS = {"voltage": 1, "sensor": 2, "overheat": 4, "current": 8, "overloa
 class _At(IntEnum):
     """Addresses in the memory table, and its length."""
 
-    FIRMWARE, MODEL, ID, MIN_ANGLE, MAX_ANGLE, MAX_TEMPERATURE = 0, 3, 5, 9, 11, 13
+    FIRMWARE, MODEL, ID, MIN_ANGLE, MAX_ANGLE = 0, 3, 5, 9, 11
     TORQUE, GOAL, GOAL_SPEED, LOCK = 40, 42, 46, 55
-    POSITION, SPEED, LOAD, VOLTS, TEMPERATURE, STATUS, MOVING, AMPS = 56, 58, 60, 62, 63, 65, 66, 69
+    POSITION, SPEED, LOAD, VOLTS, TEMPERATURE, STATUS, MOVING = 56, 58, 60, 62, 63, 65, 66
     MEMORY = 87
 
 
@@ -33,7 +33,6 @@ class FeetechWire(RegisterWire):
         device.put(_At.ID, 1, servo_id)
         device.put(_At.MIN_ANGLE, 2, 0)
         device.put(_At.MAX_ANGLE, 2, 4095)
-        device.put(_At.MAX_TEMPERATURE, 1, round(SHUTDOWN_C))
         device.put(_At.LOCK, 1, 1)
         device.put(_At.GOAL, 2, _sign_magnitude(round(motor.position), 15))
         device.kept = bytes(device.memory)
@@ -101,7 +100,6 @@ def _refresh(device: Device) -> None:
     device.put(_At.TEMPERATURE, 1, round(motor.temperature_c))
     device.put(_At.STATUS, 1, _status_bits(motor))
     device.put(_At.MOVING, 1, int(motor.moving))
-    device.put(_At.AMPS, 2, round(abs(motor.effort) * 400))
 
 
 def _bounded(device: Device, goal: int) -> float:

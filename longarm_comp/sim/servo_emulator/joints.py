@@ -60,13 +60,9 @@ class EmulatedArm:
     protocol: str
     joints: tuple[EmulatedJoint, ...]
 
-    def start_ticks(self, values: Mapping[str, float] | None = None) -> dict[int, float]:
-        """Ticks by servo id at joint values (rad, m); left out: the allowed value nearest to 0."""
-        given = values or {}
-        return {
-            j.servo_id: j.ticks(given.get(j.name, min(max(0.0, j.lower), j.upper)))
-            for j in self.joints
-        }
+    def start_ticks(self) -> dict[int, float]:
+        """Ticks by servo id where each joint has the allowed value that is nearest to 0."""
+        return {j.servo_id: j.ticks(min(max(0.0, j.lower), j.upper)) for j in self.joints}
 
     def values(self, ticks: Mapping[int, float]) -> dict[str, float]:
         """Joint values (rad, m) by name, in the order of the file."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 _FRICTION = 0.2  # share of full effort to turn freely at full speed
 _AMBIENT_C, _HEATING_C, _HEAT_TIME_S = 25.0, 60.0, 120.0
 """Temperature at rest; its rise at full effort, and the time that this takes."""
-SHUTDOWN_C = 70.0
+_SHUTDOWN_C = 70.0
 """The servo alarms and lets go above this: the default of Feetech servos."""
 _OVERLOAD = 0.8  # share of full effort, the default of Feetech servos
 
@@ -82,7 +82,7 @@ class Motor:
 
     @property
     def _hot(self) -> bool:
-        return self.temperature_c > SHUTDOWN_C
+        return self.temperature_c > _SHUTDOWN_C
 
     def switch(self, on: bool) -> None:
         """Torque on or off; it stays off while there is an alarm."""

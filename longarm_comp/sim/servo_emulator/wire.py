@@ -9,13 +9,11 @@ from typing import ClassVar
 
 from longarm_comp.sim.servo_emulator.motor import Motor
 
-_BROADCAST = 0xFE
-
 
 class Told(IntEnum):
-    """Instructions of Dynamixel; all but the last are Feetech's too."""
+    """Instructions of Dynamixel and of Feetech."""
 
-    PING, READ, WRITE, SYNC_READ, SYNC_WRITE, BULK_READ = 1, 2, 3, 0x82, 0x83, 0x92
+    PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
 
 
 class Device:
@@ -68,8 +66,6 @@ class RegisterWire(Wire):
     """A protocol with the instructions of Dynamixel."""
 
     word: ClassVar[int]  # bytes of an address, and of a length
-    answers_all: ClassVar[tuple[int, ...]] = ()
-    """Instructions that servos answer also where all of them are addressed."""
 
     def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
         target, instruction, params = self.parts(frame)
@@ -85,10 +81,7 @@ class RegisterWire(Wire):
                     self.write(devices[rest[start]], address, data)
             return []
         hearing = [devices[target]] if target in devices else []
-        if target == _BROADCAST:
-            hearing = list(devices.values())
-        replies = [self.status(d, *self.carry_out(d, instruction, params)) for d in hearing]
-        return replies if target != _BROADCAST or instruction in self.answers_all else []
+        return [self.status(d, *self.carry_out(d, instruction, params)) for d in hearing]
 
     def carry_out(self, device: Device, instruction: int, params: bytes) -> tuple[int, bytes]:
         """An instruction to one servo: error code and data of its answer."""
