@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from hidden_arm import SIGMA, at, session, tip
+from read_arm import ARM as HEAVY
 from small_arm import ARM
 
 from longarm_comp.core.arm.context import LEGS, Context
@@ -36,11 +37,14 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store
 from longarm_comp.core.model.uncertainty import LEVEL, read, sizes, triangular, written
+from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import JointGain
 from longarm_comp.sim.hidden.geometry import JointZero
+from longarm_comp.sim.hidden.loads import JointCompliance
 
 ZEROS = JointZero(at(1, 0.003) + at(2, -0.004))
 LACKING = JointGain(at(2, 0.03))
+FAR = np.array([4.0, 1.0, -0.3])  # m, the base in the frame of the measurements
 
 
 def calibrated(rows: Session) -> ModelFit:
@@ -142,6 +146,18 @@ def test_touched_points_are_judged_about_their_mean(rng: np.random.Generator) ->
 def test_noise_is_told_from_what_the_arm_does() -> None:
     assert arm_share(calibrated(session([ZEROS], n=150))) < 0.15
     assert arm_share(calibrated(session([ZEROS, LACKING], n=150))) > 0.5
+
+
+def test_the_noise_of_a_heavy_arm_whose_joints_yield() -> None:
+    """Wherever it stands: an unknown base says nothing of its joints."""
+    rng = np.random.default_rng(5)
+    q = HEAVY.lower + (HEAVY.upper - HEAVY.lower) * rng.random((250, HEAVY.n))
+    soft = JointCompliance(np.array([0.0, 4e-4, 4e-4, 0.0]))
+    seen = TrueArm(HEAVY, (soft,)).tip(q) + SIGMA * rng.standard_normal((250, 3))
+    *_, (_, fitted) = stages(declared_model(HEAVY), Session.record(q, seen + FAR))
+    left = np.sqrt((fitted.residual**2).mean())
+    assert left > 1.5 * SIGMA
+    assert np.sqrt(np.trace(uncertainty(fitted).noise) / 3) == pytest.approx(SIGMA, rel=0.25)
 
 
 def test_few_repeats_count_too() -> None:

@@ -199,6 +199,7 @@ ROWS = 200
 WIDTHS = (0.25, 0.5, 1.0)
 """Over which part of an input's range the process is alike."""
 SHARES = np.linspace(0.0, 0.95, 20)
+_NOTHING = 1e-8  # of the largest: rounding
 
 
 def arm_share(fit: ModelFit) -> float:
@@ -208,10 +209,14 @@ def arm_share(fit: ModelFit) -> float:
     residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
     size = np.maximum(np.sqrt((residual**2).mean(axis=0)), 1e-12)
     scale = np.array([slot.parameter.prior for slot in fit.slots])
-    columns = fit.columns[kept][:, :3] * scale / size[:, None]
-    flat = columns.reshape(3 * len(kept), -1)
+    flat = (fit.columns[kept][:, :3] * scale / size[:, None]).reshape(3 * len(kept), -1)
+    length = np.linalg.norm(flat, axis=0)
+    moving = length > _NOTHING * length.max(initial=0.0)
+    flat = (
+        flat[:, moving] / length[moving]
+    )  # each may change with the joints alike
     u, s, _ = np.linalg.svd(flat)
-    free = u[:, int((s > 1e-8 * s.max(initial=1e-300)).sum()) :]
+    free = u[:, int((s > _NOTHING * s.max(initial=0.0)).sum()) :]
     inputs = _inputs(fit)[kept]
     if free.shape[1] < 2 or not inputs.shape[1]:
         return 0.0
