@@ -328,4 +328,5 @@ class _Targets:
         return chosen
 
 
-_ALONE = [status for status in Status if status.physics_only]
+_ALONE = [Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN]
+"""The learned error was wanted and is left out."""

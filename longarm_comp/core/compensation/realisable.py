@@ -90,15 +90,6 @@ class Search:
     rounds: int = 2
     max_nodes: int = 5000
 
-    def __post_init__(self) -> None:
-        for name in ("length_m", "price_m"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError("realisable", name, value, "a finite number above 0")
-        for name in ("kept", "rounds", "max_nodes"):
-            if getattr(self, name) < 1:
-                raise InputError("realisable", name, getattr(self, name), "1 or more")
-
 
 @dataclass(frozen=True)
 class Realisable:

@@ -69,11 +69,6 @@ class Status(IntEnum):
         """Whether the command is fit to be sent."""
         return self <= Status.OUT_OF_DOMAIN
 
-    @property
-    def physics_only(self) -> bool:
-        """Whether the learned error was wanted and is left out."""
-        return self in (Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN)
-
 
 @dataclass(frozen=True)
 class CompensationOptions:

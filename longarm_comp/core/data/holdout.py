@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
-
 import numpy as np
 
 from longarm_comp.core.data.session import Session
@@ -58,18 +56,15 @@ class SealedError(LongarmError):
 
 
 class Sealed:
-    """A sealed hold-out.  Only its size can be read until `release`.
+    """A hold-out that cannot be read until `release`.
 
     `open(reason)` returns it and is counted, since a hold-out that was used often proves little.
     """
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._finished: str | None = None
+        self._finished = ""
         self._uses: list[str] = []
-
-    def __len__(self) -> int:
-        return len(self._session)
 
     @property
     def uses(self) -> tuple[str, ...]:
@@ -78,18 +73,11 @@ class Sealed:
 
     def release(self, finished: str) -> None:
         """Allow `open`, given the hash of the finished model that is to be tested."""
-        if not finished:
-            raise InputError("hold-out", "finished", finished, "the hash of what is to be proved")
         self._finished = finished
 
     def open(self, reason: str) -> Session:
         """The rows. Raises `SealedError` before `release`."""
-        if self._finished is None:
+        if not self._finished:
             raise SealedError(f"the held-out rows may be read once the fit is finished: {reason}")
         self._uses.append(reason)
         return self._session
-
-    def __getattr__(self, name: str) -> NoReturn:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        raise SealedError(f"the held-out rows can be read through open(reason) only, not by {name}")

@@ -126,17 +126,11 @@ class SparrowSearch:
     ) -> SparrowResult:
         """Minimise ``fitness`` over the box ``lower <= x <= upper``.
 
-        Parameters
-        ----------
-        fitness: maps positions (P, D) to values (P,) in one call; NaN counts as infinitely bad.
-        lower, upper: (D,), the box.
-        rng: the only source of randomness; the same state gives the same result.
+        Args:
+            fitness: maps positions (P, D) to values (P,) in one call; NaN counts as infinitely bad.
+            lower, upper: (D,), the box.
+            rng: the only source of randomness; the same state gives the same result.
         """
-        lower, upper = np.asarray(lower, float), np.asarray(upper, float)
-        if lower.shape != upper.shape or lower.ndim != 1 or not np.all(lower < upper):
-            raise InputError("sparrow search", "bounds", (lower, upper), "(D,) with lower < upper")
-        if not np.all(np.isfinite(upper - lower)):
-            raise InputError("sparrow search", "bounds", (lower, upper), "finite numbers")
         rules = self.rules
         n, horizon = self.population, self.iterations
         lead = max(1, round(_PD * n))

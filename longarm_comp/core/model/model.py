@@ -152,9 +152,13 @@ class Model:
         )
 
     def with_missing(self, terms: Iterable[Effect | Bias]) -> Model:
-        """A copy with those of the terms that it does not hold yet."""
+        """A copy with those of the terms that it does not hold yet, the first at each place."""
         known = {(t.name, t.where) for t in self.terms}
-        return self.plus(*(t for t in terms if (t.name, t.where) not in known))
+        new: dict[tuple[str, str], Effect | Bias] = {}
+        for term in terms:
+            if (term.name, term.where) not in known:
+                new.setdefault((term.name, term.where), term)
+        return self.plus(*new.values())
 
     def lasting(self) -> Model:
         """A copy without facts of one session, such as the place of a touched point."""
