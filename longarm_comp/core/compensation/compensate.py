@@ -41,7 +41,7 @@ from longarm_comp.core.compensation.unknown import (
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
-from longarm_comp.core.ik.forward import tip_poses
+from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.link_frames import reach
 from longarm_comp.core.model.model import Model

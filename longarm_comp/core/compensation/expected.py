@@ -17,7 +17,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.ik.forward import posture_at
+from longarm_comp.core.ik.engines import posture_at
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack

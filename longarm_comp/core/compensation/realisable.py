@@ -139,44 +139,17 @@ def choose(
         ideal: (n,) joints that bring the tip to the target, inside the limits.
         locked: 0-based numbers of joints that stay at their ideal value.
     """
-    held = np.isin(np.arange(arm.n), locked)
-    # Lowest and highest k inside the limits; of a continuous joint, of no use
-    step = np.where(lattice.step > 0, lattice.step, 1.0)
-    low = np.ceil((arm.lower - lattice.offset) / step - EDGE)
-    high = np.floor((arm.upper - lattice.offset) / step + EDGE)
-    declared = (lattice.step > 0) & ~held
-    stepped = declared & lattice.known & (low <= high)
-    slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
-    problem = _Problem(
-        arm.lower, arm.upper, np.flatnonzero(stepped), np.flatnonzero((lattice.step == 0) & ~held),
-        lattice.offset[stepped], lattice.step[stepped], low[stepped], high[stepped],
-        search.price_m / np.where(slides, search.length_m, 1.0), predict, target,
-        np.clip(ideal, arm.lower, arm.upper), search,
-    )  # fmt: skip
+    problem = _Problem(arm, lattice, predict, target, ideal, search, locked)
     joints, (ideal_error, rounded_error, error), nodes = problem.solved()
-    why = "" if stepped.any() else "no joint's steps are known"
+    why = "" if len(problem.stepped) else "no joint's steps are known"
     if not why and (joints == problem.rounded).all():
         why = "no choice was better than rounding"
-    note = _note(arm, declared & ~lattice.known, declared & lattice.known & (low > high))
     return Realisable(
-        joints, problem.ideal, problem.rounded, ideal_error, rounded_error, error, nodes, stepped,
-        why, note,
+        joints, problem.ideal, problem.rounded, ideal_error, rounded_error, error, nodes,
+        np.isin(np.arange(arm.n), problem.stepped), why, problem.note,
     )  # fmt: skip
 
 
-def _note(arm: Arm, unknown: np.ndarray, empty: np.ndarray) -> str:
-    causes = {
-        f"the offset of its steps is not known to {KNOWN_TO} of a step": unknown,
-        "none of its steps lies inside its limits": empty,
-    }
-    return "; ".join(
-        f"{arm.joint_names[j]} stays at its ideal value: {why}"
-        for why, mask in causes.items()
-        for j in np.flatnonzero(mask)
-    )
-
-
-@dataclass(frozen=True)
 class _Problem:
     """One target, and where the joints may stand.  Shapes: M candidates, m equations.
 
@@ -186,21 +159,37 @@ class _Problem:
             of these of length s.
         free: numbers of the joints that are solved for beside them; the others stay.
         price: (n,) m per rad or m off the ideal joints.
+        note: as of `Realisable`.
     """
 
-    lower: np.ndarray
-    upper: np.ndarray
-    stepped: np.ndarray
-    free: np.ndarray
-    offset: np.ndarray
-    step: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    price: np.ndarray
-    predict: Predict
-    target: np.ndarray
-    ideal: np.ndarray
-    search: Search
+    def __init__(
+        self, arm: Arm, lattice: Lattice, predict: Predict, target: np.ndarray, ideal: np.ndarray,
+        search: Search, locked: Sequence[int],
+    ) -> None:  # fmt: skip
+        self.predict, self.target, self.search = predict, target, search
+        self.lower, self.upper = arm.lower, arm.upper
+        self.ideal = np.clip(ideal, arm.lower, arm.upper)
+        slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
+        self.price = search.price_m / np.where(slides, search.length_m, 1.0)
+        held = np.isin(np.arange(arm.n), locked)
+        # Lowest and highest k inside the limits; of a continuous joint, of no use
+        step = np.where(lattice.step > 0, lattice.step, 1.0)
+        low = np.ceil((arm.lower - lattice.offset) / step - EDGE)
+        high = np.floor((arm.upper - lattice.offset) / step + EDGE)
+        declared = (lattice.step > 0) & ~held
+        on = self.stepped = np.flatnonzero(declared & lattice.known & (low <= high))
+        self.free = np.flatnonzero((lattice.step == 0) & ~held)
+        self.offset, self.step = lattice.offset[on], lattice.step[on]
+        self.low, self.high = low[on], high[on]
+        causes = {
+            f"the offset of its steps is not known to {KNOWN_TO} of a step": ~lattice.known,
+            "none of its steps lies inside its limits": lattice.known & (low > high),
+        }
+        self.note = "; ".join(
+            f"{arm.joint_names[j]} stays at its ideal value: {why}"
+            for why, mask in causes.items()
+            for j in np.flatnonzero(declared & mask)
+        )
 
     @cached_property
     def moving(self) -> np.ndarray:

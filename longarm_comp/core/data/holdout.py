@@ -9,13 +9,13 @@ from longarm_comp.core.errors import InputError, LongarmError
 
 
 def blocked_split(
-    session: Session, fraction: float = 0.2, min_poses: int = 30, rng: np.random.Generator | int = 0
+    session: Session, fraction: float = 0.2, rng: np.random.Generator | int = 0
 ) -> tuple[Session, Session]:
     """Training set and hold-out in whole blocks of time.
 
     The poses are divided into about 25 blocks, each pose with all of its visits. Blocks are drawn
-    until the hold-out has `fraction` of the rows and `min_poses` poses with a marker, but never
-    more than a third of the poses.
+    until the hold-out has `fraction` of the rows and 30 poses with a marker, but never more than a
+    third of the poses.
     """
     if not 0 < fraction < 1:
         raise InputError("split", "fraction", fraction, "between 0 and 1")
@@ -33,7 +33,7 @@ def blocked_split(
             continue
         held = more
         seen_poses = len(np.unique(session.pose_id[held & session.seen]))
-        if held.sum() >= fraction * len(session) and seen_poses >= min_poses:
+        if held.sum() >= fraction * len(session) and seen_poses >= 30:
             break
     return session.take(~held), session.take(held)
 

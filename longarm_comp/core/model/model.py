@@ -26,7 +26,6 @@ from longarm_comp.core.effects.effect import Bias, Effect, Parameter
 from longarm_comp.core.model.encoders import Parts
 from longarm_comp.core.model.tip_motion import (
     Reseen,
-    SeenJoints,
     TipMotion,
     TwistChange,
     moved,
@@ -364,8 +363,7 @@ class Model:
         arm_side = [e for e in ends if isinstance(e, TwistChange)]
         shifts = iter(moved(posture, tip.p, arm_side, turns))
         changes = [next(shifts) if isinstance(e, TwistChange) else e for e in ends]
-        read = SeenJoints(posture, self.effects, arm_side)
-        return TipMotion(self, tip, posture.context, changes, read)
+        return TipMotion(self, posture, tip, changes, arm_side)
 
     def _reloaded(self, slot: Slot, posture: Posture) -> TwistChange:
         """Change of the twists that depend on the loads, with a parameter that changes these."""
