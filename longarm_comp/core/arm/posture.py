@@ -90,7 +90,6 @@ class Chain:
         self.carriers = {self.spots[name]: self.frame_station(f) for name, f in carriers.items()}
         self.stations = count + len(carriers)
         self.mixing, self.offset = arm.mixing
-        self._coupled: dict[int, tuple[tuple[int, float], ...]] = {}
 
     def frame_station(self, row: int) -> int:
         """Station of row `row`'s frame; row 0 is the base."""
@@ -109,13 +108,14 @@ class Chain:
 
     def coupled(self, joint: int) -> tuple[tuple[int, float], ...]:
         """(row, how far it moves per unit of a joint's row), that row first."""
-        if joint not in self._coupled:
-            made = [(joint, 1.0)]
-            if joint in self.arm.commanded:
-                weights = self.mixing[:, self.arm.commanded.index(joint)]
-                made = [(row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0]
-            self._coupled[joint] = tuple(made)
-        return self._coupled[joint]
+        return self._coupled.get(joint, ((joint, 1.0),))
+
+    @cached_property
+    def _coupled(self) -> dict[int, tuple[tuple[int, float], ...]]:
+        return {
+            joint: tuple((row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0)
+            for joint, weights in zip(self.arm.commanded, self.mixing.T, strict=True)
+        }
 
     @cached_property
     def own_axes(self) -> list[tuple[int, int, int, float]]:

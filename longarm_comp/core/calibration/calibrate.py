@@ -137,15 +137,11 @@ def stages(
     """Frames only, joint zeros, full geometry on top of a model, each started from the last.
 
     The frames are placed in closed form first.  The last fit is what every command calls
-    calibrated.
+    calibrated.  Errors are those of `fit`.
 
     Args:
-        model, session: what is known already, and the rows to fit.
         progress: called with each name before it is fitted.
         kind: what other arms of the kind say of the full geometry.
-
-    Raises:
-        InputError, JobError: as `fit`.
     """
     base = frames(model.arm, session)
     start = placed = with_frames(model, session)

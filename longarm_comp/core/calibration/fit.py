@@ -89,26 +89,20 @@ def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> Mo
 
 
 def fit_together(
-    parts: Sequence[tuple[Model, Session]],
-    own: Callable[[Slot], bool],
+    parts: Sequence[tuple[Model, Session]], own: Callable[[Slot], bool]
 ) -> list[ModelFit]:
-    """Fit several arms that share a part of their chain (two arms on one torso).
+    """Fit several arms that share a part of their chain (two arms on one torso); errors as `fit`.
 
     Args:
         parts: a starting model and a session each.
         own: which parameters belong to each part alone; all others with the same label are
             one parameter.
-
-    Raises:
-        InputError, JobError: as `fit`.
     """
     return _fit_parts([SessionProblem(model, session) for model, session in parts], CLOSE, own)
 
 
 def _fit_parts(
-    parts: list[SessionProblem],
-    close: float,
-    own: Callable[[Slot], bool] | None = None,
+    parts: list[SessionProblem], close: float, own: Callable[[Slot], bool] = lambda slot: False
 ) -> list[ModelFit]:
     """Gauss-Newton on the posterior mode of all parts at once."""
     place: dict[tuple[object, ...], int] = {}
@@ -116,7 +110,7 @@ def _fit_parts(
     for number, part in enumerate(parts):
         places = []
         for slot in part.model.slots:
-            key = (*slot.identity, number if own is not None and own(slot) else -1)
+            key = (*slot.identity, number if own(slot) else -1)
             if key not in place:
                 place[key] = len(place)
                 chosen.append(slot)
@@ -184,15 +178,9 @@ def _stepped(
     scale: np.ndarray,
     near: bool,
 ) -> tuple[np.ndarray, float]:
-    """Go towards a goal, all the way or as far as does not raise the cost.
+    """Go towards a goal, all the way or as far as does not raise the cost: values and their cost.
 
-    Near ones need fewer load passes.
-
-    Returns:
-        The values reached, and their cost.
-
-    Raises:
-        JobError: the fit is not finite however short the step.
+    Near ones need fewer load passes.  `JobError` where it is not finite however short the step.
     """
 
     def cost(values: np.ndarray) -> float:

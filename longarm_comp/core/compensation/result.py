@@ -152,7 +152,6 @@ class Compensation:
         in_domain: the predictor answered for joints inside its training data.
         pseudo_target: ``target - predicted_error``, of the target's shape.
         command: (n,) joints to send; `ideal` where the status is no success.
-        passes: pseudo-target passes used.
         status, reason: the outcome, and why or with what doubt (empty on plain success).
         realisable: how `command` was chosen among the servos' steps; its `ideal` are the joints
             before. None where nothing was chosen.

@@ -31,8 +31,6 @@ MAX_STARTS = 16
 
 
 class Reason(Enum):
-    """Reasons for the end of a search."""
-
     CONVERGED = "converged"
     AT_LIMITS = "joint limits keep the tip from the target"
     OUT_OF_REACH = "no joints bring the tip nearer to the target"

@@ -98,8 +98,6 @@ CANONICAL = Rules()
 
 @dataclass(frozen=True)
 class SparrowResult:
-    """Outcome of one search."""
-
     position: Array  # (D,) best position found
     fitness: float
     history: Array  # (T + 1,) best fitness after each iteration, the start first
@@ -108,8 +106,6 @@ class SparrowResult:
 
 @dataclass(frozen=True)
 class SparrowSearch:
-    """Settings of the search."""
-
     population: int = 50
     iterations: int = 100
     rules: Rules = CANONICAL
@@ -124,11 +120,10 @@ class SparrowSearch:
     def minimise(
         self, fitness: Fitness, lower: Array, upper: Array, rng: np.random.Generator
     ) -> SparrowResult:
-        """Minimise ``fitness`` over the box ``lower <= x <= upper``.
+        """Minimise ``fitness`` over the box ``lower <= x <= upper``, (D,) each.
 
         Args:
             fitness: maps positions (P, D) to values (P,) in one call; NaN counts as infinitely bad.
-            lower, upper: (D,), the box.
             rng: the only source of randomness; the same state gives the same result.
         """
         rules = self.rules

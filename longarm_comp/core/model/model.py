@@ -54,7 +54,6 @@ class Slot:
 
     @property
     def value(self) -> float:
-        """Value of the parameter."""
         return float(getattr(self.owner, self.parameter.name))
 
     @property
@@ -300,7 +299,6 @@ class Model:
         return self.measured_at(self.posture(unstack(q), context))
 
     def measured_at(self, posture: Posture) -> np.ndarray:
-        """`measured` at a posture."""
         return stack(self.seen(self.tip_frame(posture).p, posture.context))
 
     # ------------------------------------------------------------------ explain

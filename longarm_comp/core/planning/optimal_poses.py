@@ -94,7 +94,7 @@ class Uncertainty:
         sigma: tuple[float, float],
         pool: Plan | None = None,
     ) -> Uncertainty:
-        """Before any measurement, or after a session.
+        """Before any measurement, or after a session; errors as of `fit`.
 
         Effects of circumstances that no plan tells, as of a recorded column, count as known.
 
@@ -105,9 +105,6 @@ class Uncertainty:
                 may be there.
             sigma: noise where nothing was measured.
             pool: the poses to choose from, where they are known already.
-
-        Raises:
-            InputError, JobError: as `fit`.
         """
         middle = Plan(model.arm.mid[None], np.ones((1, model.arm.n)))
         asked = _rows(model.arm, pool or middle, measure)
@@ -185,8 +182,6 @@ def optimal_poses(
     """n poses of a pool within the limits, each joint with room for its run-up.
 
     Args:
-        criterion: what shall become small.
-        measure: what each pose measures.
         allowed: (M,) which poses of a plan may be driven and are seen; all where absent.
         pool: the poses to choose from; by default half of them fill the joint box, half have every
             joint at a limit or in its middle, where the same errors move the tip farthest.
