@@ -142,8 +142,7 @@ def solve_many(
     start = checked_seed(model, seed, len(wanted))
     if not (np.isfinite(tol) and tol > 0):
         raise InputError("ik.solve_many", "tol", tol, "a number above 0")
-    lower = np.repeat(arm.lower[None], len(wanted), axis=0)
-    upper = np.repeat(arm.upper[None], len(wanted), axis=0)
+    lower, upper = (np.repeat(v[None], len(wanted), axis=0) for v in (arm.lower, arm.upper))
     for k in locked_joints(model, locked):
         lower[:, k] = upper[:, k] = start[:, k]
     q, report = run(

@@ -37,14 +37,11 @@ def module(
     """A module of programs and of flows of them, `width` columns at a time."""
     writer = _Writer(width)
     lines = writer.outside()
-    for name, (graph, outputs) in programs.items():
-        lines += [f"define void @{name}(ptr %s) #0 {{"]
-        lines += [*writer.program(graph, outputs), "ret void", "}"]
-    for name, work in flows.items():
-        lines += [f"define void @{name}(ptr %s) #0 {{"]
-        lines += [*writer.flow(work, place, count()), "ret void", "}"]
     size = width * (1 + max(r[-1] for r in place.values() if r))
-    for name in (*programs, *flows):
+    bodies = {name: writer.program(*program) for name, program in programs.items()}
+    bodies |= {name: writer.flow(work, place, count()) for name, work in flows.items()}
+    for name, body in bodies.items():
+        lines += [f"define void @{name}(ptr %s) #0 {{", *body, "ret void", "}"]
         lines += _many(name, size)
     return "\n".join(
         [*lines, "attributes #0 = { nounwind }", "attributes #1 = { nounwind memory(none) }", ""]
