@@ -70,7 +70,7 @@ def shown(arm: Arm, term: Effect, q: np.ndarray) -> np.ndarray:
     """(N, n) by how much the encoders see the joints displaced."""
     model, rows = Model(arm, (term,)), Session.record(q, np.zeros((len(q), 3)))
     motion = model.motion(posture(model, rows), ())
-    read = [motion.read(k, row)[0] for k, row in enumerate(arm.commanded)]
+    read = [motion.read(k)[0] for k in range(arm.n)]
     return np.concatenate(read, axis=1) - q
 
 
@@ -291,7 +291,7 @@ def test_play_is_behind_a_motors_encoder_and_before_a_joints() -> None:
     rows = Session.record(q, np.zeros((5, 3)), approach=np.ones(5))
     for encoder, amount in (("motor", 0.0), ("joint", 0.005)):
         model = Model(heavy(encoder=encoder), (play,))
-        read = model.motion(posture(model, rows), ()).read(1, 2)[0][:, 0]
+        read = model.motion(posture(model, rows), ()).read(1)[0][:, 0]
         assert np.abs(read - q[:, 1]) == pytest.approx(np.full(5, amount))
 
 

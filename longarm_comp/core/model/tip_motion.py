@@ -119,13 +119,10 @@ class TipMotion:
         )
         return spatial.scale(0.5 / _H, spatial.sub(up, down))
 
-    def read(self, joint: int, row: int) -> tuple[np.ndarray, np.ndarray]:
-        """Reading (N, 1) of a joint's encoder, rad or m, and its derivative (N, 1, p).
-
-        Args:
-            joint, row: its number among the commanded joints, and its row in the arm.
-        """
-        at, model = self.joints[joint], self.model
+    def read(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
+        """Reading (N, 1) of commanded joint ``joint``'s encoder (0-based), rad or m, and its
+        derivative (N, 1, p)."""
+        at, model, row = self.joints[joint], self.model, self.model.arm.commanded[joint]
         gain = (model.read(at + _H, row) - model.read(at - _H, row)) * (0.5 / _H)
         moves = iter(self.joint_changes)
         each = [
