@@ -264,7 +264,7 @@ def _split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
         if any({"temperature_c", "t_s"} & set(t.needs) for t in (*found.terms, *others)):
             reason += " Measure again after a pause, at another temperature."
         return SetSplit(found.names, reason, by.log_bayes_factor)
-    reason, sides = f"These poses do not tell {pair} apart.", tuple(map(int, by.approach))
+    reason, sides = f"These poses do not tell {pair} apart.", tuple(by.approach[:, 0].tolist())
     return SetSplit(found.names, reason, by.log_bayes_factor, by.q, sides)
 
 

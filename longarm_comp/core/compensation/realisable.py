@@ -266,16 +266,16 @@ class _Problem:
         A[m:, -1] = price * (self.rounded - self.ideal)[moving]
         factor: np.ndarray = np.linalg.qr(A, mode="r")  # type: ignore[assignment]
         R = factor[: len(moving)]
-        points = nearest(
+        k, nodes = nearest(
             R[f:, f:], self.low - self.whole, self.high - self.whole,
             kept=self.search.kept, max_nodes=self.search.max_nodes,
         )  # fmt: skip
-        q = np.repeat(self.rounded[None], len(points.k), axis=0)
+        q = np.repeat(self.rounded[None], len(k), axis=0)
         if f:
-            b = points.k @ R[:f, f:-1].T + R[:f, -1]
+            b = k @ R[:f, f:-1].T + R[:f, -1]
             low, high = ((v - self.ideal)[self.free] for v in (self.lower, self.upper))
             q[:, self.free] += _in_box(R[:f, :f], b, low, high)
-        return self.at(q, self.whole + points.k), points.nodes
+        return self.at(q, self.whole + k), nodes
 
     def around(self, at: np.ndarray) -> np.ndarray:
         """Joints (n,), then with each moving one a little up, then a little down, in limits."""
