@@ -20,7 +20,7 @@ from longarm_comp.core.compensation.compensate import commandable
 from longarm_comp.core.compensation.realisable import KNOWN_TO, Lattice, Search
 from longarm_comp.core.effects.placements import TipOffset
 from longarm_comp.core.ik import solver as ik
-from longarm_comp.core.ik.forward import tip_poses
+from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model

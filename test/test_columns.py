@@ -100,7 +100,7 @@ def test_every_effect_moves_the_tip_or_a_reading(arm):
             continue
         slots = model.plus(term).slots
         motion = model.plus(term).motion(posture, slots, turns=True)
-        read = [motion.read(k, row)[1] for k, row in enumerate(arm.commanded)]
+        read = [motion.read(k)[1] for k in range(arm.n)]
         columns = np.concatenate([motion.point()[1], motion.axes()[1], *read], axis=1)
         if not np.abs(columns).max(axis=(0, 1)).any():
             still.append(f"{term.name} {term.where}")

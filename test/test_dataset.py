@@ -156,11 +156,8 @@ def test_one_pose_cannot_be_split() -> None:
 def test_sealed_hold_out_opens_after_release_only(rng: np.random.Generator) -> None:
     session = measured(5, rng)
     sealed = Sealed(session)
-    assert len(sealed) == 5
     with pytest.raises(SealedError, match="once the fit is finished"):
         sealed.open("a peek")
-    with pytest.raises(SealedError, match="xyz"):
-        _ = sealed.xyz
     assert sealed.uses == ()
     sealed.release("hash of the model")
     assert sealed.open("proof") is session

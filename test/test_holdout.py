@@ -43,8 +43,6 @@ def test_who_reads_it_before_the_model_is_final_fails(monkeypatch: pytest.Monkey
         def release(self, finished: str) -> None:
             with pytest.raises(holdout.SealedError, match="once the fit is finished"):
                 self.open("to look")
-            with pytest.raises(holdout.SealedError, match="not by xyz"):
-                _ = self.xyz
             made.append(self)
             super().release(finished)
 

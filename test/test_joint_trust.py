@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.joint_trust import JointTrust, check_inside
+from longarm_comp.core.compensation.online import JointTrust, check_inside
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes.worker import SequenceWatch
 

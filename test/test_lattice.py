@@ -26,22 +26,22 @@ def test_the_nearest_points_are_those_of_brute_force(n: int, rng: np.random.Gene
     low, high = rng.integers(-3, 0, (40, n)), rng.integers(1, 4, (40, n))
     full = 0
     for i in range(len(R)):
-        found = nearest(R[i], low[i], high[i], kept=4, max_nodes=100_000)
+        found, _ = nearest(R[i], low[i], high[i], kept=4, max_nodes=100_000)
         steps = (np.arange(a, b + 1) for a, b in zip(low[i], high[i], strict=True))
         k = np.array(list(itertools.product(*steps)), float)
         distance2 = ((k @ R[i, :, :n].T + R[i, :, n]) ** 2).sum(axis=1)
         order = np.argsort(distance2)[:4]
-        have = len(found.k)
+        have = len(found)
         full += have == min(4, len(k))
-        np.testing.assert_array_equal(found.k, k[order[:have]])
-        np.testing.assert_allclose(found.distance2, distance2[order[:have]], rtol=1e-9)
+        np.testing.assert_array_equal(found, k[order[:have]])
     assert full >= 36  # where the box lies far off, its points are not worth the search
 
 
 def test_a_search_ends_at_its_nodes(rng: np.random.Generator) -> None:
     box = np.full(6, 40.0)
     for R in lattices(rng, 6, 9):
-        short, whole = (nearest(R, -box, box, max_nodes=m) for m in (20, 10_000))
-        assert short.nodes <= 20 < whole.nodes
-        assert len(whole.k) == 16
-        assert not len(short.k) or short.distance2[0] >= whole.distance2[0]
+        (short, few), (whole, many) = (nearest(R, -box, box, max_nodes=m) for m in (20, 10_000))
+        assert few <= 20 < many
+        assert len(whole) == 16
+        first, best = (np.linalg.norm(R[:, :6] @ k[0] + R[:, 6]) for k in (short, whole))
+        assert first >= best

@@ -19,9 +19,14 @@ from longarm_comp.core.compensation.path import (
     PathRefused,
     compensate_path,
 )
-from longarm_comp.core.compensation.planned_path import PlannedPath
+from longarm_comp.core.compensation.planned_path import (
+    MotionLimits,
+    PlannedPath,
+    between,
+    fastest,
+    retimed,
+)
 from longarm_comp.core.compensation.result import Method, Prediction, Status
-from longarm_comp.core.compensation.retime import MotionLimits, between, fastest, retimed
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model

@@ -70,7 +70,7 @@ def shown(arm: Arm, term: Effect, q: np.ndarray) -> np.ndarray:
     """(N, n) by how much the encoders see the joints displaced."""
     model, rows = Model(arm, (term,)), Session.record(q, np.zeros((len(q), 3)))
     motion = model.motion(posture(model, rows), ())
-    read = [motion.read(k, row)[0] for k, row in enumerate(arm.commanded)]
+    read = [motion.read(k)[0] for k in range(arm.n)]
     return np.concatenate(read, axis=1) - q
 
 
@@ -291,7 +291,7 @@ def test_play_is_behind_a_motors_encoder_and_before_a_joints() -> None:
     rows = Session.record(q, np.zeros((5, 3)), approach=np.ones(5))
     for encoder, amount in (("motor", 0.0), ("joint", 0.005)):
         model = Model(heavy(encoder=encoder), (play,))
-        read = model.motion(posture(model, rows), ()).read(1, 2)[0][:, 0]
+        read = model.motion(posture(model, rows), ()).read(1)[0][:, 0]
         assert np.abs(read - q[:, 1]) == pytest.approx(np.full(5, amount))
 
 
@@ -310,7 +310,7 @@ def test_the_tip_by_readings_needs_no_model_of_the_servos() -> None:
     arm = by_readings(model)
     off = np.linalg.norm(arm.tip(fresh.read) - fresh.tip, axis=1)
     assert off.mean() < 0.1 * by_command
-    said = [expected_miss(arm, q, Context(), arm.tip(q)).expected_m for q in fresh.read[:40]]
+    said = [expected_miss(arm, q, Context(), arm.tip(q)).sizes[0] for q in fresh.read[:40]]
     assert off[:40].mean() == pytest.approx(np.mean(said), rel=0.5)
 
 
@@ -321,7 +321,7 @@ def test_a_zero_that_runs_together_with_the_droop_does_not_widen_the_tip_by_read
     off = {s.label: e for s, e in zip(fitted.slots, fitted.standard_errors, strict=True)}
     model = with_uncertainty(fitted)
     arm, q = by_readings(model), session(n=5).q
-    said = [expected_miss(arm, v, Context(), arm.tip(v)).expected_m for v in q]
+    said = [expected_miss(arm, v, Context(), arm.tip(v)).sizes[0] for v in q]
     assert off["encoder / joint 3 / zero"] > 1e-3
     assert max(said) < 3e-4
 

@@ -182,7 +182,7 @@ def test_far_from_the_rows_the_error_grows() -> None:
     q = np.tile(ARM.mid, (2, 1))
     q[:, 0] = ARM.lower[0], ARM.upper[0]
     here, there = (
-        expected_miss(model, joints, Context(), model.tip(joints)).expected_m for joints in q
+        expected_miss(model, joints, Context(), model.tip(joints)).sizes[0] for joints in q
     )
     assert there > 1.5 * here
 
@@ -208,7 +208,7 @@ def test_many_commands_are_judged_as_each_alone(learned: bool) -> None:
         assert doubts[k] == doubt and inside[k] == its
         np.testing.assert_allclose(whole.mean[k], alone.mean, atol=1e-9)
         np.testing.assert_allclose(whole.covariance[k], alone.covariance, rtol=1e-6, atol=1e-15)
-        assert whole.sizes[1][k] == pytest.approx(alone.p90_m, rel=1e-6)
+        assert whole.sizes[1][k] == pytest.approx(alone.sizes[1], rel=1e-6)
     assert [("payload" in doubt) for doubt in doubts] == [False, True, False, True]
     assert [("earlier moves" in doubt) for doubt in doubts] == [True, True, True, False]
 
@@ -223,8 +223,7 @@ def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
     for model in (back, load_model(tmp_path / "model.yaml", ARM)):
         target = model.tip(ARM.mid) + 1e-3
         mine, theirs = (expected_miss(m, ARM.mid, Context(), target) for m in (made, model))
-        assert theirs.expected_m == pytest.approx(mine.expected_m, rel=1e-4)
-        assert theirs.p90_m == pytest.approx(mine.p90_m, rel=1e-4)
+        np.testing.assert_allclose(theirs.sizes, mine.sizes, rtol=1e-4)
     assert (tmp_path / "model.yaml").stat().st_size < 40_000
 
 

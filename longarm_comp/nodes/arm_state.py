@@ -14,8 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.joint_trust import JointTrust
-from longarm_comp.core.compensation.online import Readings, StaleContext
+from longarm_comp.core.compensation.online import JointTrust, Readings, StaleContext
 from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model

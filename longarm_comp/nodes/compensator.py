@@ -13,8 +13,7 @@ from std_msgs.msg import Header
 from longarm_comp.core.arm.frame_tree import UnknownPlace, carried
 from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.compensate import Method, Status, physics_of
-from longarm_comp.core.compensation.joint_trust import check_inside
-from longarm_comp.core.compensation.online import StaleContext
+from longarm_comp.core.compensation.online import StaleContext, check_inside
 from longarm_comp.core.compensation.result import CompensationOptions
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik

@@ -29,9 +29,8 @@ from longarm_comp.core.compensation.path import (
     PathRefused,
     compensate_path,
 )
-from longarm_comp.core.compensation.planned_path import PlannedPath, as_planned
+from longarm_comp.core.compensation.planned_path import MotionLimits, PlannedPath, as_planned
 from longarm_comp.core.compensation.result import CompensationOptions
-from longarm_comp.core.compensation.retime import MotionLimits
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.nodes import arm_state

@@ -15,9 +15,8 @@ from longarm_comp.core.arm.moves import Move
 from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.path import MAX_LONGER
 from longarm_comp.core.compensation.path import compensate_path as solve_path
-from longarm_comp.core.compensation.planned_path import PlannedPath
+from longarm_comp.core.compensation.planned_path import CubicPath, MotionLimits, PlannedPath
 from longarm_comp.core.compensation.result import CompensationOptions, Method
-from longarm_comp.core.compensation.retime import CubicPath, MotionLimits
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model

@@ -173,7 +173,7 @@ class DiagnosisResult:
             return False
         q = np.concatenate([*(s.q for s in splits), more])
         sides = np.where(np.arange(len(more)) % 2, -1, 1)
-        side = np.concatenate([*(s.approach for s in splits), sides])
+        side = np.concatenate([*(s.approach[:, 0] for s in splits), sides])
         loads = [s.payload_kg for s in splits if s.payload_kg is not None]
         if loads and len(more):
             loads.append(np.full(len(more), float(np.median(np.concatenate(loads)))))

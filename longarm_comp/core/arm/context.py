@@ -36,12 +36,9 @@ def is_told(name: str) -> bool:
 
 LEGS = 7
 """Places for the legs of a joint's way; the last stays free for what may have been before."""
-_WIDTH = "scalars a joint"
-
-
-def _per_joint(width: int = 1) -> Any:
-    """A field of `width` scalars a commanded joint, joint by joint; 0 or empty when unknown."""
-    return field(default=(), metadata={_WIDTH: width})
+WIDTH: Mapping[str, int] = {"approach": 1, "legs": LEGS}
+"""How many scalars a commanded joint the fields of its history in a `Context` hold."""
+PER_JOINT = tuple(WIDTH)
 
 
 @dataclass(frozen=True)
@@ -58,10 +55,10 @@ class Context:
             `history.onward` keeps them, n times `LEGS` scalars; 0 or empty where unknown.
     """
 
-    approach: tuple[Scalar, ...] = _per_joint()
+    approach: tuple[Scalar, ...] = ()
     columns: Mapping[str, Scalar] = field(default_factory=dict)
     labels: Mapping[str, object] = field(default_factory=dict)
-    legs: tuple[Scalar, ...] = _per_joint(width=LEGS)
+    legs: tuple[Scalar, ...] = ()
 
     def has(self, name: str) -> bool:
         """Whether an input was recorded: a per-joint field or a column."""
@@ -161,13 +158,6 @@ def stacked(contexts: Sequence[Context]) -> Context:
 def _of_each(value: Any) -> bool:
     """Whether a quantity has a value for each of N postures; not one for all."""
     return not isinstance(value, (float, str)) and np.ndim(value) > 0
-
-
-WIDTH: Mapping[str, int] = {
-    f.name: f.metadata[_WIDTH] for f in dataclasses.fields(Context) if _WIDTH in f.metadata
-}
-"""How many scalars a commanded joint the fields of its history in a `Context` hold."""
-PER_JOINT = tuple(WIDTH)
 
 
 @dataclass(frozen=True)

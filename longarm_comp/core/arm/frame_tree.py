@@ -101,7 +101,9 @@ class FrameTree:
         if not shared:
             raise UnknownPlace(f"no tf connects frame {frame!r} with {within!r}")
         ways = [line[: line.index(shared[0])] for line in (lines[frame], lines[within])]
-        t_ns = t_ns or self._latest([*ways[0], *ways[1]])
+        if not t_ns:
+            told = [self._children[name] for way in ways for name in way]
+            t_ns = min((child.times[-1] for child in told if not child.static), default=0)
         up, down = (self._in_ancestor(way, t_ns) for way in ways)
         return np.asarray(np.linalg.inv(down) @ up)
 
@@ -111,10 +113,6 @@ class FrameTree:
         while (child := self._children.get(line[-1])) is not None:
             line.append(child.parent)
         return line
-
-    def _latest(self, names: list[str]) -> int:
-        told = [self._children[name] for name in names]
-        return min((child.times[-1] for child in told if not child.static), default=0)
 
     def _in_ancestor(self, way: list[str], t_ns: int) -> np.ndarray:
         pose = np.eye(4)

@@ -131,11 +131,6 @@ class History:
             sides[:, joint], made[:, joint] = _walked(side, held, ways[:, joint])
         return History(sides, made)
 
-    @property
-    def latest(self) -> History:
-        """The last of N."""
-        return History(self.approach[-1], self.legs[-1])
-
     def told(self, sides: np.ndarray) -> History:
         """Where a side (n,) of +-1 is told but not from how far: the legs are not known."""
         mine = sides != 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -245,12 +245,9 @@ class Box(Declared):
         return np.asarray(first <= last)
 
 
-_Rows: TypeAlias = Sequence[Any]
-"""`Arm.joints`; arm.py reads this file."""
-
-
-def link_places(joints: _Rows) -> list[tuple[int, str, float]]:
-    """Where links can lie: row, role, length (m, at joint value 0), longest first."""
+def link_places(joints: Sequence[Any]) -> list[tuple[int, str, float]]:
+    """Where links can lie along `Arm.joints`: row, role, length (m, at joint value 0), longest
+    first."""
     held = [(j.id, role, size) for j in joints if j.type != "fixed"
             for role, size in (("a", j.a_m), ("d", j.d_m)) if size]  # fmt: skip
     return sorted(held, key=lambda place: -abs(place[2]))

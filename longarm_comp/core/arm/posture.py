@@ -90,7 +90,6 @@ class Chain:
         self.carriers = {self.spots[name]: self.frame_station(f) for name, f in carriers.items()}
         self.stations = count + len(carriers)
         self.mixing, self.offset = arm.mixing
-        self._coupled: dict[int, tuple[tuple[int, float], ...]] = {}
 
     def frame_station(self, row: int) -> int:
         """Station of row `row`'s frame; row 0 is the base."""
@@ -109,13 +108,14 @@ class Chain:
 
     def coupled(self, joint: int) -> tuple[tuple[int, float], ...]:
         """(row, how far it moves per unit of a joint's row), that row first."""
-        if joint not in self._coupled:
-            made = [(joint, 1.0)]
-            if joint in self.arm.commanded:
-                weights = self.mixing[:, self.arm.commanded.index(joint)]
-                made = [(row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0]
-            self._coupled[joint] = tuple(made)
-        return self._coupled[joint]
+        return self._coupled.get(joint, ((joint, 1.0),))
+
+    @cached_property
+    def _coupled(self) -> dict[int, tuple[tuple[int, float], ...]]:
+        return {
+            joint: tuple((row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0)
+            for joint, weights in zip(self.arm.commanded, self.mixing.T, strict=True)
+        }
 
     @cached_property
     def own_axes(self) -> list[tuple[int, int, int, float]]:
@@ -223,23 +223,19 @@ class Posture:
         """Joint value of every row, passive joints included."""
         return self.chain.values(self.q)
 
-    def station_masses(self) -> dict[int, list[tuple[Scalar, Vec]]]:
-        """By station: masses (kg) and where they are in its axes (m), without `line_loads`."""
-        arm, chain, context = self.arm, self.chain, self.context
-        masses: dict[int, list[tuple[Scalar, Vec]]] = {}
-        for m in arm.point_masses:
+    def station_masses(self) -> list[Lumped]:
+        """All masses at points of stations, without `line_loads`."""
+        made: list[Lumped] = []
+        for m in self.arm.point_masses:
             at: Vec = m.position_m
             if m.position_columns is not None:
-                at = tuple(map(context.column, m.position_columns))  # type: ignore[assignment]
-            masses.setdefault(chain.frame_station(m.frame), []).append((m.mass_kg, at))
-        if arm.payload is not None:
-            payload = context.payload_kg(arm.payload.mass_kg), arm.payload.position_m
-            masses.setdefault(chain.frame_station(arm.payload.frame), []).append(payload)
-        for station, behind, centre in self._overhangs():
-            masses.setdefault(station, []).append((behind, centre))
-        for lump in self.extra:
-            masses.setdefault(lump.station, []).append((lump.mass, lump.position))
-        return masses
+                at = tuple(map(self.context.column, m.position_columns))  # type: ignore[assignment]
+            made.append(Lumped(self.frame(m.frame), m.mass_kg, at))
+        payload = self.arm.payload
+        if payload is not None:
+            kg = self.context.payload_kg(payload.mass_kg)
+            made.append(Lumped(self.frame(payload.frame), kg, payload.position_m))
+        return [*made, *self._overhangs(), *self.extra]
 
     @cached_property
     def line_loads(self) -> LineLoads:
@@ -266,8 +262,8 @@ class Posture:
                     reach = spatial.minimum(spatial.maximum(reach, 0.0), length)
                     own.append((beam.mass_kg / beam.body_length_m, reach))
 
-    def _overhangs(self) -> Iterator[tuple[int, Scalar, Vec]]:
-        """Weight of bodies that reach back behind their row's first beam: (station, mass, at)."""
+    def _overhangs(self) -> Iterator[Lumped]:
+        """What of bodies reaches back behind their row's first beam."""
         for number, row in enumerate(self.chain.rows):
             before = self.chain.frame_station(number)
             for elements, station in ((row.elements_a, before), (row.elements_d, row.bearing)):
@@ -281,7 +277,7 @@ class Posture:
                     at = [0.0, 0.0, 0.0]
                     at[elements[0].axis] = -0.5 * behind  # type: ignore[call-overload]
                     density = beam.mass_kg / beam.body_length_m
-                    yield station, density * behind, (at[0], at[1], at[2])
+                    yield Lumped(station, density * behind, (at[0], at[1], at[2]))
 
     def _beyond(self, elements: tuple[Element, ...], k: int, beam: Beam) -> Scalar:
         """Length from element k's far end (-1: from the row's begin) to the far end of `beam`."""
@@ -297,7 +293,9 @@ class Posture:
 
         A beam element's own weight belongs to the stations before its end.
         """
-        own = self.station_masses()
+        own: dict[int, list[Lumped]] = {}
+        for lump in self.station_masses():
+            own.setdefault(lump.station, []).append(lump)
         mass: Scalar = 0.0
         moment: Vec = ZERO
         masses: list[Scalar] = [0.0] * self.chain.stations
@@ -305,9 +303,10 @@ class Posture:
         axes = {e.station: e.axis for r in self.chain.rows for e in r.elements_a + r.elements_d}
         for station in range(self.chain.stations - 1, -1, -1):
             frame = self.frames[station]
-            for m, at in own.get(station, ()):
-                mass = mass + m
-                moment = spatial.add(moment, spatial.scale(m, frame.transform(at)))
+            for lump in own.get(station, ()):
+                mass = mass + lump.mass
+                there = frame.transform(lump.position)
+                moment = spatial.add(moment, spatial.scale(lump.mass, there))
             masses[station], moments[station] = mass, moment
             for density, length in self.line_loads.get(station, ()):
                 m = density * length

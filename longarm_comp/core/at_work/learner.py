@@ -46,11 +46,7 @@ class Asked:
 
 
 def asked(known: Explanations, context: Context, noise: np.ndarray) -> Asked | None:
-    """The pose where the likeliest explanation and a rival disagree most.
-
-    None where there is no rival, or none that a single sighting of a noise (3, 3), m^2, would
-    decide against.
-    """
+    """As `Learner.asked`, of sightings of a noise (3, 3), m^2."""
     first, *others = known.branches
     rivals = [b for b in others if b.weight > 1.0 - CREDIBLE and _new(b, first)]
     if not rivals:
@@ -239,7 +235,10 @@ class Learner:
         return made
 
     def asked(self, context: Context) -> Asked | None:
-        """The pose that would tell rivals apart, in the circumstances now."""
+        """The pose where the likeliest explanation and a rival disagree most, in circumstances.
+
+        None where there is no rival, or none that a single sighting would decide against.
+        """
         if self.known is None or self.frozen:
             return None
         return asked(self.known, context, self.record.noise + self.record.structure)

@@ -135,10 +135,8 @@ class RecursivePosterior:
 
     def _moved(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions of a change, its mean jump (k,), and how all numbers follow it, (q, k)."""
-        places = self.space.places[c]
-        held = places >= 0
-        places = places[held]
-        jump = self.hypotheses.mean[t, c][held] * self.space.widths[places]
+        places = np.array(self.space.own(c))
+        jump = self.hypotheses.mean[t, c, : len(places)] * self.space.widths[places]
         follows = np.zeros((len(self.space), len(places)))
         follows[self.active] = -self.response[t][:, places]
         follows[places, np.arange(len(places))] += 1.0

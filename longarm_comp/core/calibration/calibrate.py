@@ -137,15 +137,11 @@ def stages(
     """Frames only, joint zeros, full geometry on top of a model, each started from the last.
 
     The frames are placed in closed form first.  The last fit is what every command calls
-    calibrated.
+    calibrated.  Errors are those of `fit`.
 
     Args:
-        model, session: what is known already, and the rows to fit.
         progress: called with each name before it is fitted.
         kind: what other arms of the kind say of the full geometry.
-
-    Raises:
-        InputError, JobError: as `fit`.
     """
     base = frames(model.arm, session)
     start = placed = with_frames(model, session)
@@ -216,15 +212,21 @@ def ladder(
     """
     if not train.seen.any() or not held_out.seen.any():
         raise InputError(train.source, "xyz", "no seen rows", "some to train and to hold out")
+
+    def rung(name: str, model: Model, fitted: ModelFit | None) -> Rung:
+        there = errors_of(model, held_out)
+        commanded = Errors.of(commanded_errors(model, held_out))
+        return Rung(name, model, fitted, errors_of(model, train), there, commanded)
+
     base = declared_model(arm, deflection=deflection)
-    rungs = [_rung("nominal", standing(base, train)[0], None, train, held_out)]
+    rungs = [rung("nominal", standing(base, train)[0], None)]
     for name, fitted in stages(base, train, progress, kind):
-        rungs.append(_rung(name, fitted.model, fitted, train, held_out))
+        rungs.append(rung(name, fitted.model, fitted))
     for name, terms in effects:
         if progress is not None:
             progress(name)
         fitted = fit(rungs[-1].model.plus(*terms), train)
-        rungs.append(_rung(name, fitted.model, fitted, train, held_out))
+        rungs.append(rung(name, fitted.model, fitted))
     return rungs
 
 
@@ -232,16 +234,3 @@ def warm(model: Model, known: Model) -> Model:
     """A model started from another's values, where they share a parameter."""
     held = {s.identity: s.value for s in known.slots}
     return model.with_values(np.array([held.get(s.identity, s.value) for s in model.slots]))
-
-
-def _rung(
-    name: str, model: Model, fitted: ModelFit | None, train: Session, held_out: Session
-) -> Rung:
-    return Rung(
-        name,
-        model,
-        fitted,
-        errors_of(model, train),
-        errors_of(model, held_out),
-        Errors.of(commanded_errors(model, held_out)),
-    )

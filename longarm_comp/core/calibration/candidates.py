@@ -24,8 +24,6 @@ class Candidate:
     """One hypothesis: some terms of one effect, in one form.
 
     Attributes:
-        name: canonical name of the effect.
-        terms: the instances, fitted together.
         scanned: its form was found by looking at the residual, not listed by its class.
     """
 
@@ -35,7 +33,6 @@ class Candidate:
 
     @property
     def where(self) -> tuple[str, ...]:
-        """Where it sits."""
         return tuple(dict.fromkeys(t.where for t in self.terms))
 
     @property
@@ -50,7 +47,6 @@ class Candidate:
         return f"{self.name} ({', '.join(self.where)}{', ' + form if form else ''})"
 
     def slots(self, arm: Arm) -> tuple[Slot, ...]:
-        """Its parameters."""
         return slots_of(arm, self.terms)
 
 

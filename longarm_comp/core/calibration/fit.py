@@ -72,7 +72,8 @@ def fit(
     """
     part = SessionProblem(model, session, sigma, weights, robust, rho, usual)
     if begun is not None:
-        part.took(begun)
+        part.residual, part.columns = begun.residual, begun.columns
+        part.posture = part.near = begun.posture
     elif near is not None:
         part.near = near.posture
     return _fit_parts([part], close)[0]
@@ -88,39 +89,33 @@ def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> Mo
 
 
 def fit_together(
-    parts: Sequence[tuple[Model, Session]],
-    own: Callable[[Slot], bool],
+    parts: Sequence[tuple[Model, Session]], own: Callable[[Slot], bool]
 ) -> list[ModelFit]:
-    """Fit several arms that share a part of their chain (two arms on one torso).
+    """Fit several arms that share a part of their chain (two arms on one torso); errors as `fit`.
 
     Args:
         parts: a starting model and a session each.
         own: which parameters belong to each part alone; all others with the same label are
             one parameter.
-
-    Raises:
-        InputError, JobError: as `fit`.
     """
     return _fit_parts([SessionProblem(model, session) for model, session in parts], CLOSE, own)
 
 
 def _fit_parts(
-    parts: list[SessionProblem],
-    close: float,
-    own: Callable[[Slot], bool] | None = None,
+    parts: list[SessionProblem], close: float, own: Callable[[Slot], bool] = lambda slot: False
 ) -> list[ModelFit]:
     """Gauss-Newton on the posterior mode of all parts at once."""
     place: dict[tuple[object, ...], int] = {}
-    maps, chosen = [], []
+    chosen = []
     for number, part in enumerate(parts):
         places = []
         for slot in part.model.slots:
-            key = (*slot.identity, number if own is not None and own(slot) else -1)
+            key = (*slot.identity, number if own(slot) else -1)
             if key not in place:
                 place[key] = len(place)
                 chosen.append(slot)
             places.append(place[key])
-        maps.append(np.array(places, dtype=int))
+        part.mine = np.array(places, dtype=int)
     scale = priors(tuple(chosen))
     now = np.array([s.value for s in chosen], dtype=float)
     centre = np.where([s.parameter.unknown for s in chosen], now, 0.0)
@@ -134,11 +129,11 @@ def _fit_parts(
     cost, best, least, stalled = np.inf, now, np.inf, 0
     for step in range(1, GAUSS_NEWTON_STEPS + 1):
         gram, moment = np.zeros((len(scale), len(scale))), np.zeros(len(scale))
-        for part, mine in zip(parts, maps, strict=True):
+        for part in parts:
             part.weigh(settled=step > 2)
-            a, y = part.whitened(scale[mine], centre[mine])
-            gram[np.ix_(mine, mine)] += a.T @ a
-            moment[mine] += a.T @ y
+            a, y = part.whitened(scale[part.mine], centre[part.mine])
+            gram[np.ix_(part.mine, part.mine)] += a.T @ a
+            moment[part.mine] += a.T @ y
         try:
             posterior = linear.solved(gram, moment, lower, upper)
         except np.linalg.LinAlgError:
@@ -149,7 +144,7 @@ def _fit_parts(
         step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
         # Within a standard error the design hardly changes, and is kept
         near = bool((step_size <= 1.0).all())
-        now, cost = _stepped(parts, maps, now, goal, centre, scale, near)
+        now, cost = _stepped(parts, now, goal, centre, scale, near)
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
             if not near:
@@ -165,45 +160,35 @@ def _fit_parts(
         if stalled == STALLED:
             break
     if not converged and cost > least + GAIN:
-        for part, mine in zip(parts, maps, strict=True):
-            part.moved(best[mine], close=False)
+        for part in parts:
+            part.moved(best[part.mine], close=False)
             part.differentiate()
-    made = []
-    for part, mine in zip(parts, maps, strict=True):
+    covariance = posterior.covariance * np.outer(scale, scale)
+    for part in parts:
         if part.sigma is None:
             part.noise = part.spread()
-        size = np.outer(scale[mine], scale[mine])
-        covariance = posterior.covariance[np.ix_(mine, mine)] * size
-        made.append(part.fitted(covariance, step, converged))
-    return made
+    return [p.fitted(covariance[np.ix_(p.mine, p.mine)], step, converged) for p in parts]
 
 
 def _stepped(
     parts: list[SessionProblem],
-    maps: list[np.ndarray],
     now: np.ndarray,
     goal: np.ndarray,
     centre: np.ndarray,
     scale: np.ndarray,
     near: bool,
 ) -> tuple[np.ndarray, float]:
-    """Go towards a goal, all the way or as far as does not raise the cost.
+    """Go towards a goal, all the way or as far as does not raise the cost: values and their cost.
 
-    Near ones need fewer load passes.
-
-    Returns:
-        The values reached, and their cost.
-
-    Raises:
-        JobError: the fit is not finite however short the step.
+    Near ones need fewer load passes.  `JobError` where it is not finite however short the step.
     """
 
     def cost(values: np.ndarray) -> float:
         return sum(p.cost() for p in parts) + float((((values - centre) / scale) ** 2).sum())
 
     def move(values: np.ndarray) -> None:
-        for part, mine in zip(parts, maps, strict=True):
-            part.moved(values[mine], near)
+        for part in parts:
+            part.moved(values[part.mine], near)
 
     before, share, failed = cost(now), 1.0, None
     while share > SHORTEST:

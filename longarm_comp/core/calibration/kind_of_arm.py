@@ -64,14 +64,10 @@ class KindOfArm:
         for model, source in zip(models, sources, strict=True):
             _check_table(arm, model.arm, source)
         drawn = [dataclasses.replace(m, tolerances=1.0, beyond=()) for m in models]
-        held = [{s.identity: s for s in m.slots if _shared(s)} for m in drawn]
-        every = {key: slot for slots in held for key, slot in slots.items()}
-        values = np.zeros((len(held), len(every)))
-        for row, slots in zip(values, held, strict=True):
-            for k, key in enumerate(every):
-                if key in slots:
-                    row[k] = slots[key].value / slots[key].parameter.width
-        shares, rest = _shrunk(values)
+        held = [[s for s in m.slots if _shared(s)] for m in drawn]
+        every = {s.identity: s for slots in held for s in slots}
+        told = [{s.identity: s.value / s.parameter.width for s in slots} for slots in held]
+        shares, rest = _shrunk(np.array([[each.get(key, 0.0) for key in every] for each in told]))
         directions = tuple(
             KindDirection(number, _terms(list(every.values()), share))
             for number, share in enumerate(shares, 1)

@@ -31,8 +31,7 @@ class ModelFit:
         sigma: (d,) noise per channel, m or rad; infinite where nothing was measured. Where the
             weights of inliers differ, that of a weight of 1.
         effective: number of parameters that the data determine.
-        iterations: Gauss-Newton steps taken.
-        converged: whether the last step was small enough.
+        iterations: of Gauss-Newton.
         rho: correlation of the noise from one row to the next.
     """
 
@@ -50,7 +49,6 @@ class ModelFit:
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
-        """The fitted parameters."""
         return self.model.slots
 
     @cached_property

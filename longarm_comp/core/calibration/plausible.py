@@ -29,21 +29,17 @@ def check_worth(
     than: str = "placed frames alone",
     unit: str = "mm",
 ) -> None:
-    """A model must not be worse on held-out rows than a plainer one.
+    """A model must not be worse on held-out rows than a plainer one: else `JobError`.
 
     Args:
         held_out, plain: (M, 3) errors of the two there, m or rad.
         source, than: file of the rows, and the plainer model, for the message.
         unit: of a thousandth of these errors.
-
-    Raises:
-        JobError: it is worse.
     """
-    there, here = 1e3 * median_distance(held_out), 1e3 * median_distance(plain)
-    if len(held_out) >= ENOUGH_REPEATS and there > WORSE * here:
+    if rise := _rise(plain, held_out, WORSE):
         raise JobError(
-            f"calibration is worse on held-out rows than {than}: {here:.3g} -> "
-            f"{there:.3g} {unit}; the rows do not determine the geometry, or are not of this arm",
+            f"calibration is worse on held-out rows than {than}: {rise} {unit}; the rows do not "
+            "determine the geometry, or are not of this arm",
             session=source,
         )
 
@@ -51,22 +47,25 @@ def check_worth(
 def check_carries_over(
     fitted: np.ndarray, held_out: np.ndarray, source: str, unit: str = "mm"
 ) -> None:
-    """A model must do on unseen rows what it does on those that it was fitted to.
+    """A model must do on unseen rows what it does on those that it was fitted to: else `JobError`.
 
     Args:
         fitted, held_out: (N, 3) and (M, 3) its errors on the fitted and the other rows, m or rad.
         source, unit: as of `check_worth`.
-
-    Raises:
-        JobError: its error rises.
     """
-    here, there = 1e3 * median_distance(fitted), 1e3 * median_distance(held_out)
-    if len(held_out) >= ENOUGH_REPEATS and there > RISES * here:
+    if rise := _rise(fitted, held_out, RISES):
         raise JobError(
-            f"calibration fails at held-out rows: {here:.3g} -> {there:.3g} {unit}; "
-            "there are too few rows, or something changed between them",
+            f"calibration fails at held-out rows: {rise} {unit}; there are too few rows, or "
+            "something changed between them",
             session=source,
         )
+
+
+def _rise(before: np.ndarray, held_out: np.ndarray, most: float) -> str:
+    """Median errors (thousandths) before and at (M, 3) held-out rows that are so many times off."""
+    here, there = 1e3 * median_distance(before), 1e3 * median_distance(held_out)
+    risen = len(held_out) >= ENOUGH_REPEATS and there > most * here
+    return f"{here:.3g} -> {there:.3g}" if risen else ""
 
 
 def displaced(model: Model, session: Session) -> str:
@@ -80,11 +79,7 @@ def displaced(model: Model, session: Session) -> str:
 
 
 def check_fits(model: Model, session: Session) -> None:
-    """A fitted arm must be where its rows see it, whatever they measure.
-
-    Raises:
-        JobError: it is not, so the rows are not this arm's.
-    """
+    """A fitted arm must be where its rows see it, whatever they measure: else `JobError`."""
     if off := _off(model, session):
         raise JobError(
             f"{1e3 * off:.3g} mm is left after calibration, so the rows are not of this arm: "
@@ -102,11 +97,7 @@ def _off(model: Model, session: Session) -> float:
 
 
 def check_noise(sigma: np.ndarray, session: Session) -> None:
-    """What is left is not called noise (d,) where no instrument is that bad in its positions (m).
-
-    Raises:
-        JobError: the noise is too large for this arm.
-    """
+    """Raise `JobError` where no instrument has such a noise (d,) in its positions (m)."""
     if session.blocks[0].kind != "position" or not np.isfinite(sigma[:3]).all():
         return
     seen = session.take(session.located & (session.frames == session.frames[0])).xyz
@@ -123,11 +114,7 @@ def check_noise(sigma: np.ndarray, session: Session) -> None:
 
 
 def check_sizes(model: Model, source: str) -> None:
-    """No effect may be of a size that no arm has (a tip mass of 89 kg).
-
-    Raises:
-        JobError: one is.
-    """
+    """Raise `JobError` where an effect is of a size that no arm has (a tip mass of 89 kg)."""
     for slot in model.slots:
         value, p = slot.value, slot.parameter
         if not slot.owner.geometry and abs(value) > INCREDIBLE * p.prior:

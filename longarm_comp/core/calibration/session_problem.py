@@ -25,10 +25,14 @@ from longarm_comp.core.model.model import Model
 
 
 class SessionProblem:
-    """One session on its way through the Gauss-Newton steps; arguments and errors as of `fit`."""
+    """One session on its way through the Gauss-Newton steps; arguments and errors as of `fit`.
+
+    `mine` are the places of its parameters among those of all sessions that are fitted together.
+    """
 
     residual: np.ndarray
     columns: np.ndarray
+    mine: np.ndarray
 
     def __init__(
         self,
@@ -82,11 +86,6 @@ class SessionProblem:
     def _finite(self, values: np.ndarray) -> None:
         if not np.isfinite(values).all():
             raise JobError("the fit did not stay finite", session=self.seen.source)
-
-    def took(self, begun: ModelFit) -> None:
-        """Residual and design as they were found before."""
-        self.residual, self.columns = begun.residual, begun.columns
-        self.posture = self.near = begun.posture
 
     def fitted(
         self, covariance: np.ndarray, iterations: int = 0, converged: bool = False

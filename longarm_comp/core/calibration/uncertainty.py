@@ -212,9 +212,7 @@ def arm_share(fit: ModelFit) -> float:
     flat = (fit.columns[kept][:, :3] * scale / size[:, None]).reshape(3 * len(kept), -1)
     length = np.linalg.norm(flat, axis=0)
     moving = length > _NOTHING * length.max(initial=0.0)
-    flat = (
-        flat[:, moving] / length[moving]
-    )  # each may change with the joints alike
+    flat = flat[:, moving] / length[moving]  # each may change with the joints alike
     u, s, _ = np.linalg.svd(flat)
     free = u[:, int((s > _NOTHING * s.max(initial=0.0)).sum()) :]
     inputs = _inputs(fit)[kept]

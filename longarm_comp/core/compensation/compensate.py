@@ -41,7 +41,7 @@ from longarm_comp.core.compensation.unknown import (
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
-from longarm_comp.core.ik.forward import tip_poses
+from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.link_frames import reach
 from longarm_comp.core.model.model import Model
@@ -328,4 +328,5 @@ class _Targets:
         return chosen
 
 
-_ALONE = [status for status in Status if status.physics_only]
+_ALONE = [Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN]
+"""The learned error was wanted and is left out."""

@@ -60,7 +60,6 @@ class Monitor:
 
     @property
     def threshold(self) -> float:
-        """Threshold of every cumulative sum."""
         return math.log(len(_TESTS) * self.run_length)
 
     def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:

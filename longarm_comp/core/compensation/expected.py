@@ -17,7 +17,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.ik.forward import posture_at
+from longarm_comp.core.ik.engines import posture_at
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack
@@ -41,18 +41,8 @@ class ExpectedMiss:
 
     @cached_property
     def sizes(self) -> tuple[np.ndarray, np.ndarray]:
-        """(...) m each: `expected_m` and `p90_m`."""
+        """(...) m each: expected distance, and that which 90 of 100 such commands stay below."""
         return sizes(self.covariance, self.mean)
-
-    @property
-    def expected_m(self) -> float:
-        """Expected distance from the one target, m; NaN where nothing says it."""
-        return float(self.sizes[0])
-
-    @property
-    def p90_m(self) -> float:
-        """Distance that 90 of 100 such commands stay below, m; NaN where nothing says it."""
-        return float(self.sizes[1])
 
     def beside(self, variance: np.ndarray) -> ExpectedMiss:
         """With a further independent error of a variance (..., 3) along each axis, m^2."""
@@ -141,7 +131,8 @@ class TipByReadings:
 
     def said(self, target: np.ndarray | None = None) -> str:
         """In one sentence: where it stands, or how far from a target (3,), m."""
-        within = f", within {1e3 * self.doubt.p90_m:.2f} mm" if self.doubt.p90_m > 0 else ""
+        p90_m = float(self.doubt.sizes[1])
+        within = f", within {1e3 * p90_m:.2f} mm" if p90_m > 0 else ""
         if target is not None:
             off = 1e3 * float(np.linalg.norm(self.tip - target))
             return f"by the readings the tip is {off:.2f} mm from the target{within}"

@@ -17,7 +17,14 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.compensation.compensate import judged, physics_of
-from longarm_comp.core.compensation.planned_path import PlannedPath
+from longarm_comp.core.compensation.planned_path import (
+    MotionLimits,
+    PlannedPath,
+    between,
+    fastest,
+    retimed,
+    smoothed,
+)
 from longarm_comp.core.compensation.result import (
     Compensation,
     CompensationOptions,
@@ -28,13 +35,6 @@ from longarm_comp.core.compensation.result import (
     other_unit,
     outside,
     shifted,
-)
-from longarm_comp.core.compensation.retime import (
-    MotionLimits,
-    as_planned,
-    between,
-    fastest,
-    retimed,
 )
 from longarm_comp.core.compensation.take_up import TakeUp, Turn, slowed, taken_up
 from longarm_comp.core.compensation.unknown import (
@@ -67,7 +67,7 @@ class CompensatedPath:
     """A path to send, and what its k way-points are for.
 
     Attributes:
-        timed: joints, velocities and times, as `as_planned`.
+        timed: joints, velocities and times, as `smoothed`.
         ideal: (k, n) joints without what is learned.
         error, sigma: (k, 3) m, as learned; NaN sigma where nothing is.
         context: circumstances at the way-points. passes: of the pseudo-targets.
@@ -138,6 +138,7 @@ def compensate_path(
         start: (n,) where the joints stand; None: not known. A plan that has begun begins there.
         history: of the joints at ``start``.
         context_at: the circumstances at all way-points, given the histories there.
+        limits: None: the controller keeps them itself.
         seed: (n,) start of the first search, where no joints were planned; ``start`` by default.
         max_correction_m: most that the declared arm's tip may be moved, m.
         turn_m: how far the tip may leave the path where a joint turns, so that its play is taken
@@ -160,7 +161,7 @@ def compensate_path(
     begun = plan.begun and start is not None
     way = _Way(
         model, predictor, plan, start, history, context_at, begun, turn_m, max_longer,
-        limits or MotionLimits.none(arm.n), max_correction_m, free, options,
+        limits or MotionLimits(*np.full((2, arm.n), np.inf)), max_correction_m, free, options,
     )  # fmt: skip
     try:
         return way.solved(seed)
@@ -230,8 +231,8 @@ class _Way:
         self._keep_out(timed)
         came = self.history.along(timed.joints, timed.joints[0] if self.begun else self.start)
         return CompensatedPath(
-            timed, ideal, *before[1:], sigma, context, passes, moved, came.latest,
-            self._doubts(timed.joints, context),
+            timed, ideal, *before[1:], sigma, context, passes, moved,
+            History(came.approach[-1], came.legs[-1]), self._doubts(timed.joints, context),
         )  # fmt: skip
 
     def _doubts(self, command: np.ndarray, context: Context) -> tuple[str, ...]:
@@ -282,7 +283,7 @@ class _Way:
             stands, beyond = taken_up(way, off, lag, turns, times)
             stands[0] = stands[second] - first  # what is beyond is gone first
             beyond[0] = begun[0] - stands[0]
-            return as_planned(plan, planned, times, stands, beyond, box)
+            return smoothed(plan, planned, times, stands, beyond, box)
 
         bare = np.vstack([way[second] - first, way[1:]])
         times = slowed(planned, bare, arm.upper - arm.lower, begins, turns, self.max_longer,

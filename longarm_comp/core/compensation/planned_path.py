@@ -1,19 +1,30 @@
-"""What a planner wants: way-points of the tip, and how it would have the joints go there."""
+"""A planned path: way-points of the tip, how the joints go there, and when, within limits.
+
+Where the planned times keep the limits of velocity and acceleration they stay. Else TOPP-RA (Pham
+and Pham 2018, the library toppra) finds the fastest times that keep them and are nowhere faster
+than the plan.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
+from longarm_comp.math.cubic_path import CubicPath, monotone_slopes, smooth_slopes
 
 _POSE_JOINTS = 6
 """An arm of fewer joints cannot keep a planned orientation: its path is one of positions."""
+_LOOKED_AT = 16
+"""Places between two way-points at which the way is looked at."""
+_ROUNDING = 1e-6
+"""Share of a limit that rounding may take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,3 +85,128 @@ def as_planned(rigid: Model, model: Model, q: np.ndarray, context: Context) -> n
     real = model.pose(q, context)
     target = real if model.arm.n >= _POSE_JOINTS else real[:3, 3]
     return ik.solve(rigid, target, seed=q, max_starts=1).q
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """(n,) largest velocity (rad/s, m/s) and acceleration (rad/s^2, m/s^2); inf: none."""
+
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+    @property
+    def bounded(self) -> bool:
+        """Whether every joint has both."""
+        return bool(np.isfinite(self.velocity).all() and np.isfinite(self.acceleration).all())
+
+    def excess(self, path: CubicPath) -> float:
+        """The largest share of a limit that velocity, or root of acceleration, takes."""
+        speed = path.peak_velocity() / self.velocity
+        force = path.peak_acceleration() / self.acceleration
+        return float(max(speed.max(), np.sqrt(force.max())))
+
+
+def between(path: CubicPath) -> np.ndarray:
+    """Times on the way: 16 in every segment, and its ends from inside."""
+    share = np.linspace(1e-9, 1.0 - 1e-9, _LOOKED_AT)
+    return (path.times[:-1, None] + np.diff(path.times)[:, None] * share).ravel()
+
+
+def retimed(path: CubicPath, limits: MotionLimits) -> CubicPath:
+    """The path within limits, at the same way-points and nowhere faster."""
+    if limits.excess(path) <= 1.0 + _ROUNDING:
+        return path
+    begins = path.times[0]
+    made = _found(replace(path, times=path.times - begins), limits)
+    return replace(made, times=made.times + begins)
+
+
+def fastest(joints: np.ndarray, limits: MotionLimits) -> CubicPath:
+    """The fastest way through way-points (k, n) from rest to rest."""
+    ways = (np.abs(np.diff(joints, axis=0)) / limits.velocity).max(axis=1)  # s at full speed
+    times = np.concatenate([[0.0], np.cumsum(np.maximum(ways, _ROUNDING * ways.sum()))])
+    if not times[-1]:
+        return CubicPath(_ROUNDING * np.arange(float(len(joints))), joints, np.zeros_like(joints))
+    slopes = smooth_slopes(times, joints)  # of the way itself, which is at rest nowhere
+    slopes[[0, -1]] = np.diff(joints, axis=0)[[0, -1]] / np.diff(times)[[0, -1], None]
+    path = CubicPath(times, joints, slopes)
+    return replace(_found(path, limits), stretch=1.0)
+
+
+def smoothed(
+    plan: PlannedPath,
+    planned: np.ndarray,
+    times: np.ndarray,
+    stands: np.ndarray,
+    beyond: np.ndarray,
+    box: tuple[np.ndarray, np.ndarray],
+) -> CubicPath:
+    """Commands at times (k,), smooth between.
+
+    Args:
+        planned: (k,) s, the plan's own times.
+        stands, beyond: (k, n) where joints stand, and how far commands are beyond: each is smooth
+            by itself.
+        box: (n,) lowest and highest that joints may be sent to, between way-points too.
+    """
+    joints = stands + beyond
+    if len(joints) == 1:
+        return CubicPath(times, joints, np.zeros_like(joints))
+    slopes = monotone_slopes(times, beyond)
+    if plan.velocities is None or plan.joints is None:
+        slopes += smooth_slopes(times, stands)
+    else:
+        slopes += smooth_slopes(times, planned[:, None]) * plan.velocities
+        slopes += smooth_slopes(times, stands - plan.joints)
+    low, high = CubicPath(times, joints, slopes).extremes()
+    out = (low < box[0]) | (high > box[1])
+    slopes[:, out] = monotone_slopes(times, joints[:, out])
+    return CubicPath(times, joints, slopes, float(np.ptp(times) / np.ptp(planned)))
+
+
+def _found(path: CubicPath, limits: MotionLimits) -> CubicPath:
+    """Times by TOPP-RA, from rest to rest."""
+    try:
+        from toppra import algorithm, constraint
+    except ImportError:
+        raise JobError(
+            "the path is faster than the limits, and toppra, which can slow it down, is missing: "
+            "pip install 'longarm_comp[path]'"
+        ) from None
+    top = np.append(limits.velocity, 1.0)
+    most = np.append(limits.acceleration, np.inf)
+    kept = [
+        constraint.JointVelocityConstraint(np.stack([-top, top], 1)),
+        constraint.JointAccelerationConstraint(
+            np.stack([-most, most], 1), constraint.DiscretizationType.Interpolation
+        ),
+    ]
+    share = np.arange(_LOOKED_AT) / _LOOKED_AT
+    grid = (path.times[:-1, None] + np.diff(path.times)[:, None] * share).ravel()
+    grid = np.append(grid, path.times[-1])
+    search = algorithm.TOPPRA(kept, _with_clock(path), gridpoints=grid)
+    paces = search.compute_parameterization(0.0, 0.0)[1]
+    if paces is None or not (np.asarray(paces, float)[1:-1] > 0.0).all():
+        raise JobError("along the path the limits of velocity and acceleration cannot be kept")
+    passed = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(grid) / (paces[1:] + paces[:-1]))])
+    at = _LOOKED_AT * np.arange(len(path.times))
+    stretch = path.stretch * float(passed[-1] / path.times[-1])
+    slower = CubicPath(passed[at], path.joints, path.velocities * paces[at][:, None], stretch)
+    over = max(1.0, limits.excess(slower))  # between way-points it is cubic in time again
+    return CubicPath(slower.times * over, path.joints, slower.velocities / over, stretch * over)
+
+
+def _with_clock(path: CubicPath) -> Any:
+    """The path with the plan's own time as one joint more: its limit of 1 keeps the plan's pace."""
+    from toppra.interpolator import AbstractGeometricPath
+
+    class Clocked(AbstractGeometricPath):  # type: ignore[misc]
+        dof = path.joints.shape[1] + 1
+        path_interval = np.array([path.times[0], path.times[-1]])
+
+        def __call__(self, at: Any, order: int = 0) -> np.ndarray:
+            times = np.asarray(at, float)
+            clock = (times, np.ones_like(times), np.zeros_like(times))[order]
+            return np.concatenate([path.at(times, order), clock[..., None]], axis=-1)
+
+    return Clocked()

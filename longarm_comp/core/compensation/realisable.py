@@ -90,15 +90,6 @@ class Search:
     rounds: int = 2
     max_nodes: int = 5000
 
-    def __post_init__(self) -> None:
-        for name in ("length_m", "price_m"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError("realisable", name, value, "a finite number above 0")
-        for name in ("kept", "rounds", "max_nodes"):
-            if getattr(self, name) < 1:
-                raise InputError("realisable", name, getattr(self, name), "1 or more")
-
 
 @dataclass(frozen=True)
 class Realisable:
@@ -148,44 +139,17 @@ def choose(
         ideal: (n,) joints that bring the tip to the target, inside the limits.
         locked: 0-based numbers of joints that stay at their ideal value.
     """
-    held = np.isin(np.arange(arm.n), locked)
-    # Lowest and highest k inside the limits; of a continuous joint, of no use
-    step = np.where(lattice.step > 0, lattice.step, 1.0)
-    low = np.ceil((arm.lower - lattice.offset) / step - EDGE)
-    high = np.floor((arm.upper - lattice.offset) / step + EDGE)
-    declared = (lattice.step > 0) & ~held
-    stepped = declared & lattice.known & (low <= high)
-    slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
-    problem = _Problem(
-        arm.lower, arm.upper, np.flatnonzero(stepped), np.flatnonzero((lattice.step == 0) & ~held),
-        lattice.offset[stepped], lattice.step[stepped], low[stepped], high[stepped],
-        search.price_m / np.where(slides, search.length_m, 1.0), predict, target,
-        np.clip(ideal, arm.lower, arm.upper), search,
-    )  # fmt: skip
+    problem = _Problem(arm, lattice, predict, target, ideal, search, locked)
     joints, (ideal_error, rounded_error, error), nodes = problem.solved()
-    why = "" if stepped.any() else "no joint's steps are known"
+    why = "" if len(problem.stepped) else "no joint's steps are known"
     if not why and (joints == problem.rounded).all():
         why = "no choice was better than rounding"
-    note = _note(arm, declared & ~lattice.known, declared & lattice.known & (low > high))
     return Realisable(
-        joints, problem.ideal, problem.rounded, ideal_error, rounded_error, error, nodes, stepped,
-        why, note,
+        joints, problem.ideal, problem.rounded, ideal_error, rounded_error, error, nodes,
+        np.isin(np.arange(arm.n), problem.stepped), why, problem.note,
     )  # fmt: skip
 
 
-def _note(arm: Arm, unknown: np.ndarray, empty: np.ndarray) -> str:
-    causes = {
-        f"the offset of its steps is not known to {KNOWN_TO} of a step": unknown,
-        "none of its steps lies inside its limits": empty,
-    }
-    return "; ".join(
-        f"{arm.joint_names[j]} stays at its ideal value: {why}"
-        for why, mask in causes.items()
-        for j in np.flatnonzero(mask)
-    )
-
-
-@dataclass(frozen=True)
 class _Problem:
     """One target, and where the joints may stand.  Shapes: M candidates, m equations.
 
@@ -195,21 +159,37 @@ class _Problem:
             of these of length s.
         free: numbers of the joints that are solved for beside them; the others stay.
         price: (n,) m per rad or m off the ideal joints.
+        note: as of `Realisable`.
     """
 
-    lower: np.ndarray
-    upper: np.ndarray
-    stepped: np.ndarray
-    free: np.ndarray
-    offset: np.ndarray
-    step: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    price: np.ndarray
-    predict: Predict
-    target: np.ndarray
-    ideal: np.ndarray
-    search: Search
+    def __init__(
+        self, arm: Arm, lattice: Lattice, predict: Predict, target: np.ndarray, ideal: np.ndarray,
+        search: Search, locked: Sequence[int],
+    ) -> None:  # fmt: skip
+        self.predict, self.target, self.search = predict, target, search
+        self.lower, self.upper = arm.lower, arm.upper
+        self.ideal = np.clip(ideal, arm.lower, arm.upper)
+        slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
+        self.price = search.price_m / np.where(slides, search.length_m, 1.0)
+        held = np.isin(np.arange(arm.n), locked)
+        # Lowest and highest k inside the limits; of a continuous joint, of no use
+        step = np.where(lattice.step > 0, lattice.step, 1.0)
+        low = np.ceil((arm.lower - lattice.offset) / step - EDGE)
+        high = np.floor((arm.upper - lattice.offset) / step + EDGE)
+        declared = (lattice.step > 0) & ~held
+        on = self.stepped = np.flatnonzero(declared & lattice.known & (low <= high))
+        self.free = np.flatnonzero((lattice.step == 0) & ~held)
+        self.offset, self.step = lattice.offset[on], lattice.step[on]
+        self.low, self.high = low[on], high[on]
+        causes = {
+            f"the offset of its steps is not known to {KNOWN_TO} of a step": ~lattice.known,
+            "none of its steps lies inside its limits": lattice.known & (low > high),
+        }
+        self.note = "; ".join(
+            f"{arm.joint_names[j]} stays at its ideal value: {why}"
+            for why, mask in causes.items()
+            for j in np.flatnonzero(declared & mask)
+        )
 
     @cached_property
     def moving(self) -> np.ndarray:
@@ -286,16 +266,16 @@ class _Problem:
         A[m:, -1] = price * (self.rounded - self.ideal)[moving]
         factor: np.ndarray = np.linalg.qr(A, mode="r")  # type: ignore[assignment]
         R = factor[: len(moving)]
-        points = nearest(
+        k, nodes = nearest(
             R[f:, f:], self.low - self.whole, self.high - self.whole,
             kept=self.search.kept, max_nodes=self.search.max_nodes,
         )  # fmt: skip
-        q = np.repeat(self.rounded[None], len(points.k), axis=0)
+        q = np.repeat(self.rounded[None], len(k), axis=0)
         if f:
-            b = points.k @ R[:f, f:-1].T + R[:f, -1]
+            b = k @ R[:f, f:-1].T + R[:f, -1]
             low, high = ((v - self.ideal)[self.free] for v in (self.lower, self.upper))
             q[:, self.free] += _in_box(R[:f, :f], b, low, high)
-        return self.at(q, self.whole + points.k), points.nodes
+        return self.at(q, self.whole + k), nodes
 
     def around(self, at: np.ndarray) -> np.ndarray:
         """Joints (n,), then with each moving one a little up, then a little down, in limits."""

@@ -69,11 +69,6 @@ class Status(IntEnum):
         """Whether the command is fit to be sent."""
         return self <= Status.OUT_OF_DOMAIN
 
-    @property
-    def physics_only(self) -> bool:
-        """Whether the learned error was wanted and is left out."""
-        return self in (Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN)
-
 
 @dataclass(frozen=True)
 class CompensationOptions:
@@ -157,7 +152,6 @@ class Compensation:
         in_domain: the predictor answered for joints inside its training data.
         pseudo_target: ``target - predicted_error``, of the target's shape.
         command: (n,) joints to send; `ideal` where the status is no success.
-        passes: pseudo-target passes used.
         status, reason: the outcome, and why or with what doubt (empty on plain success).
         realisable: how `command` was chosen among the servos' steps; its `ideal` are the joints
             before. None where nothing was chosen.

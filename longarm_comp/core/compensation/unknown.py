@@ -11,7 +11,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.compensation.weighing import SD
-from longarm_comp.core.ik.forward import tip_poses
+from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.model.model import Model, unstack
 
 _LEAST_M = 1e-5
@@ -75,7 +75,7 @@ def unknown_history(
         (name, joint, extremes)
         for name, joints in read.items()
         for joint in joints
-        if (extremes := _EXTREMES[name](held[name][:, joint], bool(unsure[joint]))) is not None
+        if (extremes := _FIELDS[name][1](held[name][:, joint], bool(unsure[joint]))) is not None
     ]
     if not open_:
         return np.zeros((m, 3)), [""] * m
@@ -91,7 +91,7 @@ def unknown_history(
     half = 0.5 * (tip[:, 0] - tip[:, 1])
     size = np.linalg.norm(half, axis=2)
     spread = np.where((size > _LEAST_M).any(axis=0)[:, None], np.sqrt((half**2).sum(axis=0)), 0.0)
-    parts = [f"{_WORDS[name]} of {model.arm.joint_names[joint]}" for name, joint, _ in open_]
+    parts = [f"{_FIELDS[name][0]} of {model.arm.joint_names[joint]}" for name, joint, _ in open_]
     text = "the tip depends on circumstances that are not known"
     why = [
         f"{text}: {', '.join(compress(parts, of))} (sigma {sigma:.2f} mm)" if sigma else ""
@@ -137,10 +137,10 @@ def _any_way_before(legs: np.ndarray, unsure: bool) -> np.ndarray:
     return made
 
 
-_WORDS = {"approach": "approach", "legs": "earlier moves"}
 _FAR = 1e6  # rad, m: farther than any play
-_EXTREMES: Mapping[str, Callable[[np.ndarray, bool], np.ndarray | None]] = {
-    "approach": _either_side,
-    "legs": _any_way_before,
+_FIELDS: Mapping[str, tuple[str, Callable[[np.ndarray, bool], np.ndarray | None]]] = {
+    "approach": ("approach", _either_side),
+    "legs": ("earlier moves", _any_way_before),
 }
-"""By field of the history, the two extremes of what it may be at a joint; None: all are known."""
+"""By field of the history, its name for people, and the two extremes of what it may be at a joint;
+None: all are known."""

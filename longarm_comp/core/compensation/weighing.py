@@ -34,15 +34,10 @@ _MOST = 40
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """What efforts of the joints tell, (n,) each, N m and N; NaN where it is not known.
+    """What efforts of the joints tell, (n,) each, N m and N; NaN where it is not known."""
 
-    Attributes:
-        friction: of a joint turning free.
-        step: of the reading.
-    """
-
-    friction: np.ndarray
-    step: np.ndarray
+    friction: np.ndarray  # of a joint turning free
+    step: np.ndarray  # of the reading
 
 
 class Wrist(NamedTuple):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
-
 import numpy as np
 
 from longarm_comp.core.data.session import Session
@@ -11,13 +9,13 @@ from longarm_comp.core.errors import InputError, LongarmError
 
 
 def blocked_split(
-    session: Session, fraction: float = 0.2, min_poses: int = 30, rng: np.random.Generator | int = 0
+    session: Session, fraction: float = 0.2, rng: np.random.Generator | int = 0
 ) -> tuple[Session, Session]:
     """Training set and hold-out in whole blocks of time.
 
     The poses are divided into about 25 blocks, each pose with all of its visits. Blocks are drawn
-    until the hold-out has `fraction` of the rows and `min_poses` poses with a marker, but never
-    more than a third of the poses.
+    until the hold-out has `fraction` of the rows and 30 poses with a marker, but never more than a
+    third of the poses.
     """
     if not 0 < fraction < 1:
         raise InputError("split", "fraction", fraction, "between 0 and 1")
@@ -35,7 +33,7 @@ def blocked_split(
             continue
         held = more
         seen_poses = len(np.unique(session.pose_id[held & session.seen]))
-        if held.sum() >= fraction * len(session) and seen_poses >= min_poses:
+        if held.sum() >= fraction * len(session) and seen_poses >= 30:
             break
     return session.take(~held), session.take(held)
 
@@ -58,18 +56,15 @@ class SealedError(LongarmError):
 
 
 class Sealed:
-    """A sealed hold-out.  Only its size can be read until `release`.
+    """A hold-out that cannot be read until `release`.
 
     `open(reason)` returns it and is counted, since a hold-out that was used often proves little.
     """
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._finished: str | None = None
+        self._finished = ""
         self._uses: list[str] = []
-
-    def __len__(self) -> int:
-        return len(self._session)
 
     @property
     def uses(self) -> tuple[str, ...]:
@@ -78,18 +73,11 @@ class Sealed:
 
     def release(self, finished: str) -> None:
         """Allow `open`, given the hash of the finished model that is to be tested."""
-        if not finished:
-            raise InputError("hold-out", "finished", finished, "the hash of what is to be proved")
         self._finished = finished
 
     def open(self, reason: str) -> Session:
         """The rows. Raises `SealedError` before `release`."""
-        if self._finished is None:
+        if not self._finished:
             raise SealedError(f"the held-out rows may be read once the fit is finished: {reason}")
         self._uses.append(reason)
         return self._session
-
-    def __getattr__(self, name: str) -> NoReturn:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        raise SealedError(f"the held-out rows can be read through open(reason) only, not by {name}")

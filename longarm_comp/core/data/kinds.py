@@ -63,7 +63,7 @@ class Kind(ABC):
         return self.outside
 
     @abstractmethod
-    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+    def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         """Equations of readings (N, c); rows that are not measured may hold anything."""
 
 
@@ -77,7 +77,7 @@ class _Position(Kind):
     def measured(self, values: np.ndarray) -> np.ndarray:
         return np.isfinite(values)
 
-    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+    def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         point, columns = tip.point()
         pull = np.broadcast_to(np.eye(3), (*point.shape, 3))
         return Equations(values - point, columns, pull)
@@ -97,7 +97,7 @@ class _Orientation(Kind):
         length = np.linalg.norm(values, axis=1)
         return np.abs(length - 1.0) > LENGTH_TOLERANCE, "x, y, z, w of length 1"
 
-    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+    def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         axes, columns = tip.axes()
         residual = rotation_vector(matrices(values) @ np.swapaxes(axes, -1, -2))
         return Equations(residual, columns, np.zeros((*residual.shape, 3)))
@@ -119,9 +119,9 @@ class _Distance(Kind):
         """Not if all anchors are to be solved: their frame is the base itself."""
         return any(anchor.xyz_m is not None for anchor in arm.anchors.values())
 
-    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+    def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         point, columns = tip.point(self.name)
-        places = by_name(arm.anchor, labels[self.label])
+        places = by_name(tip.model.arm.anchor, labels[self.label])
         away = point - places
         length = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         pull = (away / length)[:, None, :]
@@ -144,9 +144,9 @@ class _Ray(Kind):
     def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
         return np.linalg.norm(values, axis=1) < 1e-6, "a direction, not zero"
 
-    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+    def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         point, columns = tip.point(self.name)
-        frames = by_name(arm.camera_frame, labels[self.label])
+        frames = by_name(tip.model.arm.camera_frame, labels[self.label])
         local = np.einsum("nji,nj->ni", frames[:, :, :3], point - frames[:, :, 3])
         length = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-9)
         seen = local / length
@@ -168,7 +168,7 @@ class _Touch(Kind):
     takes = 1
     outside = False
 
-    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+    def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         away, columns = tip.point(self.name)
         return Equations(-away, columns, np.broadcast_to(np.eye(3), (*away.shape, 3)))
 
@@ -183,7 +183,7 @@ class _Plane(Kind):
     takes = 3
     outside = False
 
-    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
+    def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         point, columns = tip.point(self.name)
         return Equations(-point[:, 2:], columns[:, 2:], tip.pull(self.name)[:, 2:])
 
@@ -200,8 +200,8 @@ class EncoderReading(Kind):
         self.name = f"read_q{number}"  # type: ignore[misc]
         self.cells = self.scalars = (self.name,)  # type: ignore[misc]
 
-    def equations(self, tip: TipMotion, values: np.ndarray, arm: Arm, labels: _Labels) -> Equations:
-        read, columns = tip.read(self.number - 1, arm.commanded[self.number - 1])
+    def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
+        read, columns = tip.read(self.number - 1)
         return Equations(values - read, columns, np.zeros((*read.shape, 3)))
 
 

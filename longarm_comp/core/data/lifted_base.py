@@ -91,9 +91,6 @@ def _anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     return np.asarray(place + middle)
 
 
-# ------------------------------------------------------------------ equations
-
-
 def _coordinates(points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
     for k, axis in enumerate(np.eye(3)):
         held = np.isfinite(rows.xyz[:, k])
@@ -126,9 +123,6 @@ def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEqu
         count = int(held.sum())  # as many equations as distances
         directions, value = np.tile(np.eye(3), (count, 1)), np.tile(anchor.xyz_m, count)
         yield _LinearEquations(directions, np.tile(place, (3 * count, 1)), value)
-
-
-# ------------------------------------------------------------------ solutions
 
 
 def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:

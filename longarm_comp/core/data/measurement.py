@@ -32,7 +32,7 @@ def equations(
     """Equations of all channels of a session by some parameters, all of a model's by default."""
     slots = model.slots if slots is None else slots
     model = completed(model, session, at)
-    return _stacked(model.motion(at, slots, session.turns), session, model)
+    return _stacked(model.motion(at, slots, session.turns), session)
 
 
 def shifts(
@@ -40,7 +40,7 @@ def shifts(
 ) -> np.ndarray:
     """(N, d, k) change of the prediction by each of k terms outside the model."""
     model = completed(model, session, at)
-    return _stacked(model.added(at, terms, session.turns), session, model).columns
+    return _stacked(model.added(at, terms, session.turns), session).columns
 
 
 def metres(model: Model, session: Session) -> np.ndarray:
@@ -108,16 +108,15 @@ def turns(model: Model, session: Session) -> np.ndarray:
         return np.zeros((0, 3))
     motion = model.motion(posture(model, turned), (), turns=True)
     kind = KINDS["orientation"]
-    values = turned.readings[kind.name]
-    return kind.equations(motion, values, model.arm, turned.labels).residual
+    return kind.equations(motion, turned.readings[kind.name], turned.labels).residual
 
 
-def _stacked(motion: TipMotion, session: Session, model: Model) -> Equations:
+def _stacked(motion: TipMotion, session: Session) -> Equations:
     if session.plain:
         point, columns = motion.point()
         return Equations(session.xyz - point, columns, np.zeros((0, 3, 3)))
     made = {
-        kind.name: kind.equations(motion, session.reading(kind), model.arm, session.labels)
+        kind.name: kind.equations(motion, session.reading(kind), session.labels)
         for kind in session.kinds
     }
     parts = [made[channel.kind] for channel in session.blocks]

@@ -137,14 +137,12 @@ class Kernel:
     """The programs of a model for one layout of the context, as machine code when asked for.
 
     Attributes:
-        lower, upper, mid: the joint box.
         passes: load passes of the model.
         workload: work done before it is compiled, in single targets.
     """
 
     def __init__(self, model: Model, layout: Layout) -> None:
-        self._model, self.layout = model, layout
-        self.lower, self.upper, self.mid = model.arm.lower, model.arm.upper, model.arm.mid
+        self._model, self.arm, self.layout = model, model.arm, layout
         self.passes, self.workload = model.load_passes, 0.0
 
     @cached_property
@@ -168,15 +166,14 @@ class Kernel:
 
     @cached_property
     def code(self) -> Any:
-        """The programs as machine code (see `machine_code`), and flows of them.
+        """The programs as machine code (see `codegen.llvm`), and flows of them.
 
         `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and a matrix;
         `evaluate` is the model itself at the trial joints.
         """
-        from longarm_comp.core.ik.codegen import llvm as emit_llvm
-        from longarm_comp.core.ik.codegen import machine_code
+        from longarm_comp.core.ik.codegen import llvm
 
-        width = machine_code.lanes()
+        width = llvm.lanes()
         made = works(self._model, lambda s: self.layout.unpack(s["c"]), self.row)
         programs = {name: _traced(work, self.place) for name, work in made.items()}
         evaluate = newton.evaluation(newton.LEVELS[-1], self.passes, True)
@@ -184,9 +181,7 @@ class Kernel:
         for m in (3, 6):
             search = newton.flow(self.passes, m)
             flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
-        return machine_code.compile_module(
-            emit_llvm.module(programs, flows, self.place, width), width
-        )
+        return llvm.compile_module(llvm.module(programs, flows, self.place, width), width)
 
 
 def _traced(work: Work, place: dict[str, range]) -> Program:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import bisect
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,19 +15,11 @@ EDGE = 1e-9
 """Share of a step by which rounding may put a point beyond the box."""
 
 
-class _Points(NamedTuple):
-    """The best points of a lattice, nearest first: integers (P, n), ``|R k + y|^2`` (P,), and the
-    number of visited nodes of the search tree."""
-
-    k: np.ndarray
-    distance2: np.ndarray
-    nodes: int
-
-
 def nearest(
     R: np.ndarray, low: np.ndarray, high: np.ndarray, *, kept: int = 16, max_nodes: int = 4000
-) -> _Points:
-    """The points nearest to zero, `kept` at most.
+) -> tuple[np.ndarray, int]:
+    """The points ``R k + y`` nearest to zero, `kept` at most: k (P, n), the nearest first, and the
+    number of visited nodes of the search tree.
 
     They are searched within the radius that holds twice as many on average (the ball's volume
     over that of a cell), and within a larger one if too few of them are in the box.
@@ -40,8 +31,7 @@ def nearest(
     """
     tree = _Tree(R, low, high, kept, max_nodes)
     tree.search()
-    points = np.array([k for _, k in tree.best]).reshape(-1, len(low))
-    return _Points(points, np.array([d2 for d2, _ in tree.best]), tree.nodes)
+    return np.array([k for _, k in tree.best]).reshape(-1, len(low)), tree.nodes
 
 
 class _Tree:

@@ -26,7 +26,7 @@ class _Workspace:
         column[kernel.slice("live")] = 1.0
         column[kernel.slice("tol")], column[kernel.slice("permitted")] = tol, max_iterations
         for name in ("lower", "upper"):
-            block[kernel.slice(name)] = getattr(kernel, name)[:, None]
+            block[kernel.slice(name)] = getattr(kernel.arm, name)[:, None]
         self.given = column[kernel.slice("given")].reshape(4, 4)
         self.position = self.given[:3, 3]
         self.seed, self.q = column[kernel.slice("seed")], column[kernel.slice("q")]
@@ -47,7 +47,7 @@ class _Task:
 
     def run(self, target: np.ndarray, seed: np.ndarray, context: Context | None) -> _Found | None:
         """Search from the seed alone; None if the target or the seed is invalid."""
-        if seed.shape != self.kernel.mid.shape:
+        if seed.shape != self.kernel.arm.mid.shape:
             return None
         try:
             workspace = self.spare.pop()
@@ -92,4 +92,4 @@ def solve_compiled(
         if not is_compiled(kernel, engine):
             return None
         task = tasks[key] = _Task(kernel, key)
-    return task.run(target, task.kernel.mid if seed is None else np.asarray(seed), context)
+    return task.run(target, task.kernel.arm.mid if seed is None else np.asarray(seed), context)

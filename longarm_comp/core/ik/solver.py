@@ -31,8 +31,6 @@ MAX_STARTS = 16
 
 
 class Reason(Enum):
-    """Reasons for the end of a search."""
-
     CONVERGED = "converged"
     AT_LIMITS = "joint limits keep the tip from the target"
     OUT_OF_REACH = "no joints bring the tip nearer to the target"
@@ -140,21 +138,16 @@ def solve_many(
         engine: how to run the search; see `warm_up` for the compiled one.
     """
     arm = model.arm
-    position, axes = _checked_targets(targets, position_only)
-    start = checked_seed(model, seed, len(position))
+    wanted, m = _checked_targets(targets, position_only)
+    start = checked_seed(model, seed, len(wanted))
     if not (np.isfinite(tol) and tol > 0):
         raise InputError("ik.solve_many", "tol", tol, "a number above 0")
-    lower = np.repeat(arm.lower[None], len(position), axis=0)
-    upper = np.repeat(arm.upper[None], len(position), axis=0)
+    lower, upper = (np.repeat(v[None], len(wanted), axis=0) for v in (arm.lower, arm.upper))
     for k in locked_joints(model, locked):
         lower[:, k] = upper[:, k] = start[:, k]
-    targets = np.zeros((len(position), 12))
-    targets[:, :3] = position
-    if axes is not None:
-        targets[:, 3:] = axes
     q, report = run(
-        model, context or Context(), engine, 3 if axes is None else 6, targets, start,
-        (lower, upper), restart_points(arm.n, max(max_starts - 1, 0)), float(tol), _MAX_ITERATIONS,
+        model, context or Context(), engine, m, wanted, start, (lower, upper),
+        restart_points(arm.n, max(max_starts - 1, 0)), float(tol), _MAX_ITERATIONS,
     )  # fmt: skip
     position, angle = report[:, 0], report[:, 1]
     iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
@@ -200,19 +193,20 @@ def axes_of(T: np.ndarray) -> np.ndarray:
     return T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
 
 
-def _checked_targets(
-    targets: np.ndarray, position_only: bool
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Checked positions (N, 3) and axes n, o, a (N, 9) or None."""
+def _checked_targets(targets: np.ndarray, position_only: bool) -> tuple[np.ndarray, int]:
+    """Checked positions and axes n, o, a, (N, 12), and how many equations each is, 3 or 6."""
     targets = np.asarray(targets, dtype=float)
     faults = target_faults(targets, position_only, "ik.solve_many")
     if any(faults):
         i = next(i for i, fault in enumerate(faults) if fault)
         allowed = f"finite numbers in m, a rotation and [0, 0, 0, 1]: {faults[i]}"
         raise InputError("ik.solve_many", f"target {i}", targets[i].tolist(), allowed)
-    if targets.ndim == 2:
-        return targets, None
-    return targets[:, :3, 3], None if position_only else axes_of(targets)
+    wanted = np.zeros((len(targets), 12))
+    wanted[:, :3] = position_of(targets)
+    if targets.ndim == 2 or position_only:
+        return wanted, 3
+    wanted[:, 3:] = axes_of(targets)
+    return wanted, 6
 
 
 def checked_seed(

@@ -81,23 +81,21 @@ def load(
     arrays = _arrays(path)
     header = _header(path, arrays)
     columns = len(raw_names(header.joints, header.context))
-    kept = _held(path, arrays, "kept")
+    kept = arrays["kept"]
     if kept.dtype.kind != "i" or kept.ndim != 1 or not len(kept) or kept.min() < 0:
         raise InputError(path, "kept", kept.dtype, "column indices")
     if kept.max() >= columns or len(np.unique(kept)) != len(kept):
         raise InputError(path, "kept", kept.tolist(), f"distinct columns below {columns}")
     d = len(kept)
     size = NetworkShape(d, header.hidden, 3).size
-    members, rank = (
-        max(1, len(np.atleast_1d(_held(path, arrays, n)))) for n in ("weights", "posterior")
-    )
+    members, rank = (max(1, len(np.atleast_1d(arrays[n]))) for n in ("weights", "posterior"))
     shapes = {
         "mean": (d,), "input_scale": (d,), "lower": (columns,), "upper": (columns,),
         "weights": (members, size), "posterior": (rank, size), "offset": (3,),
         "noise": (3,), "widen": (3,), "alone": (3,), "gain": (3,),
     }  # fmt: skip
     for name, shape in shapes.items():
-        value = _held(path, arrays, name)
+        value = arrays[name]
         if value.shape != shape or value.dtype.kind != "f":
             raise InputError(path, name, f"{value.dtype} {value.shape}", f"floats {shape}")
         unknown = np.isposinf(value) if name in ("alone", "gain") else False
@@ -156,18 +154,15 @@ def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     except Exception as error:  # whatever zipfile, zlib and numpy raise on damaged bytes
         found = f"corrupt or truncated ({error})"
         raise InputError(path, "predictor file", found, "an npz that longarm wrote") from error
+    for name in ("header", "kept", "mean", "input_scale", "gain", *_ARRAYS):
+        if not isinstance(arrays.get(name), np.ndarray):
+            raise InputError(path, name, "missing", "an npz that longarm wrote")
     return arrays
-
-
-def _held(path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]], name: str) -> NDArray[Any]:
-    if not isinstance(arrays.get(name), np.ndarray):
-        raise InputError(path, name, "missing", "an npz that longarm wrote")
-    return arrays[name]
 
 
 def _header(path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]]) -> _Header:
     try:
-        header = json.loads(_held(path, arrays, "header").tobytes().decode())
+        header = json.loads(arrays["header"].tobytes().decode())
     except (ValueError, RecursionError) as error:
         raise InputError(path, "header", "not JSON", "a JSON object") from error
     return parse_declared(_Header, header, str(path))

@@ -98,8 +98,6 @@ CANONICAL = Rules()
 
 @dataclass(frozen=True)
 class SparrowResult:
-    """Outcome of one search."""
-
     position: Array  # (D,) best position found
     fitness: float
     history: Array  # (T + 1,) best fitness after each iteration, the start first
@@ -108,8 +106,6 @@ class SparrowResult:
 
 @dataclass(frozen=True)
 class SparrowSearch:
-    """Settings of the search."""
-
     population: int = 50
     iterations: int = 100
     rules: Rules = CANONICAL
@@ -124,19 +120,12 @@ class SparrowSearch:
     def minimise(
         self, fitness: Fitness, lower: Array, upper: Array, rng: np.random.Generator
     ) -> SparrowResult:
-        """Minimise ``fitness`` over the box ``lower <= x <= upper``.
+        """Minimise ``fitness`` over the box ``lower <= x <= upper``, (D,) each.
 
-        Parameters
-        ----------
-        fitness: maps positions (P, D) to values (P,) in one call; NaN counts as infinitely bad.
-        lower, upper: (D,), the box.
-        rng: the only source of randomness; the same state gives the same result.
+        Args:
+            fitness: maps positions (P, D) to values (P,) in one call; NaN counts as infinitely bad.
+            rng: the only source of randomness; the same state gives the same result.
         """
-        lower, upper = np.asarray(lower, float), np.asarray(upper, float)
-        if lower.shape != upper.shape or lower.ndim != 1 or not np.all(lower < upper):
-            raise InputError("sparrow search", "bounds", (lower, upper), "(D,) with lower < upper")
-        if not np.all(np.isfinite(upper - lower)):
-            raise InputError("sparrow search", "bounds", (lower, upper), "finite numbers")
         rules = self.rules
         n, horizon = self.population, self.iterations
         lead = max(1, round(_PD * n))

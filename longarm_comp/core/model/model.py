@@ -26,7 +26,6 @@ from longarm_comp.core.effects.effect import Bias, Effect, Parameter
 from longarm_comp.core.model.encoders import Parts
 from longarm_comp.core.model.tip_motion import (
     Reseen,
-    SeenJoints,
     TipMotion,
     TwistChange,
     moved,
@@ -55,7 +54,6 @@ class Slot:
 
     @property
     def value(self) -> float:
-        """Value of the parameter."""
         return float(getattr(self.owner, self.parameter.name))
 
     @property
@@ -152,9 +150,13 @@ class Model:
         )
 
     def with_missing(self, terms: Iterable[Effect | Bias]) -> Model:
-        """A copy with those of the terms that it does not hold yet."""
+        """A copy with those of the terms that it does not hold yet, the first at each place."""
         known = {(t.name, t.where) for t in self.terms}
-        return self.plus(*(t for t in terms if (t.name, t.where) not in known))
+        new: dict[tuple[str, str], Effect | Bias] = {}
+        for term in terms:
+            if (term.name, term.where) not in known:
+                new.setdefault((term.name, term.where), term)
+        return self.plus(*new.values())
 
     def lasting(self) -> Model:
         """A copy without facts of one session, such as the place of a touched point."""
@@ -297,7 +299,6 @@ class Model:
         return self.measured_at(self.posture(unstack(q), context))
 
     def measured_at(self, posture: Posture) -> np.ndarray:
-        """`measured` at a posture."""
         return stack(self.seen(self.tip_frame(posture).p, posture.context))
 
     # ------------------------------------------------------------------ explain
@@ -360,8 +361,7 @@ class Model:
         arm_side = [e for e in ends if isinstance(e, TwistChange)]
         shifts = iter(moved(posture, tip.p, arm_side, turns))
         changes = [next(shifts) if isinstance(e, TwistChange) else e for e in ends]
-        read = SeenJoints(posture, self.effects, arm_side)
-        return TipMotion(self, tip, posture.context, changes, read)
+        return TipMotion(self, posture, tip, changes, arm_side)
 
     def _reloaded(self, slot: Slot, posture: Posture) -> TwistChange:
         """Change of the twists that depend on the loads, with a parameter that changes these."""

@@ -17,6 +17,7 @@ import yaml
 from pydantic import Field, model_validator
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.parts import Pose, Vec3
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.effects.catalogue import effect_class, origin
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -26,8 +27,7 @@ from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.core.model.uncertainty import ModelUncertainty, read, triangular, written
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
-_Three = tuple[float, float, float]
-_Square = tuple[_Three, _Three, _Three]
+_Square = tuple[Vec3, Vec3, Vec3]
 
 AS_DECLARED = 0
 """Version of a file that holds the arm as declared, for a first change to be undone."""
@@ -64,13 +64,6 @@ class _ArmReference(Declared):
     hash: str
 
 
-class _StoredBase(Declared):
-    """Where a base stands in the frame of the measurements (m; fixed-axis roll, pitch, yaw)."""
-
-    xyz_m: _Three
-    rpy_deg: _Three
-
-
 class _StoredUncertainty(Declared):
     """How far off the tip may be (`ModelUncertainty`). Parameters in the order of the file."""
 
@@ -94,8 +87,10 @@ class StoredModel(Declared):
     camera: list[_StoredTerm]
     provenance: dict[str, str | int | float]
     arrivals: tuple[tuple[int, int], ...] = ()
-    placement: dict[str, _StoredBase] = Field(
-        default_factory=dict, description="for people and other programs; `geometry` is what counts"
+    placement: dict[str, Pose] = Field(
+        default_factory=dict,
+        description="where bases stand in the frame of the measurements: for people and other "
+        "programs; `geometry` is what counts",
     )
     uncertainty: _StoredUncertainty | None = None
 
@@ -176,7 +171,7 @@ def _in_file(model: Model) -> list[Effect | Bias]:
     return sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
 
 
-def _bases(model: Model) -> dict[str, _StoredBase]:
+def _bases(model: Model) -> dict[str, Pose]:
     """Where every base stands, as `base` of arm.yaml would say it."""
     made = {}
     for effect in model.effects:
@@ -185,7 +180,7 @@ def _bases(model: Model) -> dict[str, _StoredBase]:
             matrix = frame.matrix()
             x, y, z = (round(float(v), 7) for v in matrix[:3, 3])
             roll, pitch, yaw = (round(math.degrees(v), 6) for v in roll_pitch_yaw(matrix[:3, :3]))
-            made[effect.where] = _StoredBase(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
+            made[effect.where] = Pose(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
     return made
 
 

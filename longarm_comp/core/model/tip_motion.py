@@ -11,7 +11,7 @@ import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from longarm_comp.core.arm import spatial, stacked
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Posture
 from longarm_comp.core.arm.spatial import IDENTITY, Frame, Scalar, Vec
-from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model import encoders
 from longarm_comp.core.model.encoders import Parts
 
@@ -27,14 +26,8 @@ _H = 1e-3
 """Step (of a unit parameter, of a rad) of differences through the measuring side."""
 
 
-class _Sensor(Protocol):
-    """What reports the tip: a model's measuring side."""
-
-    def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec: ...
-
-    def seen_axes(self, tip: Frame, context: Context) -> Frame: ...
-
-    def read(self, value: Scalar, row: int) -> Scalar: ...
+_Model = Any
+"""`Model`, whose file reads this one: its measuring side reports the tip."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +40,10 @@ class _Moved:
 
 @dataclass(frozen=True)
 class Reseen:
-    """A change of the measuring side: ``per`` times the difference of two sensors' reports."""
+    """A change of the measuring side: ``per`` times the difference of two models' reports."""
 
-    raised: _Sensor
-    lowered: _Sensor
+    raised: _Model
+    lowered: _Model
     per: float
     sees: frozenset[str]
 
@@ -64,56 +57,45 @@ class TwistChange(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SeenJoints:
-    """What the joints' encoders see at N postures.
+class TipMotion:
+    """The tip of a model at N postures and its change by each of p parameters.
 
     Attributes:
-        effects, ends: all of the arm's side, and a change of these a parameter.
+        frame: pose of the tip in the base frame.
+        changes: one per parameter.
+        ends: changes of twists, one per parameter of the arm's side.
     """
 
+    model: _Model
     posture: Posture
-    effects: Sequence[Effect]
+    frame: Frame
+    changes: Sequence[_Moved | Reseen]
     ends: Sequence[TwistChange]
 
     @cached_property
-    def now(self) -> list[Scalar]:
-        """n scalars, rad or m."""
-        parts = [(e, e.twists(self.posture)) for e in self.effects]
+    def context(self) -> Context:
+        """Circumstances of the postures."""
+        return self.posture.context
+
+    @cached_property
+    def joints(self) -> list[Scalar]:
+        """Where the encoder of each joint sees it, n scalars, rad or m."""
+        parts = [(e, e.twists(self.posture)) for e in self.model.effects]
         off = encoders.seen(self.posture.chain, parts)
         return [q + by for q, by in zip(self.posture.q, off, strict=True)]
 
     @cached_property
-    def changes(self) -> list[list[Scalar]]:
-        """n scalars a parameter, per unit of it."""
+    def joint_changes(self) -> list[list[Scalar]]:
+        """The same by each parameter of the arm's side, per unit of it."""
         made = []
         for end in self.ends:
             up, down = (encoders.seen(self.posture.chain, part) for part in end[:2])
             made.append([end.per * (a - b) for a, b in zip(up, down, strict=True)])
         return made
 
-
-@dataclass(frozen=True)
-class TipMotion:
-    """The tip at N postures and its change by each of p parameters.
-
-    Attributes:
-        sensor: the model's measuring side.
-        frame: pose of the tip in the base frame.
-        context: circumstances of the postures.
-        changes: one per parameter.
-        joints: where every joint's encoder sees it, and its change by each parameter of the arm's
-            side, both when they are asked for.
-    """
-
-    sensor: _Sensor
-    frame: Frame
-    context: Context
-    changes: Sequence[_Moved | Reseen]
-    joints: SeenJoints
-
     def point(self, kind: str = "position") -> tuple[np.ndarray, np.ndarray]:
         """Reported point (N, 3) in m and its derivative (N, 3, p)."""
-        seen = self.sensor.seen(self.frame.p, self.context, kind)
+        seen = self.model.seen(self.frame.p, self.context, kind)
         free = seen is self.frame.p
         blocks = [self._point_change(change, kind, free) for change in self.changes]
         return _together(seen, blocks)
@@ -122,36 +104,34 @@ class TipMotion:
         if isinstance(change, Reseen):
             if kind not in change.sees:
                 return spatial.ZERO
-            sensors = change.raised, change.lowered
-            ends = [s.seen(self.frame.p, self.context, kind) for s in sensors]
-            return spatial.scale(change.per, spatial.sub(ends[0], ends[1]))
+            up, down = (
+                m.seen(self.frame.p, self.context, kind) for m in (change.raised, change.lowered)
+            )
+            return spatial.scale(change.per, spatial.sub(up, down))
         return change.shift if free else self._reported(change.shift, kind)
 
     def _reported(self, shift: Vec, kind: str) -> Vec:
         """Derivative of the reported point as the tip moves along a shift."""
         tip, by = self.frame.p, spatial.scale(_H, shift)
         up, down = (
-            self.sensor.seen(end, self.context, kind)
+            self.model.seen(end, self.context, kind)
             for end in (spatial.add(tip, by), spatial.sub(tip, by))
         )
         return spatial.scale(0.5 / _H, spatial.sub(up, down))
 
-    def read(self, joint: int, row: int) -> tuple[np.ndarray, np.ndarray]:
-        """Reading (N, 1) of a joint's encoder, rad or m, and its derivative (N, 1, p).
-
-        Args:
-            joint, row: its number among the commanded joints, and its row in the arm.
-        """
-        at, sensor = self.joints.now[joint], self.sensor
-        gain = (sensor.read(at + _H, row) - sensor.read(at - _H, row)) * (0.5 / _H)
-        moves = iter(self.joints.changes)
+    def read(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
+        """Reading (N, 1) of commanded joint ``joint``'s encoder (0-based), rad or m, and its
+        derivative (N, 1, p)."""
+        at, model, row = self.joints[joint], self.model, self.model.arm.commanded[joint]
+        gain = (model.read(at + _H, row) - model.read(at - _H, row)) * (0.5 / _H)
+        moves = iter(self.joint_changes)
         each = [
             gain * next(moves)[joint]
             if isinstance(change, _Moved)
             else change.per * (change.raised.read(at, row) - change.lowered.read(at, row))
             for change in self.changes
         ]
-        whole = np.broadcast_to(sensor.read(at, row), np.shape(stack(self.frame.p))[:-1])
+        whole = np.broadcast_to(model.read(at, row), np.shape(stack(self.frame.p))[:-1])
         columns = np.empty((*whole.shape, 1, len(each)))
         for k, column in enumerate(each):
             columns[..., 0, k] = column
@@ -166,7 +146,7 @@ class TipMotion:
 
         How a bias turns the axes may depend on where the tip is; that part is left out.
         """
-        seen = self.sensor.seen_axes(self.frame, self.context)
+        seen = self.model.seen_axes(self.frame, self.context)
         gain = [self._report_of_turn(axis) for axis in IDENTITY[:3]]
         blocks = [self._turn(change, gain) for change in self.changes]
         rotation = seen.matrix()[..., :3, :3]
@@ -174,14 +154,14 @@ class TipMotion:
 
     def _report_of_turn(self, axis: Vec) -> Vec:
         """Turn of the reported axes as the tip turns about an axis of the base, per rad."""
-        if self.sensor.seen_axes(IDENTITY, self.context) is IDENTITY:
+        if self.model.seen_axes(IDENTITY, self.context) is IDENTITY:
             return axis
         ends = []
         for step in (_H, -_H):
             turn = spatial.exp((0.0, 0.0, 0.0, *spatial.scale(step, axis)))
             n, o, a = (turn.rotate(v) for v in self.frame[:3])
             tip = Frame(n, o, a, self.frame.p)
-            ends.append(self.sensor.seen_axes(tip, self.context))
+            ends.append(self.model.seen_axes(tip, self.context))
         return spatial.scale(0.5 / _H, spatial.turned(ends[0], ends[1]))
 
     def _turn(self, change: _Moved | Reseen, gain: list[Vec]) -> Vec:

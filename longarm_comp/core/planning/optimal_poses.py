@@ -22,7 +22,6 @@ from longarm_comp.core.calibration.placement import started
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.plan import Plan, at_levels, random_joints, uniform
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
@@ -95,7 +94,7 @@ class Uncertainty:
         sigma: tuple[float, float],
         pool: Plan | None = None,
     ) -> Uncertainty:
-        """Before any measurement, or after a session.
+        """Before any measurement, or after a session; errors as of `fit`.
 
         Effects of circumstances that no plan tells, as of a recorded column, count as known.
 
@@ -106,9 +105,6 @@ class Uncertainty:
                 may be there.
             sigma: noise where nothing was measured.
             pool: the poses to choose from, where they are known already.
-
-        Raises:
-            InputError, JobError: as `fit`.
         """
         middle = Plan(model.arm.mid[None], np.ones((1, model.arm.n)))
         asked = _rows(model.arm, pool or middle, measure)
@@ -131,7 +127,8 @@ class Uncertainty:
         if not known:
             both = np.tile(model.arm.mid, (2, 1))
             at = Session.record(both, np.zeros((2, 3)), approach=sides(2))
-            whole = whole.with_missing(_library(model.arm, at, whole))
+            tried = library(model.arm, at.context(), None, whole.terms).testable
+            whole = whole.with_missing(term for each in tried for term in each.terms)
         scale = np.array([min(s.parameter.width, WIDEST) for s in whole.slots])
         information = np.eye(len(scale))
         if fitted is not None:
@@ -185,8 +182,6 @@ def optimal_poses(
     """n poses of a pool within the limits, each joint with room for its run-up.
 
     Args:
-        criterion: what shall become small.
-        measure: what each pose measures.
         allowed: (M,) which poses of a plan may be driven and are seen; all where absent.
         pool: the poses to choose from; by default half of them fill the joint box, half have every
             joint at a limit or in its middle, where the same errors move the tip farthest.
@@ -207,18 +202,15 @@ def optimal_poses(
     x = uncertain.measures(pool, measure)
     tips = uncertain.tips(random_joints(arm, REFERENCE, rng))
     choice = Choice(x, uncertain.information, tips if criterion == "i-optimal" else None)
-    begun = _first_touches(pool)[: n // 2]
+    begun: list[int] = []
+    if pool.touch is not None:  # the first touch of a point tells nothing, only further ones do
+        begun = np.unique(pool.touch, return_index=True)[1].tolist()[: n // 2]
     chosen = choice.exchanged(choice.grown(begun, n - len(begun)))
     more = choice.grown(chosen, AHEAD)
     ends = [np.sqrt(np.trace(tips @ choice.covariance(rows))) for rows in (chosen, more)]
     best = pool.take(np.array(chosen))
     expected, ahead = map(float, ends)
     return OptimalPlan(best.q, best.approach, None, best.touch, expected, ahead)
-
-
-def _first_touches(pool: Plan) -> list[int]:
-    """A pose at every point.  The first touch of a point tells nothing, only further ones do."""
-    return [] if pool.touch is None else np.unique(pool.touch, return_index=True)[1].tolist()
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,15 +353,6 @@ def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> l
         raise InputError("plan", "measure", measure, "anchors with their places in arm.yaml")
     told["distance"] = np.ones((n, 1))
     return [record(np.nan, anchor=np.full(n, name)) for name in places]
-
-
-def _library(arm: Arm, rows: Session, model: Model) -> list[Effect | Bias]:
-    """Every effect that the arm may have and that needs no further record, once a place."""
-    made: dict[tuple[str, str], Effect | Bias] = {}
-    for candidate in library(arm, rows.context(), None, model.terms).testable:
-        for term in candidate.terms:
-            made.setdefault((term.name, term.where), term)
-    return list(made.values())
 
 
 def sides(n: int) -> np.ndarray:

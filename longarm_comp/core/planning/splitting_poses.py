@@ -11,27 +11,22 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.measurement import equations
+from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.model.model import Slot, unstack
 from longarm_comp.core.planning.optimal_poses import POOL, Choice, sides
 
 
-@dataclass(frozen=True)
-class SplittingPoses:
-    """Poses that would tell two explanations apart.
+@dataclass(frozen=True, eq=False)
+class SplittingPoses(Plan):
+    """Poses that would tell two explanations apart, with no payload or the session's largest.
 
     Attributes:
-        q: (M, n) commanded joints.
-        approach: (M,) side to arrive from.
-        payload_kg: (M,) mass to carry, none or the session's largest; None where none was recorded.
         between: the two effects.
         log_bayes_factor: expected log odds between them once these are measured too.
     """
 
-    q: np.ndarray
-    approach: np.ndarray
-    between: tuple[str, str]
-    log_bayes_factor: float
-    payload_kg: np.ndarray | None = None
+    between: tuple[str, str] = ("", "")
+    log_bayes_factor: float = 0.0
 
 
 def splitting_poses(
@@ -75,7 +70,7 @@ def splitting_poses(
     odds = 0.5 * (1.0 / choice.covariance(chosen)[-1, -1] - 1.0)  # less the prior's part
     payload = typical["payload_kg"][chosen] if heaviest > 0 else None
     between = (found.name, other.name)
-    return SplittingPoses(q[chosen], side[chosen], between, float(odds), payload)
+    return SplittingPoses(q[chosen], side[chosen], payload, None, between, float(odds))
 
 
 def _noise(fit: ModelFit) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.parts import Vec3
-from longarm_comp.core.data.plan import Plan
+from longarm_comp.core.data.plan import Plan, random_joints
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import solve_many
 from longarm_comp.core.model.model import Model
@@ -29,10 +29,10 @@ def touch_pool(
     if not points:
         raise InputError("plan", "points", "none", "names and places (m) of points to touch")
     model = model.told_by(Context())
-    arm, parts, names = model.arm, [], []
+    parts, names = [], []
     each = max(count // len(points), 2)
     for name, place in points.items():
-        start = arm.lower + rng.random((each, arm.n)) * (arm.upper - arm.lower)
+        start = random_joints(model.arm, each, rng)
         found = solve_many(
             model, np.tile(place, (each, 1)), seed=start, position_only=True, max_starts=1
         )

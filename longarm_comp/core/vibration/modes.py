@@ -11,8 +11,8 @@ shear, and what weight adds to the stiffness.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -106,8 +106,6 @@ _STIFF = 1e-4
 
 def _masses_of(posture: Posture) -> list[Lumped]:
     """All masses of the arm, each at a station; beams at the ends of their elements."""
-    found = [Lumped(station, mass, at) for station, held in posture.station_masses().items()
-             for mass, at in held]  # fmt: skip
     ends: dict[int, Scalar] = {}
     for station, spread in posture.line_loads.items():
         length = spatial.absolute(posture.lengths[station])
@@ -115,17 +113,18 @@ def _masses_of(posture: Posture) -> list[Lumped]:
             near = 0.5 * loaded / length * density * loaded  # share with the same centre
             ends[station] = ends.get(station, 0.0) + density * loaded - near
             ends[station - 1] = ends.get(station - 1, 0.0) + near
-    return found + [Lumped(station, mass, spatial.ZERO) for station, mass in ends.items()]
+    beams = [Lumped(station, mass, spatial.ZERO) for station, mass in ends.items()]
+    return posture.station_masses() + beams
 
 
 @dataclass(frozen=True)
 class _Pushed(Posture):
-    """A posture that carries nothing but pushes: masses (kg) by station under a gravity."""
+    """A posture that carries nothing but pushes: masses (kg) under a gravity."""
 
-    pushes: Mapping[int, list[tuple[Scalar, Vec]]] = field(default_factory=dict)
+    pushes: Sequence[Lumped] = ()
 
-    def station_masses(self) -> dict[int, list[tuple[Scalar, Vec]]]:
-        return dict(self.pushes)
+    def station_masses(self) -> list[Lumped]:
+        return list(self.pushes)
 
     @cached_property
     def line_loads(self) -> LineLoads:
@@ -150,9 +149,10 @@ def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures:
         return tuple(x if np.ndim(x) == 0 else np.repeat(x, 4 * count) for x in scalars)
 
     frames = [Frame(*(rows(part) for part in frame)) for frame in posture.frames]
-    pushes: dict[int, list[tuple[Scalar, Vec]]] = {}
-    for k, p in enumerate(points):
-        pushes.setdefault(p.station, []).append(((which == k).astype(float), rows(p.position)))
+    pushes = [
+        Lumped(p.station, (which == k).astype(float), rows(p.position))  # type: ignore[arg-type]
+        for k, p in enumerate(points)
+    ]
     x, y, z = (np.where(along == axis, sizes, 0.0) for axis in range(3))
     context = posture.context.take(np.repeat(np.arange(postures), 4 * count))
     pushed = _Pushed(
