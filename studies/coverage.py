@@ -1,9 +1,9 @@
 """How often a measured row lies inside the 90 % radius that its model states.
 
-The radius is of a measured row: error of the tip and noise of the measurement.  Rows are left out
-three ways: the splits of the public data (off the grid, or at random), places (an eighth of the
-joint space, refitted without it; of arms that touched points, where a tool stood), and fresh random
-poses of simulated arms.
+The radius is of a measured row: error of the tip and noise of the measurement; of simulated arms
+also that of the tip alone, which a command states.  Rows are left out three ways: the splits of the
+public data (off the grid, or at random), places (an eighth of the joint space, refitted without it;
+of arms that touched points, where a tool stood), and fresh random poses of simulated arms.
 """
 
 from __future__ import annotations
@@ -70,13 +70,22 @@ class LeftOutRows:
     places: int = FEWEST_PLACES
 
 
-def judge(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
-    """Hold rows with a position against a fit that has not seen them."""
+def judge(
+    name: str, fitted: ModelFit, rows: Session, clean: np.ndarray | None = None
+) -> LeftOutRows:
+    """Hold rows with a position against a fit that has not seen them.
+
+    Args:
+        clean: (N, 3) m, the rows' points without noise: then the tip alone is judged.
+    """
     known, seen = uncertainty(fitted), rows.take(rows.located)
-    model = fitted.model
+    model, off = fitted.model, errors(fitted.model, seen)
+    if clean is not None:
+        known = replace(known, noise=np.zeros((3, 3)))
+        off = off + clean[rows.located] - seen.xyz
     columns = equations(model, seen, posture(model, seen)).columns[:, :3]
     carried = known.carried(columns, [slot.identity for slot in fitted.slots])
-    return _judged(name, errors(model, seen), carried, known)
+    return _judged(name, off, carried, known)
 
 
 def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
@@ -154,6 +163,7 @@ def simulated(declared: Arm, count: int, say: Progress = lambda _: None) -> Iter
         fitted = _fitted(setting.arm, setting.train, kind.for_arm if told else _rigid)
         how = "the effect known" if told else "the effect not known"
         yield judge(f"simulated, {how}", fitted, setting.held_out)
+        yield judge(f"the tip alone, {how}", fitted, setting.held_out, setting.clean_held_out)
 
 
 def table(found: Sequence[LeftOutRows]) -> list[dict[str, object]]:

@@ -58,7 +58,9 @@ def test_places_that_differ_count_as_few_rows() -> None:
 def test_the_command_judges_simulated_arms(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (row,) = Shell(tmp_path, capsys).json("study", "coverage", "--no-pandas", "--arms", 1)["rows"]
+    row, tip = Shell(tmp_path, capsys).json("study", "coverage", "--no-pandas", "--arms", 1)["rows"]
     assert row["rows"] == 100
     assert 0.8 <= row["inside_90"] <= 0.99
     assert row["mean_mm"] < row["p90_mm"]
+    assert tip["rows"] == 100 and tip["set"].startswith("the tip alone")
+    assert tip["mean_mm"] < row["mean_mm"] and tip["expected_mm"] < row["expected_mm"]
