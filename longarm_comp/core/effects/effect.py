@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, ClassVar, Literal
@@ -26,71 +25,16 @@ from longarm_comp.core.arm.context import PER_JOINT, Context, is_told
 from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.posture import Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
+from longarm_comp.core.effects.fields import FORM, PARAMETER, PLACE, TRIED, Places, metadata
+from longarm_comp.core.effects.fields import form as form
+from longarm_comp.core.effects.fields import parameter as parameter
+from longarm_comp.core.effects.fields import place as place
 from longarm_comp.core.effects.parameters import Parameter
 from longarm_comp.core.effects.sites import moving_joints
 from longarm_comp.core.errors import InputError
 
-_PARAMETER, _PLACE, _FORM, _TRIED = "parameter", "place", "form", "tried"
 Drive = Literal["servo", "gear", "arm"]
-_Places = Callable[[Arm], Sequence[int] | Sequence[str]]
 Sites = Sequence[Mapping[str, Any]]
-
-
-@cache
-def _metadata(kind: type[_Term], role: str) -> dict[str, Any]:
-    """What the fields of one role declare, by name."""
-    declared = dataclasses.fields(kind)
-    return {f.name: f.metadata[role] for f in declared if role in f.metadata}
-
-
-def parameter(
-    unit: str,
-    meaning: str,
-    prior: float,
-    lower: float = -math.inf,
-    upper: float = math.inf,
-    default: float = 0.0,
-    unknown: bool = False,
-    like: str = "",
-    usual: float = 0.0,
-) -> Any:
-    """Declare a field as a fitted `Parameter`; `default` is its value without this error."""
-    meta = {"unit": unit, "meaning": meaning, "prior": prior, "lower": lower, "upper": upper}
-    meta |= {"unknown": unknown, "like": like, "usual": usual}
-    return dataclasses.field(default=default, metadata={_PARAMETER: meta})
-
-
-def place(allowed: _Places | None = None, default: int | str | None = None) -> Any:
-    """Declare a field as a place. A model may hold several instances with different places.
-
-    All places of one form together are a family, which a diagnosis tries as a whole.
-
-    Args:
-        allowed: allowed values on an arm (`moving_joints`, `beams`, ... or a function of your
-            own); None for any text.
-        default: None if the field is required.
-    """
-    given = {} if default is None else {"default": default}
-    return dataclasses.field(**given, metadata={_PLACE: allowed})  # type: ignore[call-overload]
-
-
-def form(
-    default: float | int | str,
-    lower: float | None = None,
-    upper: float | None = None,
-    tried: Sequence[float] | Sequence[int] | Sequence[str] = (),
-) -> Any:
-    """Declare a field as a form: a variant of the effect, which is tried but not fitted.
-
-    Args:
-        lower, upper: ends of a continuous scale. The search then also tries values between those
-            of `candidates`.  Without them only those values are tried.
-        tried: values of the candidates, where there are others than the default.
-    """
-    if (lower is None) != (upper is None):
-        raise TypeError("a form's scale has two ends")
-    scale = None if lower is None else (lower, upper)
-    return dataclasses.field(default=default, metadata={_FORM: scale, _TRIED: tuple(tried)})
 
 
 @dataclass(frozen=True)
@@ -162,7 +106,7 @@ class _Term:
     @cache
     def declared(cls) -> tuple[Parameter, ...]:
         """The parameters of this kind of effect, in the order of its fields."""
-        return tuple(Parameter(name, **p) for name, p in _metadata(cls, _PARAMETER).items())  # type: ignore[arg-type]
+        return tuple(Parameter(name, **p) for name, p in metadata(cls, PARAMETER).items())  # type: ignore[arg-type]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The parameters of this instance; priors may come from the arm's tolerances."""
@@ -175,28 +119,28 @@ class _Term:
     @classmethod
     def undeclared(cls) -> tuple[str, ...]:
         """Fields that are declared neither as place, form nor parameter; there must be none."""
-        known = {_PARAMETER, _PLACE, _FORM}
+        known = {PARAMETER, PLACE, FORM}
         return tuple(f.name for f in dataclasses.fields(cls) if not known & set(f.metadata))
 
     @classmethod
-    def allowed_places(cls) -> Mapping[str, _Places]:
+    def allowed_places(cls) -> Mapping[str, Places]:
         """By place field, its allowed values on an arm, without fields that allow any text."""
-        return {name: known for name, known in _metadata(cls, _PLACE).items() if known}  # type: ignore[arg-type]
+        return {name: known for name, known in metadata(cls, PLACE).items() if known}  # type: ignore[arg-type]
 
     @classmethod
     def scales(cls) -> Mapping[str, tuple[float, float]]:
         """Forms with a continuous scale: lower and upper end by name."""
-        return {name: ends for name, ends in _metadata(cls, _FORM).items() if ends}  # type: ignore[arg-type]
+        return {name: ends for name, ends in metadata(cls, FORM).items() if ends}  # type: ignore[arg-type]
 
     @property
     def places(self) -> dict[str, Any]:
         """The place fields."""
-        return self._values(_PLACE)
+        return self._values(PLACE)
 
     @property
     def forms(self) -> dict[str, Any]:
         """The form fields."""
-        return self._values(_FORM)
+        return self._values(FORM)
 
     @property
     def placement(self) -> dict[str, Any]:
@@ -204,7 +148,7 @@ class _Term:
         return {**self.places, **self.forms}
 
     def _values(self, role: str) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in _metadata(type(self), role)}  # type: ignore[arg-type]
+        return {name: getattr(self, name) for name in metadata(type(self), role)}  # type: ignore[arg-type]
 
     @property
     def where(self) -> str:
@@ -249,7 +193,7 @@ class _Term:
         """
         allowed = cls.allowed_places()
         absent = cls.part and not getattr(arm, cls.part)
-        if absent or len(allowed) < len(_metadata(cls, _PLACE)):  # type: ignore[arg-type]
+        if absent or len(allowed) < len(metadata(cls, PLACE)):  # type: ignore[arg-type]
             return []
         each = itertools.product(*(places(arm) for places in allowed.values()))
         return [dict(zip(allowed, values, strict=True)) for values in each]
@@ -260,7 +204,7 @@ class _Term:
 
         By default every site alone, in every form that is tried.
         """
-        tried = {name: values for name, values in _metadata(cls, _TRIED).items() if values}  # type: ignore[arg-type]
+        tried = {name: values for name, values in metadata(cls, TRIED).items() if values}  # type: ignore[arg-type]
         forms = [dict(zip(tried, v, strict=True)) for v in itertools.product(*tried.values())]
         return [(cls(**site, **form),) for site in cls.sites(arm) for form in forms]
 

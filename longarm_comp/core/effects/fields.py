@@ -1,0 +1,71 @@
+"""How an effect declares its fields: a fitted parameter, a place on the arm, or a form."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+from longarm_comp.core.arm.arm import Arm
+
+PARAMETER, PLACE, FORM, TRIED = "parameter", "place", "form", "tried"
+Places = Callable[[Arm], Sequence[int] | Sequence[str]]
+
+
+@cache
+def metadata(kind: type[Any], role: str) -> dict[str, Any]:
+    """What the fields of one role declare, by name."""
+    declared = dataclasses.fields(kind)
+    return {f.name: f.metadata[role] for f in declared if role in f.metadata}
+
+
+def parameter(
+    unit: str,
+    meaning: str,
+    prior: float,
+    lower: float = -math.inf,
+    upper: float = math.inf,
+    default: float = 0.0,
+    unknown: bool = False,
+    like: str = "",
+    usual: float = 0.0,
+) -> Any:
+    """Declare a field as a fitted `Parameter`; `default` is its value without this error."""
+    meta = {"unit": unit, "meaning": meaning, "prior": prior, "lower": lower, "upper": upper}
+    meta |= {"unknown": unknown, "like": like, "usual": usual}
+    return dataclasses.field(default=default, metadata={PARAMETER: meta})
+
+
+def place(allowed: Places | None = None, default: int | str | None = None) -> Any:
+    """Declare a field as a place. A model may hold several instances with different places.
+
+    All places of one form together are a family, which a diagnosis tries as a whole.
+
+    Args:
+        allowed: allowed values on an arm (`moving_joints`, `beams`, ... or a function of your
+            own); None for any text.
+        default: None if the field is required.
+    """
+    given = {} if default is None else {"default": default}
+    return dataclasses.field(**given, metadata={PLACE: allowed})  # type: ignore[call-overload]
+
+
+def form(
+    default: float | int | str,
+    lower: float | None = None,
+    upper: float | None = None,
+    tried: Sequence[float] | Sequence[int] | Sequence[str] = (),
+) -> Any:
+    """Declare a field as a form: a variant of the effect, which is tried but not fitted.
+
+    Args:
+        lower, upper: ends of a continuous scale. The search then also tries values between those
+            of `candidates`.  Without them only those values are tried.
+        tried: values of the candidates, where there are others than the default.
+    """
+    if (lower is None) != (upper is None):
+        raise TypeError("a form's scale has two ends")
+    scale = None if lower is None else (lower, upper)
+    return dataclasses.field(default=default, metadata={FORM: scale, TRIED: tuple(tried)})
