@@ -119,3 +119,9 @@ def test_bad_settings_name_the_field(settings, field):
     with pytest.raises(InputError) as caught:
         SparrowSearch(**settings)
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize("upper", [np.array([1.0, -1.0]), np.array([1.0, np.inf]), np.ones(3)])
+def test_bad_bounds_are_refused(upper):
+    with pytest.raises(InputError):
+        SparrowSearch().minimise(sphere, -np.ones(2), upper, np.random.default_rng(0))

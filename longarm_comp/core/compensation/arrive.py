@@ -90,12 +90,13 @@ def compensate_move(
     move = Move(np.zeros(0), None, wanted, np.zeros(model.arm.n, bool))
     arrived = history
     if predictor is not None or matters or sides is not None:
+        here = context_after(history)
         first = ik.solve(
-            physics, target, seed=seed, context=context_after(history),
+            physics, target, seed=seed, context=here,
             position_only=position_only, locked=options.locked, max_starts=options.starts,
         )  # fmt: skip
         if sides is None and options.run_up:
-            wanted = _chosen(model, start, first.q, matters, context_after(history))
+            wanted = _chosen(physics, start, first.q, matters, here)
         move = move_to(first.q)
         arrived = history.after(move.points, start)
     # Commands that are tried until one arrives as it assumes; the last assumes less

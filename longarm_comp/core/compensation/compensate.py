@@ -162,15 +162,22 @@ def judged(
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
     """Where the servos can stand, by the arm or by steps that were found; None: that is not known,
     or not asked for."""
-    if isinstance(realisable, Lattice):
-        lattice = realisable
-    else:
+    if not realisable:
+        return None
+    lattice = realisable if isinstance(realisable, Lattice) else _lattice(model)
+    return lattice if lattice.step.any() else None
+
+
+def _lattice(model: Model) -> Lattice:
+    """Of the steps that a model's arm declares, and of those that its effects have."""
+    held: Lattice | None = model.__dict__.get("_lattice")
+    if held is None:
         arm, steps = model.arm, model.arm.steps.copy()
         for effect in model.effects:
-            for row in effect.joints if effect.step(arm) else ():
-                steps[arm.commanded.index(row)] = effect.step(arm)
-        lattice = dataclasses.replace(Lattice.of(arm), step=steps)
-    return lattice if realisable and lattice.step.any() else None
+            if step := effect.step(arm):
+                steps[[arm.commanded.index(row) for row in effect.joints]] = step
+        held = model.__dict__["_lattice"] = dataclasses.replace(Lattice.of(arm), step=steps)
+    return held
 
 
 @dataclass

@@ -125,7 +125,14 @@ class SparrowSearch:
         Args:
             fitness: maps positions (P, D) to values (P,) in one call; NaN counts as infinitely bad.
             rng: the only source of randomness; the same state gives the same result.
+
+        Raises:
+            InputError: no box.
         """
+        fits = lower.ndim == 1 and lower.shape == upper.shape
+        if not fits or not (np.isfinite(upper - lower) & (lower < upper)).all():
+            allowed = "(D,) finite with lower < upper"
+            raise InputError("sparrow search", "bounds", (lower, upper), allowed)
         rules = self.rules
         n, horizon = self.population, self.iterations
         lead = max(1, round(_PD * n))
