@@ -228,11 +228,13 @@ def read_noise_free(folder: Path, n: int) -> tuple[np.ndarray, dict[str, np.ndar
 
 
 def test_another_authors_simulator(data_dir: Path, twin: Arm) -> None:
-    """Its beams also shear: by 0.05 mm, at 13 mm of sag."""
+    """Its beams also shear: with shear 0.005 mm apart, without 0.05 mm, at 13 mm of sag."""
     q, answer = read_noise_free(data_dir / "twin" / "none_mid_300", twin.n)
     weightless = twin.model_copy(update={"gravity_mps2": (0.0, 0.0, 0.0)})
     assert np.abs(TrueArm(weightless).tip(q) - answer["rigid_"]).max() < 2e-7  # its last digit
-    assert np.linalg.norm(TrueArm(twin).tip(q) - answer[""], axis=1).max() < 5e-5
+    for shear, allowed in ((True, 5e-6), (False, 5e-5)):
+        tip = TrueArm(twin, shear=shear).tip(q)
+        assert np.linalg.norm(tip - answer[""], axis=1).max() < allowed
 
 
 @pytest.mark.parametrize("case", range(8))

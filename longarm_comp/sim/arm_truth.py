@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.parts import Beam
+from longarm_comp.core.arm.parts import Beam, Tube
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.context import Array, State, TrueContext
 from longarm_comp.sim.hidden.base import THETA, D, HiddenEffect, Place
@@ -23,7 +23,7 @@ class Settled:
 
     pose: Array  # tip in the base frame, (N, 4, 4)
     torques: Array
-    """(N, n) loads: about a motor's axis (N m), along it if it slides (N)."""
+    """Moment of the weight about each motor's axis (N m), along it if it slides (N), (N, n)."""
 
 
 class Walk:
@@ -40,10 +40,12 @@ class Walk:
         hidden: Sequence[HiddenEffect],
         steps: int,
         held: Array | float = 0.0,
+        *,
+        shear: bool = False,
     ) -> None:
         arm = state.arm
         self._arm, self._state, self._hidden = arm, state, tuple(hidden)
-        self._steps = steps
+        self._steps, self._shear = steps, shear
         self._motor = {row: k for k, row in enumerate(arm.commanded)}
         q = state.q
         for effect in self._hidden:
@@ -178,6 +180,7 @@ class Walk:
         compliance = np.reshape(order, (3, 1)) ** -1.0
         for effect in self._hidden:
             compliance = compliance * effect.softness(beams[k], self._state)
+        stretch = _stretch(beams[k], axis) if self._shear else None
         bodies = [
             (b.mass_kg / length, np.clip(ends[j + 1] - length, ends[k], ends[k + 1]))
             for j, b in enumerate(beams)
@@ -190,7 +193,7 @@ class Walk:
                 continue
             middle = (near + far) / 2
             density = sum((rho * (start < middle) for rho, start in bodies), np.zeros_like(near))
-            walker.rod(axis, sign, far - near, compliance, density, self._steps)
+            walker.rod(axis, sign, far - near, compliance, density, self._steps, stretch)
 
     def _give(self, walker: Walker, place: Place) -> None:
         for effect in reversed(self._hidden):
@@ -201,6 +204,23 @@ class Walk:
                 walker.give(vector)
 
 
+def _stretch(beam: Beam, axis: int) -> Array | None:
+    """1/(kGA, kGA, EA) of a tube in the order of the axes, 1/N; None for other sections.
+
+    Cowper's shear coefficient of the hollow round (J. Appl. Mech. 33, 1966).
+    """
+    if not isinstance(beam.section, Tube) or beam.E_pa is None:
+        return None
+    _, _, torsion = beam.stiffness
+    shear_modulus = torsion / beam.section.second_moments()[2]
+    nu = beam.E_pa / (2 * shear_modulus) - 1
+    area = np.pi / 4 * (beam.section.od_m**2 - beam.section.id_m**2)
+    m2 = (beam.section.id_m / beam.section.od_m) ** 2
+    k = 6 * (1 + nu) * (1 + m2) ** 2 / ((7 + 6 * nu) * (1 + m2) ** 2 + (20 + 12 * nu) * m2)
+    across, along = 1 / (k * shear_modulus * area), 1 / (beam.E_pa * area)
+    return np.array([along, across, across] if axis == 0 else [across, across, along])
+
+
 class TrueArm:
     """The true arm: the declared arm with hidden effects.
 
@@ -208,10 +228,16 @@ class TrueArm:
         hidden: undeclared effects, in the order in which they act on the joints. Effects on the
             command (a servo's rounding) always come first.
         steps: integration steps per piece of rod.
+        shear: include shear and extension of tubes (0.04 mm on an arm that sags by 13 mm).
     """
 
     def __init__(
-        self, arm: Arm, hidden: Sequence[HiddenEffect] = (), *, steps: int = STEPS
+        self,
+        arm: Arm,
+        hidden: Sequence[HiddenEffect] = (),
+        *,
+        steps: int = STEPS,
+        shear: bool = False,
     ) -> None:
         if any(m.position_columns for m in arm.point_masses):
             raise InputError("simulated arm", "position_columns", "set", "masses at fixed places")
@@ -222,7 +248,7 @@ class TrueArm:
                 )
         self.arm = arm
         self.hidden = tuple(sorted(hidden, key=lambda effect: not effect.of_command))
-        self._steps = steps
+        self._steps, self._shear = steps, shear
 
     def tip(self, q: Array, context: TrueContext | None = None) -> Array:
         """True tip in the base frame, (N, 3) m, for commanded joints (N, n) or (n,)."""
@@ -240,11 +266,11 @@ class TrueArm:
 
     def settled(self, q: Array, context: TrueContext | None = None) -> Settled:
         state = State.of(self.arm, q, context)
-        walk = Walk(state, self.hidden, self._steps)
+        walk = Walk(state, self.hidden, self._steps, shear=self._shear)
         gamma = walk.solve(walk.rigid())
         if any(effect.gated for effect in self.hidden):
             torques = walk.finish(gamma).torques
             held = sum((e.held(torques, state) for e in self.hidden), np.zeros_like(state.q))
-            walk = Walk(state, self.hidden, self._steps, held)
+            walk = Walk(state, self.hidden, self._steps, held, shear=self._shear)
             gamma = walk.solve(gamma)
         return walk.finish(gamma)

@@ -1,9 +1,9 @@
 """Exact elastic rods, integrated from the tip back to the base.
 
-Kirchhoff rods (bending and torsion) under weight alone.  A `Walker` is at a section of the chain
-and holds the state of everything *beyond* it in the section's own axes: gravity, the moment of the
-weight beyond, points and directions.  One step back by ``du`` along the rod's axis ``e`` turns the
-axes by ``kappa du``, so that
+Kirchhoff rods (bending and torsion; optionally Cosserat rods, with shear and extension) under
+weight alone.  A `Walker` is at a section of the chain and holds the state of everything *beyond* it
+in the section's own axes: gravity, the moment of the weight beyond, points and directions.  One
+step back by ``du`` along the rod's axis ``e`` turns the axes by ``kappa du``, so that
 
     d gamma / du = kappa x gamma
     d mu / du    = kappa x mu + e x (M gamma)        kappa = diag(compliance) mu
@@ -130,7 +130,8 @@ class Walker:
         length: Array,
         compliance: Array,
         density: Array | float,
-        steps: int,
+        steps: int = STEPS,
+        stretch: Array | None = None,
     ) -> None:
         """Go back along an elastic rod (classical Runge-Kutta).
 
@@ -141,6 +142,8 @@ class Walker:
             compliance: 1/(EI, EI, GJ) in the order of the axes, (3,) or (3, N), 1/(N m^2).
             density: mass per length, kg/m, scalar or (N,).
             steps: integration steps.
+            stretch: 1/(kGA, kGA, EA) in the order of the axes, (3,), 1/N: shear and extension;
+                None leaves them out.
         """
         c = np.reshape(compliance, (3, 1, -1))
         h = length / steps
@@ -153,6 +156,10 @@ class Walker:
             out[i, _MOMENT] -= sign * f[j]
             out[j, _MOMENT] += sign * f[i]
             out[axis] += sign * self._point[:, None, None]
+            if stretch is not None:
+                strain = np.reshape(stretch, (3, 1, 1)) * f
+                out += strain[:, None] * self._point[:, None, None]
+                out[:, _MOMENT] += cross(strain, f)
             return out
 
         v, mass = self._v, self.mass
