@@ -39,7 +39,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.optimal_poses import Uncertainty
 from longarm_comp.report.assemble import assemble
 from longarm_comp.report.candidate_states import sizes
-from longarm_comp.report.detail import detail
+from longarm_comp.report.detail import SPLITS, detail
 from longarm_comp.report.pages import write_report
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
@@ -243,6 +243,19 @@ def test_without_a_reading_droop_and_softness_stay_a_set() -> None:
     assert not page.encoders
     said = [s.reason for s in page.splits if "servo_droop" in s.reason]
     assert said and all("(read_q3)" in reason for reason in said)
+
+
+def test_no_pose_splits_two_names_of_one_physics_at_some_joints() -> None:
+    """Soft joints 2 and 4: the other name is tried at these two, and only readings tell."""
+    found = diagnose(ARM, session((soft(2, 4),), encoders=False))
+    (finding,) = found.findings
+    assert finding.where == ("joint 2", "joint 4") and "servo_droop" in finding.names
+    other = next(a.candidate for a in finding.alternatives if a.name != finding.name)
+    assert other.where == finding.where
+    (split,) = found.split_by
+    assert split.log_bayes_factor < SPLITS
+    (said,) = detail(found, sizes(found), {}).splits
+    assert said.poses == 0 and "(read_q2, read_q4)" in said.reason
 
 
 @pytest.mark.parametrize("half", [5e-4, 2e-3])

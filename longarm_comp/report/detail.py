@@ -215,12 +215,12 @@ def _split(diagnosis: Diagnosis, by: SplittingPoses) -> SetSplit:
         return SetSplit(found.names, by.log_bayes_factor, len(by.q))
     pair = f"{by.between[0]} and {by.between[1]}"
     reason = f"No pose tells {pair} apart: expected log odds {by.log_bayes_factor:.1f}."
-    others = [a.candidate.terms[0] for a in found.alternatives[:1]]
-    first, read = found.terms[0], diagnosis.fit.session.read_joints
+    others, read = found.alternatives[0].candidate.terms, diagnosis.fit.session.read_joints
+    at_places = [(mine, o) for mine in found.terms for o in others if o.where == mine.where]
     deciding = [
         f"read_q{k + 1}"
         for k, row in enumerate(diagnosis.arm.commanded)
-        if k not in read and any(tell_apart(diagnosis.arm, [row], first, o) for o in others)
+        if k not in read and any(tell_apart(diagnosis.arm, [row], *pair) for pair in at_places)
     ]
     if deciding:
         reason += f" What the encoders say does ({', '.join(deciding)})."

@@ -263,10 +263,19 @@ class OfferedEffects:
         return max((levels_of(q) for q in stood), default=0)
 
     def _named(self, name: str, at: Sequence[Term]) -> Candidate:
-        """What is on offer by a name at the places of terms; the first where nothing is there."""
-        where = tuple(dict.fromkeys(t.where for t in at))
-        named = (c for c in self.things if c.name == name and c.where == where)
-        return next(named, self.things[self._first[name]])
+        """A name at the places of terms, in their forms; its first offer where it is not there."""
+        there: dict[str, Term] = {}
+        for offer in self.things:
+            for term in offer.terms if offer.name == name else ():
+                there.setdefault(term.where, term)
+        if not all(t.where in there for t in at):
+            return self.things[self._first[name]]
+        terms = []
+        for mine in at:
+            term = there[mine.where]
+            forms = {field: value for field, value in mine.forms.items() if field in term.forms}
+            terms.append(dataclasses.replace(term, **forms))  # type: ignore[arg-type]
+        return Candidate(name, tuple(terms))
 
     @cached_property
     def _first(self) -> dict[str, int]:
