@@ -104,8 +104,7 @@ def command(
     learned = load_predictor(predictor, arm, model) if predictor else None
     chosen = method_of(method, learned)
     alike |= {"method": chosen, "seed": None if seed_q is None else _joints(seed_q, arm)}
-    # more digits are no row's, and no number that Python reads
-    alike["locked"] = [int(v) if v.isdecimal() and len(v) <= 9 else v for v in locked]
+    alike["locked"] = [_place(v, arm) for v in locked]
     answers: Commands
     if path is None:
         answers = compensate(base, wanted, learned, run_up=run_up, realisable=realisable, **alike)
@@ -147,6 +146,15 @@ def _joints(text: str, arm: options.Arm) -> np.ndarray:
         allowed = f"{arm.n} finite numbers with commas between (rad, m)"
         raise InputError("compensate", "--seed-q", text, allowed)
     return q
+
+
+def _place(joint: str, arm: options.Arm) -> int:
+    """Place in q of a joint told by its name or the number of its DH row."""
+    rows = {str(row): k for k, row in enumerate(arm.commanded)}
+    places = rows | {name: k for k, name in enumerate(arm.joint_names)}
+    if joint not in places:
+        raise InputError("compensate", "--lock", joint, f"a commanded joint: {', '.join(places)}")
+    return places[joint]
 
 
 def _row(line: dict[str, Any], n: int) -> dict[str, object]:
