@@ -36,6 +36,7 @@ from longarm_comp.core.effects.drive_errors import (
     ServoQuantisation,
 )
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.fields import FORM, PARAMETER, PLACE
 from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError, Encoder, JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.masses import (
@@ -197,11 +198,10 @@ def _check(kind: Kind, source: str) -> None:
     frozen = "__dataclass_params__" in vars(kind) and vars(kind)["__dataclass_params__"].frozen
     if not frozen:
         raise InputError(source, name, kind.__name__, "a frozen dataclass, @dataclass(frozen=True)")
-    for missing in kind.undeclared():
-        allowed = "place(), form() or parameter()"
-        raise InputError(source, f"{name}.{missing}", "undeclared", allowed)
     for field in dataclasses.fields(kind):
         where = f"{name}.{field.name}"
+        if {PARAMETER, PLACE, FORM}.isdisjoint(field.metadata):
+            raise InputError(source, where, "undeclared", "place(), form() or parameter()")
         if hasattr(Effect, field.name) or hasattr(Bias, field.name):
             raise InputError(source, where, "taken", "a name that no effect has otherwise")
         if field.type not in _STORED:

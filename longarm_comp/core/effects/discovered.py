@@ -20,7 +20,6 @@ from longarm_comp.core.arm.context import ORDER, Context
 from longarm_comp.core.arm.posture import BASE, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
-from longarm_comp.core.effects.joint_term import with_prior
 from longarm_comp.core.effects.link_deflection import bent, elements
 from longarm_comp.core.effects.quantities import (
     AXES,
@@ -219,10 +218,6 @@ class _OfFunction:
     def inputs(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for q in self.of.quantities for name in q.inputs))
 
-    def require(self, context: Context) -> None:
-        if column := self.missing(context):  # type: ignore[attr-defined]
-            raise InputError(self.name, column, "missing", "a recorded column of the session")
-
     def check(self, arm: Arm, where: str) -> None:
         try:
             factors = self.of.factors
@@ -271,7 +266,7 @@ class Discovered(_OfFunction, Effect):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         unit = _quotient(COMPONENTS[self.component].unit, self.of.units(arm))
-        return with_prior(self.declared(), unit=unit, prior=self.scale)
+        return self.with_prior(self.scale, unit=unit)
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
@@ -333,7 +328,7 @@ class DiscoveredView(_OfFunction, Bias):
         """The amount, in m, or as a share of the distance, per unit of the function."""
         unit = "1" if self.axis == DISTANCE else "m"
         unit = _quotient(unit, self.of.units(arm))
-        return with_prior(self.declared(), unit=unit, prior=self.scale)
+        return self.with_prior(self.scale, unit=unit)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         at = SeenPoint(point, context)

@@ -14,7 +14,7 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any, ClassVar, Literal
 
 from typing_extensions import Self
@@ -106,7 +106,16 @@ class _Term:
     @cache
     def declared(cls) -> tuple[Parameter, ...]:
         """The parameters of this kind of effect, in the order of its fields."""
-        return tuple(Parameter(name, **p) for name, p in metadata(cls, PARAMETER).items())  # type: ignore[arg-type]
+        each = metadata(cls, PARAMETER).items()  # type: ignore[arg-type]
+        return tuple(dataclasses.replace(p, name=name) for name, p in each)
+
+    @classmethod
+    @lru_cache(maxsize=1024)
+    def with_prior(cls, *priors: float, **changes: Any) -> tuple[Parameter, ...]:
+        """The same for an arm, with one prior for all or one for each, and other attributes."""
+        priors = priors * len(cls.declared()) if len(priors) == 1 else priors
+        each = zip(cls.declared(), priors, strict=True)
+        return tuple(dataclasses.replace(p, prior=prior, **changes) for p, prior in each)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The parameters of this instance; priors may come from the arm's tolerances."""
@@ -115,12 +124,6 @@ class _Term:
     def with_values(self, values: Mapping[str, float]) -> Self:
         """A copy with other values of some parameters."""
         return dataclasses.replace(self, **{name: float(v) for name, v in values.items()})
-
-    @classmethod
-    def undeclared(cls) -> tuple[str, ...]:
-        """Fields that are declared neither as place, form nor parameter; there must be none."""
-        known = {PARAMETER, PLACE, FORM}
-        return tuple(f.name for f in dataclasses.fields(cls) if not known & set(f.metadata))
 
     @classmethod
     def allowed_places(cls) -> Mapping[str, Places]:
@@ -251,9 +254,9 @@ class _Term:
 
     def require(self, context: Context) -> None:
         """Raise `InputError` if an input that it needs was not recorded."""
-        for name in self.needs:
-            if not context.has(name):
-                raise InputError(self.name, name, "missing", "a recorded column of the session")
+        lacking = (name for name in self.needs if not context.has(name))
+        if name := next(lacking, self.missing(context)):
+            raise InputError(self.name, name, "missing", "a recorded column of the session")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -53,9 +52,7 @@ class BasePose(Effect):
         if known is None:
             return self.declared()
         turn = (math.radians(v) for v in three(known.rpy_deg))
-        priors = (*three(known.xyz_m), *turn)
-        pairs = zip(self.declared(), priors, strict=True)
-        return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
+        return self.with_prior(*three(known.xyz_m), *turn, unknown=False)
 
     def base(self, arm: Arm) -> Frame:
         moved = exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
@@ -99,8 +96,7 @@ class TipOffset(Effect):
         known = tolerance.markers.get(self.marker) if self.marker else tolerance.tip
         if known is None:
             return self.declared()
-        pairs = zip(self.declared(), three(known.xyz_m), strict=True)
-        return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
+        return self.with_prior(*three(known.xyz_m), unknown=False)
 
     def twists(self, posture: Posture) -> Twists:
         """Translation in the carrying frame, of the marker alone: what hangs there stays."""
