@@ -32,8 +32,7 @@ class JointGain(JointTerm):
     gain: float = parameter("1", "extra motion per commanded motion", prior=0.05)
 
     def twists(self, posture: Posture) -> Twists:
-        q = self.command(posture)
-        return self.motion(posture, self.gain * q)
+        return self.motion(posture, self.gain * self.command(posture))
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class _Term:
         title: what a mechanic calls it: ``play``.
         action: what can be done about it at the arm, in one sentence.
         whole: where it is, for an effect without a place.
-        part: key of arm.yaml that an arm must declare to have it.
+        part: attribute of `Arm` without which none has it: ``links``, ``camera``.
         needs: recorded inputs that every instance needs.
         geometry: always fitted, and never "named" by a diagnosis.
         passing: of one fit (where a touched point was), and no more: no model.yaml holds it.
@@ -67,9 +67,6 @@ class _Term:
             any displacement of that joint at the tip, and remaining structure is sought in it.
         stepped: has steps of a size that a scan finds (`of_step`).
         bends_beams: the declared beams bend by it.
-        remembers: of its joint's history. The length that unrecorded run-ups were taken to have is
-            part of its form: `run_up`, one for the whole session, which is sought in the data.
-        bounded: holds within the data that it was found in only (`Effect.outside`).
         acts: where it acts: a motor's encoder sees ``servo``, one at the joint ``gear`` too.
     """
 
@@ -92,8 +89,6 @@ class _Term:
     free_levels: ClassVar[int] = 0
     displaces_joint: ClassVar[bool] = False
     stepped: ClassVar[bool] = False
-    bounded: ClassVar[bool] = False
-    remembers: ClassVar[bool] = False
     bends_beams: ClassVar[bool] = False
     acts: ClassVar[Drive] = "arm"
 
@@ -137,12 +132,10 @@ class _Term:
 
     @property
     def places(self) -> dict[str, Any]:
-        """The place fields."""
         return self._values(PLACE)
 
     @property
     def forms(self) -> dict[str, Any]:
-        """The form fields."""
         return self._values(FORM)
 
     @property
@@ -156,7 +149,8 @@ class _Term:
     @property
     def where(self) -> str:
         """Its places in words: ``joint 2``, ``joint 3, driver 1``; `whole` without any."""
-        return ", ".join(f"{name} {value}" for name, value in self.places.items()) or self.whole
+        told = (f"{name} {value}" for name, value in self.places.items() if value != "")
+        return ", ".join(told) or self.whole
 
     def advice(self, arm: Arm) -> str:
         """What can be done about it at an arm."""
@@ -214,10 +208,8 @@ class _Term:
     @classmethod
     def for_arm(cls, arm: Arm) -> tuple[Self, ...]:
         """The instances to fit when the user declares this effect without a place."""
-        seen: dict[tuple[object, ...], Self] = {}
-        for term in itertools.chain(*cls.candidates(arm)):
-            seen.setdefault(term.variant, term)
-        return tuple(seen.values())
+        every = itertools.chain(*cls.candidates(arm))
+        return tuple({term.variant: term for term in every}.values())
 
     @classmethod
     def of_step(cls, arm: Arm, row: int, step: float) -> Self:

@@ -29,14 +29,10 @@ class TipPayload(_Weight):
     name = "tip_payload"
     title = "load at the tip"
     whole = "tip"
+    part = "weighed"  # else `undeclared_weight` has it
     action = "Weigh what the tip carries and declare it in arm.yaml."
 
     mass: float = parameter("kg", "mass beyond the declared payload", prior=0.1)
-
-    @classmethod
-    def sites(cls, arm: Arm) -> Sites:
-        """None where no weight is declared: `undeclared_weight` has it."""
-        return [{}] if arm.weighed else []
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: a tenth of the arm's weight; the carried mass cannot become negative."""

@@ -75,6 +75,7 @@ class TipOffset(Effect):
 
     name = "tip_offset"
     title = "marker offset"
+    whole = "tip"
     action = "Check the mount of the marker or tool."
     geometry = True
 
@@ -82,10 +83,6 @@ class TipOffset(Effect):
     x: float = parameter("m", "tip position error along x", prior=3e-3, unknown=True)
     y: float = parameter("m", "tip position error along y", prior=3e-3, unknown=True)
     z: float = parameter("m", "tip position error along z", prior=3e-3, unknown=True)
-
-    @property
-    def where(self) -> str:
-        return f"marker {self.marker}" if self.marker else "tip"
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:

@@ -101,7 +101,6 @@ class FrictionHysteresis(JointTerm):
         "cable": "Clean and grease sheaves and conduits; look for cables that rub.",
     }
     needs = ("approach",)
-    remembers = True
 
     near: float = form(0.04, lower=0.01, upper=0.6)
     far: float = form(0.15, lower=0.01, upper=0.6)
