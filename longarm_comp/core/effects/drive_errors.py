@@ -153,12 +153,6 @@ class ServoQuantisation(JointTerm):
         return self.step_m or arm.joints[self.joint - 1].step
 
     @classmethod
-    def as_declared(cls, arm: Arm) -> tuple[Self, ...]:
-        """Of the joints whose steps the arm declares."""
-        rows = [row for row in arm.commanded if arm.joints[row - 1].step > 0]
-        return tuple(cls(joint=row, steps_per_turn=0) for row in rows)
-
-    @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """The joints without a declared step, with one kind of servo, by its steps.
 

@@ -130,10 +130,8 @@ class LoadSum(OfPosture):
         return bool(_turning(arm))
 
     def read(self, posture: Posture) -> Scalar:
-        total: Scalar = 0.0
-        for row in _turning(posture.arm):
-            total = total + spatial.absolute(joint_load(posture, row))
-        return total
+        loads = (joint_load(posture, row) for row in _turning(posture.arm))
+        return sum(map(spatial.absolute, loads), 0.0)
 
 
 class Warmth(OfPosture):

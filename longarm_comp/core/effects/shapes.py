@@ -9,6 +9,7 @@ nothing is evaluated as code.
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -238,10 +239,7 @@ class Function:
 
     def value(self, read: Callable[[Quantity], Scalar]) -> Scalar:
         """Its value, given how to read a quantity."""
-        product: Scalar = 1.0
-        for factor in self.factors:
-            product = product * factor.at(read(factor.quantity))
-        return product
+        return math.prod((f.at(read(f.quantity)) for f in self.factors), start=1.0)
 
     @property
     def text(self) -> str:
