@@ -17,18 +17,13 @@ def write(folder: Path) -> None:
     for name in names:
         (folder / f"{name}.md").write_text(page(name, registered()[name]), encoding="utf-8")
     rows = [
-        f"| [{called(registered()[n])}]({n}.md) | `{n}` | {meaning(registered()[n])} |"
+        f"| [{registered()[n].heading()}]({n}.md) | `{n}` | {meaning(registered()[n])} |"
         for n in names
     ]
     listed = "\n".join(["# Effects", "", "| what a mechanic calls it | name | what it does |",
                         "|---|---|---|", *rows])  # fmt: skip
     tree = "\n".join(["```{toctree}", ":hidden:", "", *names, "```"])
     (folder / "index.md").write_text(f"{listed}\n\n{tree}\n", encoding="utf-8")
-
-
-def called(kind: Any) -> str:
-    """What a mechanic calls it."""
-    return str(kind.title or kind.name.replace("_", " "))
 
 
 def meaning(kind: Any) -> str:
@@ -43,7 +38,7 @@ def page(name: str, kind: Any) -> str:
     module = inspect.getmodule(kind)
     assert module is not None
     lines = [
-        f"# {called(kind)[:1].upper()}{called(kind)[1:]}",
+        f"# {kind.heading()[:1].upper()}{kind.heading()[1:]}",
         "",
         meaning(kind),
         "",

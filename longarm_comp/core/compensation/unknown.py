@@ -11,6 +11,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.compensation.weighing import SD
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.model.model import Model, unstack
 
@@ -29,7 +30,7 @@ def missing_column(model: Model, context: Context) -> str:
 def outside_data(model: Model, q: np.ndarray, context: Context) -> list[str]:
     """Which effects stand outside the data that they were found in at joints (M, n), in words."""
     beyond: list[set[str]] = [set() for _ in q]
-    if bounded := [e for e in model.effects if e.bounded]:
+    if bounded := [e for e in model.effects if type(e).outside is not Effect.outside]:
         posture = model.posture(unstack(q), context)
         for effect in bounded:
             for row, parts in zip(beyond, effect.outside(posture), strict=True):

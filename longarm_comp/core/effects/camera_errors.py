@@ -14,20 +14,14 @@ from longarm_comp.core.effects.effect import Bias, parameter
 
 
 @dataclass(frozen=True)
-class CameraView(Bias):
-    """A bias that needs to know where the declared camera is."""
-
-    instruments: ClassVar[Mapping[Instrument, str]] = {"camera": ""}
-    part = "camera"
-
-
-@dataclass(frozen=True)
-class CameraScale(CameraView):
+class CameraScale(Bias):
     """Everything seen is ``1 + scale`` times as far from the camera."""
 
     name = "camera_scale"
     title = "camera scale"
     action = "Repeat the stereo calibration; measure the printed target."
+    instruments: ClassVar[Mapping[Instrument, str]] = {"camera": ""}
+    part = "camera"
 
     scale: float = parameter("1", "relative scale error", prior=0.02)
 
@@ -37,12 +31,14 @@ class CameraScale(CameraView):
 
 
 @dataclass(frozen=True)
-class CameraRadial(CameraView):
+class CameraRadial(Bias):
     """Lateral part times ``1 + k1 r^2``, r the tangent off the optical axis (Brown)."""
 
     name = "camera_radial"
     title = "lens distortion"
     action = "Calibrate the lens again, with targets up to the edges of the image."
+    instruments: ClassVar[Mapping[Instrument, str]] = {"camera": ""}
+    part = "camera"
 
     k1: float = parameter("1", "first radial coefficient left over", prior=0.05)
 

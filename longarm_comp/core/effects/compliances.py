@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
-from longarm_comp.core.effects.joint_term import (
-    JointTerm,
-    by_drive,
-    reach,
-    typical_loads,
-    with_prior,
-)
+from longarm_comp.core.effects.joint_term import JointTerm, reach, typical_loads
 from longarm_comp.core.effects.link_deflection import extra_sag
 from longarm_comp.core.effects.sites import beams, rows
 
@@ -31,10 +26,10 @@ class JointCompliance(JointTerm):
     name = "joint_compliance"
     title = "soft joint"
     action = "Check keys, clamps and screws of the drive; a stiffer gear or shaft lowers it."
-    actions = by_drive(
-        hydraulic="Bleed cylinder and hoses of air; check hoses, pins and the valve's leakage.",
-        cable="Use stiffer cables or raise their pretension; check their anchors.",
-    )
+    actions: ClassVar = {
+        "hydraulic": "Bleed cylinder and hoses of air; check hoses, pins and the valve's leakage.",
+        "cable": "Use stiffer cables or raise their pretension; check their anchors.",
+    }
     passive = True
     loaded = True
     elastic = True
@@ -48,8 +43,8 @@ class JointCompliance(JointTerm):
         """
         force, torque = typical_loads(arm)
         if self.slides(arm):
-            return with_prior(self.declared(), unit="m/N", prior=0.002 * reach(arm) / force)
-        return with_prior(self.declared(), prior=0.02 / torque)
+            return self.with_prior(0.002 * reach(arm) / force, unit="m/N")
+        return self.with_prior(0.02 / torque)
 
     def twists(self, posture: Posture) -> Twists:
         return self.motion(posture, self.compliance * self.load(posture))
@@ -69,11 +64,11 @@ class ServoDroop(JointCompliance):
     elastic = False
     acts = "servo"
     action = "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
-    actions = by_drive(
-        hydraulic="Add integral action to the valve's controller, or check it for leakage.",
-        motor="Raise the gain of the position controller, or add integral action.",
-        cable="Raise the gain of the position controller, or measure the angle at the joint.",
-    )
+    actions: ClassVar = {
+        "hydraulic": "Add integral action to the valve's controller, or check it for leakage.",
+        "motor": "Raise the gain of the position controller, or add integral action.",
+        "cable": "Raise the gain of the position controller, or measure the angle at the joint.",
+    }
     aliases = ("joint_compliance",)
 
 
@@ -105,7 +100,7 @@ class BearingTilt(JointTerm):
 
         First seats of real arms, fitted: Justin 11 to 18 mrad, UR5 1, Pandas 0.2 to 4.
         """
-        return with_prior(self.declared(), prior=0.01 / typical_loads(arm)[1])
+        return self.with_prior(0.01 / typical_loads(arm)[1])
 
     def twists(self, posture: Posture) -> Twists:
         """Rotation about the seat's lateral axes, seen in the bearing's."""
@@ -158,7 +153,7 @@ class LinkBending(Effect):
 
         A short bracket of that section turns by little, as the arm's own beams would.
         """
-        return with_prior(self.declared(), prior=0.01 / (typical_loads(arm)[1] * reach(arm) / 4))
+        return self.with_prior(0.01 / (typical_loads(arm)[1] * reach(arm) / 4))
 
     def twists(self, posture: Posture) -> Twists:
         start, station = posture.frame(self.row - 1), posture.frame(self.row)
@@ -198,7 +193,7 @@ class BaseCompliance(Effect):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: 10 mrad under the arm's typical torque."""
-        return with_prior(self.declared(), prior=0.01 / typical_loads(arm)[1])
+        return self.with_prior(0.01 / typical_loads(arm)[1])
 
     def twists(self, posture: Posture) -> Twists:
         x, y, _ = posture.moment(0)

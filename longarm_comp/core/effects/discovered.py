@@ -20,10 +20,10 @@ from longarm_comp.core.arm.context import ORDER, Context
 from longarm_comp.core.arm.posture import BASE, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
-from longarm_comp.core.effects.joint_term import with_prior
 from longarm_comp.core.effects.link_deflection import bent, elements
 from longarm_comp.core.effects.quantities import (
     AXES,
+    JointSide,
     OfPosture,
     Recorded,
     SeenCoordinate,
@@ -44,25 +44,17 @@ def stations(arm: Arm) -> list[str]:
     return [BASE_PLACE, *each, TIP_PLACE]
 
 
-@dataclass(frozen=True)
-class Acting:
-    """A place at a posture: the station that a twist acts at; the pose at whose origin, in the
-    base frame, a wrench acts."""
-
-    station: int
-    frame: Frame
-
-    @classmethod
-    def of(cls, posture: Posture, place: str) -> Acting:
-        if place == TIP_PLACE:
-            tip = posture.arm.tip
-            station = posture.frame(tip.frame)
-            frame = posture.frames[station]
-            return cls(station, frame._replace(p=frame.transform(tip.position_m)))
-        kind, _, row = place.partition(" ")
-        stand = posture.bearing if kind == "joint" else posture.frame
-        station = stand(int(row)) if row else BASE
-        return cls(station, posture.frames[station])
+def _acting(posture: Posture, place: str) -> tuple[int, Frame]:
+    """The station that a twist acts at; the pose, in the base frame, that a wrench acts at."""
+    if place == TIP_PLACE:
+        tip = posture.arm.tip
+        station = posture.frame(tip.frame)
+        frame = posture.frames[station]
+        return station, frame._replace(p=frame.transform(tip.position_m))
+    kind, _, row = place.partition(" ")
+    stand = posture.bearing if kind == "joint" else posture.frame
+    station = stand(int(row)) if row else BASE
+    return station, posture.frames[station]
 
 
 @dataclass(frozen=True)
@@ -80,7 +72,7 @@ class _Component(ABC):
         return self.word if self.axis is None else f"{self.word} {AXES[self.axis]}"
 
     @abstractmethod
-    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
+    def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
         """Twists by station of `amount` of it."""
 
     def along(self, amount: Scalar) -> Vec:
@@ -92,16 +84,16 @@ class Move(_Component):
     word = "move"
     unit = "m"
 
-    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
-        return {at.station: (*self.along(amount), *ZERO)}
+    def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
+        return {station: (*self.along(amount), *ZERO)}
 
 
 class Turn(_Component):
     word = "turn"
     unit = "rad"
 
-    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
-        return {at.station: (*ZERO, *self.along(amount))}
+    def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
+        return {station: (*ZERO, *self.along(amount))}
 
 
 class Give(_Component):
@@ -110,26 +102,26 @@ class Give(_Component):
     word = "give"
     unit = "rad/(N m)"
 
-    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
-        x, y, _ = posture.moment(at.station)
-        return {at.station: (*ZERO, amount * x, amount * y, 0.0)}
+    def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
+        x, y, _ = posture.moment(station)
+        return {station: (*ZERO, amount * x, amount * y, 0.0)}
 
 
 class Wrench(_Component):
     """A load: it bends the declared beams between the base and the place."""
 
     @abstractmethod
-    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
+    def loads(self, posture: Posture, frame: Frame, amount: Scalar) -> tuple[Vec, Vec]:
         """Force (N) and moment (N m) in the base's axes."""
 
-    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Twists:
+    def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
         """To first order, every element as a cantilever under what the load makes of its end."""
-        pushed, turned = self.loads(posture, at, amount)
+        pushed, turned = self.loads(posture, frame, amount)
         made: dict[int, Twist] = {}
         for element in elements(posture):
-            if element.station <= at.station:
+            if element.station <= station:
                 end = posture.frames[element.station]
-                lever = spatial.sub(at.frame.p, end.p)
+                lever = spatial.sub(frame.p, end.p)
                 moment = spatial.add(turned, spatial.cross(lever, pushed))
                 here = end.unrotate(pushed), end.unrotate(moment)
                 made[element.station] = bent(posture, element, *here)
@@ -140,16 +132,16 @@ class Force(Wrench):
     word = "force"
     unit = "N"
 
-    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
-        return at.frame.rotate(self.along(amount)), ZERO
+    def loads(self, posture: Posture, frame: Frame, amount: Scalar) -> tuple[Vec, Vec]:
+        return frame.rotate(self.along(amount)), ZERO
 
 
 class Moment(Wrench):
     word = "moment"
     unit = "N m"
 
-    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
-        return ZERO, at.frame.rotate(self.along(amount))
+    def loads(self, posture: Posture, frame: Frame, amount: Scalar) -> tuple[Vec, Vec]:
+        return ZERO, frame.rotate(self.along(amount))
 
 
 class Weight(Wrench):
@@ -158,7 +150,7 @@ class Weight(Wrench):
     word = "weight"
     unit = "N"
 
-    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
+    def loads(self, posture: Posture, frame: Frame, amount: Scalar) -> tuple[Vec, Vec]:
         size = float(np.linalg.norm(posture.arm.gravity_mps2))
         return spatial.scale(amount * (1.0 / max(size, 1e-9)), posture.gravity), ZERO
 
@@ -219,10 +211,6 @@ class _OfFunction:
     def inputs(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for q in self.of.quantities for name in q.inputs))
 
-    def require(self, context: Context) -> None:
-        if column := self.missing(context):  # type: ignore[attr-defined]
-            raise InputError(self.name, column, "missing", "a recorded column of the session")
-
     def check(self, arm: Arm, where: str) -> None:
         try:
             factors = self.of.factors
@@ -234,9 +222,9 @@ class _OfFunction:
             if not (isinstance(of, (self.kind, Recorded)) and of.exists(arm)):
                 allowed = "a quantity of this arm, or a recorded column"
                 raise InputError(where, f"{self.name}.function", factor.of, allowed)
+        allowed = f"a number within +-{LARGEST:g}"
         for field, value in (("scale", self.scale), ("amount", self.amount)):
-            if not (np.isfinite(value) and abs(value) <= LARGEST):
-                allowed = f"a number within +-{LARGEST:g}"
+            if not abs(value) <= LARGEST:
                 raise InputError(where, f"{self.name}.{field}", value, allowed)
         if not self.scale > 0:
             raise InputError(where, f"{self.name}.scale", self.scale, "above 0")
@@ -258,7 +246,6 @@ class Discovered(_OfFunction, Effect):
     title = "cause without a name"
     action = "Look there for something that acts like this."
     loaded = True
-    bounded = True
     searched = False
     kind = OfPosture
 
@@ -271,7 +258,7 @@ class Discovered(_OfFunction, Effect):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         unit = _quotient(COMPONENTS[self.component].unit, self.of.units(arm))
-        return with_prior(self.declared(), unit=unit, prior=self.scale)
+        return self.with_prior(self.scale, unit=unit)
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
@@ -279,13 +266,14 @@ class Discovered(_OfFunction, Effect):
         return (int(row),) if kind == "joint" else ()
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
-        return tuple(dict.fromkeys(j for q in self.of.quantities for j in q.joints))
+        sides = (q for q in self.of.quantities if isinstance(q, JointSide))
+        return tuple(dict.fromkeys(q.joint for q in sides))
 
     def outside(self, posture: Posture) -> list[tuple[str, ...]]:
         """Which quantities of N postures lie outside the data, and so count as at their end."""
         made: list[tuple[str, ...]] = [()] * posture.count
         for factor in {f.of: f for f in self.of.factors if f.of != ORDER}.values():
-            read = factor.quantity.read(posture)  # type: ignore[attr-defined]
+            read = factor.quantity.read(posture)
             slack = _SLACK * (factor.high - factor.low)
             for row, x in enumerate(np.broadcast_to(read, posture.count).tolist()):
                 if not factor.low - slack <= x <= factor.high + slack:
@@ -294,9 +282,8 @@ class Discovered(_OfFunction, Effect):
         return made
 
     def twists(self, posture: Posture) -> Twists:
-        amount = self.amount * self.of.value(lambda q: q.read(posture))  # type: ignore[attr-defined]
-        at = Acting.of(posture, self.at)
-        return COMPONENTS[self.component].twists(posture, at, amount)
+        amount = self.amount * self.of.value(lambda q: q.read(posture))
+        return COMPONENTS[self.component].twists(posture, *_acting(posture, self.at), amount)
 
 
 @dataclass(frozen=True)
@@ -333,11 +320,11 @@ class DiscoveredView(_OfFunction, Bias):
         """The amount, in m, or as a share of the distance, per unit of the function."""
         unit = "1" if self.axis == DISTANCE else "m"
         unit = _quotient(unit, self.of.units(arm))
-        return with_prior(self.declared(), unit=unit, prior=self.scale)
+        return self.with_prior(self.scale, unit=unit)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         at = SeenPoint(point, context)
-        by: Scalar = self.amount * self.of.value(lambda q: q.read(at))  # type: ignore[attr-defined]
+        by: Scalar = self.amount * self.of.value(lambda q: q.read(at))
         if self.axis == DISTANCE and arm.camera is not None:
             ray = spatial.sub(point, arm.camera.position_m)
             return spatial.add(point, spatial.scale(by, ray))

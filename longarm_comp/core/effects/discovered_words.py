@@ -35,19 +35,17 @@ from longarm_comp.core.effects.quantities import (
 )
 from longarm_comp.core.effects.shapes import Above, Below, Cosine, Function, Shape, Sine, Switch
 
-TIME = "t_s"
 Found = Discovered | DiscoveredView
 
 
 @dataclass(frozen=True)
-class Traits:
+class _Traits:
     """What readings are chosen by."""
 
     terms: Sequence[Found]
 
     @property
     def shapes(self) -> list[Shape]:
-        """All shapes of its functions."""
         return [s for t in self.terms for s in t.of.factors]
 
     @property
@@ -55,67 +53,59 @@ class Traits:
         """Places and components of its members."""
         return dict.fromkeys((t.at, t.component) for t in self.terms)
 
-    def quantity(self, *kinds: type[Quantity]) -> bool:
+    def of(self, *kinds: type[Quantity]) -> bool:
         """Whether it depends on a quantity of some kinds."""
         return any(isinstance(s.quantity, kinds) for s in self.shapes)
 
-    def shape(self, *kinds: type[Shape]) -> bool:
-        """Whether it has a shape of some kinds."""
-        return any(isinstance(s, kinds) for s in self.shapes)
-
-    def switched_by(self, *kinds: type[Quantity]) -> bool:
-        """Whether it switches with a quantity of some kinds."""
-        return any(isinstance(s, Switch) and isinstance(s.quantity, kinds) for s in self.shapes)
+    def shape(self, *kinds: type[Shape], of: tuple[type[Quantity], ...] = (Quantity,)) -> bool:
+        """Whether it has a shape of some kinds, of a quantity of some."""
+        return any(isinstance(s, kinds) and isinstance(s.quantity, of) for s in self.shapes)
 
     def acts(self, kind: type) -> bool:
         """Whether all its components are of a kind."""
-        found = [COMPONENTS.get(t.component) for t in self.terms]
-        return all(isinstance(c, kind) for c in found)
+        return all(isinstance(COMPONENTS.get(t.component), kind) for t in self.terms)
 
     @property
-    def camera(self) -> bool:
-        """Whether it is on the measuring side."""
-        return any(t.at == CAMERA for t in self.terms)
-
-    @property
-    def columns(self) -> tuple[str, ...]:
+    def columns(self) -> set[str]:
         """Recorded columns that it depends on."""
-        held = [s.quantity.column for s in self.shapes if isinstance(s.quantity, Recorded)]
-        return tuple(dict.fromkeys(held))
+        return {s.of for s in self.shapes if isinstance(s.quantity, Recorded)}
 
 
-READINGS: tuple[tuple[str, Callable[[Traits], bool]], ...] = (
-    ("an error of what is measured, not of the arm", lambda t: t.camera),
+_READINGS: tuple[tuple[str, Callable[[_Traits], bool]], ...] = (
+    (
+        "an error of what is measured, not of the arm",
+        lambda t: any(each.at == CAMERA for each in t.terms),
+    ),
     (
         "a common supply that sags as the loads add up",
-        lambda t: t.quantity(LoadSum) and len(t.places) > 1,
+        lambda t: t.of(LoadSum) and len(t.places) > 1,
     ),
-    ("play or friction", lambda t: t.quantity(JointSide)),
+    ("play or friction", lambda t: t.of(JointSide)),
     (
         "a seat or clearance that flips with the load",
-        lambda t: t.switched_by(JointLoad, Moment, Gravity),
+        lambda t: t.shape(Switch, of=(JointLoad, Moment, Gravity)),
     ),
-    ("a spring or cable between the two places", lambda t: t.quantity(Span)),
+    ("a spring or cable between the two places", lambda t: t.of(Span)),
     ("a contact, a stop or a taut cable", lambda t: t.shape(Above, Below)),
     ("something that happened between two poses", lambda t: ORDER in t.columns and t.shape(Switch)),
     ("a part that changes over at one position", lambda t: t.shape(Switch)),
-    ("something thermal", lambda t: t.quantity(Warmth)),
-    ("drift", lambda t: not {TIME, ORDER}.isdisjoint(t.columns)),
+    ("something thermal", lambda t: t.of(Warmth)),
+    ("drift", lambda t: not {"t_s", ORDER}.isdisjoint(t.columns)),
     ("something that depends on the recorded column", lambda t: bool(t.columns)),
     (
         "a hose, chain or cable that is lifted",
-        lambda t: t.acts(Weight) and t.quantity(JointPosition),
+        lambda t: t.acts(Weight) and t.of(JointPosition),
     ),
     ("a mass that is not declared", lambda t: t.acts(Weight)),
     ("a soft part that yields under load", lambda t: t.acts(Give)),
     (
         "a hose or cable that pulls",
-        lambda t: t.acts(Wrench) and t.quantity(JointPosition),
+        lambda t: t.acts(Wrench) and t.of(JointPosition),
     ),
     ("an eccentric gear, pulley or encoder", lambda t: t.shape(Cosine, Sine) and t.acts(Turn)),
     (
         "a soft part that yields under load",
-        lambda t: t.acts(Turn) and t.quantity(JointLoad, Moment, LoadSum),
+        lambda t: t.acts(Turn) and t.of(JointLoad, Moment, LoadSum),
     ),
     ("an undeclared weight or spring", lambda t: t.acts(Force) and not t.shapes),
     ("a joint that does not turn as commanded", lambda t: t.acts(Turn)),
@@ -125,8 +115,8 @@ READINGS: tuple[tuple[str, Callable[[Traits], bool]], ...] = (
 
 def reading(terms: Sequence[Found]) -> str:
     """What terms behave like together; never what they are."""
-    traits = Traits(terms)
-    words = (f"behaves like {words}" for words, fits in READINGS if fits(traits))
+    traits = _Traits(terms)
+    words = (f"behaves like {words}" for words, fits in _READINGS if fits(traits))
     return next(words, "no known cause")
 
 
@@ -143,7 +133,7 @@ def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> 
 
 def seen_alike(terms: Sequence[Found]) -> list[str]:
     """What the camera may see in its place: a shift of all points, wherever the arm stands."""
-    traits = Traits(terms)
+    traits = _Traits(terms)
     moved = all(t.at == BASE_PLACE and t.component.startswith(Move.word) for t in terms)
     recorded = all(isinstance(s.quantity, (Recorded, Warmth)) for s in traits.shapes)
     if not (moved and recorded and traits.shapes):
@@ -154,7 +144,7 @@ def seen_alike(terms: Sequence[Found]) -> list[str]:
 
 def domain(terms: Sequence[Found]) -> list[str]:
     """``q2 0..0.52 rad`` of every quantity: outside, it counts as at the end."""
-    held = {s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for s in Traits(terms).shapes}
+    held = {s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for s in _Traits(terms).shapes}
     return list(held.values())
 
 

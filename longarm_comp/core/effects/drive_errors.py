@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from typing_extensions import Self
 
@@ -11,7 +12,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import form, parameter
-from longarm_comp.core.effects.joint_term import JointTerm, by_drive
+from longarm_comp.core.effects.joint_term import JointTerm
 
 
 @dataclass(frozen=True)
@@ -21,18 +22,17 @@ class JointGain(JointTerm):
     name = "joint_gain"
     title = "scale error of the joint"
     action = "Check the gear ratio and the counts per turn in the servo's settings."
-    actions = by_drive(
-        motor="Check the gear ratio and the encoder's counts per turn in the drive's settings.",
-        hydraulic="Calibrate the joint's angle or length sensor again, at both ends of its travel.",
-        cable="Measure the drum's diameter with the cable on it and set the ratio.",
-    )
+    actions: ClassVar = {
+        "motor": "Check the gear ratio and the encoder's counts per turn in the drive's settings.",
+        "hydraulic": "Calibrate the joint's angle or length sensor again, at both ends of travel.",
+        "cable": "Measure the drum's diameter with the cable on it and set the ratio.",
+    }
     free_levels = 2
 
     gain: float = parameter("1", "extra motion per commanded motion", prior=0.05)
 
     def twists(self, posture: Posture) -> Twists:
-        q = self.command(posture)
-        return self.motion(posture, self.gain * q)
+        return self.motion(posture, self.gain * self.command(posture))
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class PrismaticPitch(JointGain):
     title = "pitch error of the slide"
     types = ("prismatic",)
     action = "Check the pitch of the spindle or belt in the servo's settings."
-    actions = by_drive(
-        hydraulic="Calibrate the cylinder's length sensor again, at both ends of its travel.",
-        cable="Measure the drum's diameter with the cable on it and set the ratio.",
-    )
+    actions: ClassVar = {
+        "hydraulic": "Calibrate the cylinder's length sensor again, at both ends of its travel.",
+        "cable": "Measure the drum's diameter with the cable on it and set the ratio.",
+    }
     free_levels = 0
 
     gain: float = parameter("1", "extra travel per commanded travel", prior=0.02)
@@ -59,10 +59,10 @@ class GearEccentricity(JointTerm):
     name = "gear_eccentricity"
     title = "eccentric gear"
     action = "Seat the gear wheel or encoder disc again, or replace it."
-    actions = by_drive(
-        hydraulic="Check the linkage's pins and the seat of the angle sensor.",
-        cable="Seat the drum or sheave again, or replace it.",
-    )
+    actions: ClassVar = {
+        "hydraulic": "Check the linkage's pins and the seat of the angle sensor.",
+        "cable": "Seat the drum or sheave again, or replace it.",
+    }
     free_levels = 3
 
     order: int = form(1, tried=(1, 2))
@@ -151,12 +151,6 @@ class ServoQuantisation(JointTerm):
         if self.steps_per_turn:
             return 2 * math.pi / self.steps_per_turn
         return self.step_m or arm.joints[self.joint - 1].step
-
-    @classmethod
-    def as_declared(cls, arm: Arm) -> tuple[Self, ...]:
-        """Of the joints whose steps the arm declares."""
-        rows = [row for row in arm.commanded if arm.joints[row - 1].step > 0]
-        return tuple(cls(joint=row, steps_per_turn=0) for row in rows)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:

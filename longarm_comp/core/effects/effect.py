@@ -14,7 +14,7 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any, ClassVar, Literal
 
 from typing_extensions import Self
@@ -46,7 +46,7 @@ class _Term:
         title: what a mechanic calls it: ``play``.
         action: what can be done about it at the arm, in one sentence.
         whole: where it is, for an effect without a place.
-        part: key of arm.yaml that an arm must declare to have it.
+        part: attribute of `Arm` without which none has it: ``links``, ``camera``.
         needs: recorded inputs that every instance needs.
         geometry: always fitted, and never "named" by a diagnosis.
         passing: of one fit (where a touched point was), and no more: no model.yaml holds it.
@@ -67,9 +67,6 @@ class _Term:
             any displacement of that joint at the tip, and remaining structure is sought in it.
         stepped: has steps of a size that a scan finds (`of_step`).
         bends_beams: the declared beams bend by it.
-        remembers: of its joint's history. The length that unrecorded run-ups were taken to have is
-            part of its form: `run_up`, one for the whole session, which is sought in the data.
-        bounded: holds within the data that it was found in only (`Effect.outside`).
         acts: where it acts: a motor's encoder sees ``servo``, one at the joint ``gear`` too.
     """
 
@@ -92,8 +89,6 @@ class _Term:
     free_levels: ClassVar[int] = 0
     displaces_joint: ClassVar[bool] = False
     stepped: ClassVar[bool] = False
-    bounded: ClassVar[bool] = False
-    remembers: ClassVar[bool] = False
     bends_beams: ClassVar[bool] = False
     acts: ClassVar[Drive] = "arm"
 
@@ -106,7 +101,16 @@ class _Term:
     @cache
     def declared(cls) -> tuple[Parameter, ...]:
         """The parameters of this kind of effect, in the order of its fields."""
-        return tuple(Parameter(name, **p) for name, p in metadata(cls, PARAMETER).items())  # type: ignore[arg-type]
+        each = metadata(cls, PARAMETER).items()  # type: ignore[arg-type]
+        return tuple(dataclasses.replace(p, name=name) for name, p in each)
+
+    @classmethod
+    @lru_cache(maxsize=1024)
+    def with_prior(cls, *priors: float, **changes: Any) -> tuple[Parameter, ...]:
+        """The same for an arm, with one prior for all or one for each, and other attributes."""
+        priors = priors * len(cls.declared()) if len(priors) == 1 else priors
+        each = zip(cls.declared(), priors, strict=True)
+        return tuple(dataclasses.replace(p, prior=prior, **changes) for p, prior in each)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """The parameters of this instance; priors may come from the arm's tolerances."""
@@ -115,12 +119,6 @@ class _Term:
     def with_values(self, values: Mapping[str, float]) -> Self:
         """A copy with other values of some parameters."""
         return dataclasses.replace(self, **{name: float(v) for name, v in values.items()})
-
-    @classmethod
-    def undeclared(cls) -> tuple[str, ...]:
-        """Fields that are declared neither as place, form nor parameter; there must be none."""
-        known = {PARAMETER, PLACE, FORM}
-        return tuple(f.name for f in dataclasses.fields(cls) if not known & set(f.metadata))
 
     @classmethod
     def allowed_places(cls) -> Mapping[str, Places]:
@@ -134,12 +132,10 @@ class _Term:
 
     @property
     def places(self) -> dict[str, Any]:
-        """The place fields."""
         return self._values(PLACE)
 
     @property
     def forms(self) -> dict[str, Any]:
-        """The form fields."""
         return self._values(FORM)
 
     @property
@@ -153,7 +149,8 @@ class _Term:
     @property
     def where(self) -> str:
         """Its places in words: ``joint 2``, ``joint 3, driver 1``; `whole` without any."""
-        return ", ".join(f"{name} {value}" for name, value in self.places.items()) or self.whole
+        told = (f"{name} {value}" for name, value in self.places.items() if value != "")
+        return ", ".join(told) or self.whole
 
     def advice(self, arm: Arm) -> str:
         """What can be done about it at an arm."""
@@ -211,10 +208,8 @@ class _Term:
     @classmethod
     def for_arm(cls, arm: Arm) -> tuple[Self, ...]:
         """The instances to fit when the user declares this effect without a place."""
-        seen: dict[tuple[object, ...], Self] = {}
-        for term in itertools.chain(*cls.candidates(arm)):
-            seen.setdefault(term.variant, term)
-        return tuple(seen.values())
+        every = itertools.chain(*cls.candidates(arm))
+        return tuple({term.variant: term for term in every}.values())
 
     @classmethod
     def of_step(cls, arm: Arm, row: int, step: float) -> Self:
@@ -251,9 +246,9 @@ class _Term:
 
     def require(self, context: Context) -> None:
         """Raise `InputError` if an input that it needs was not recorded."""
-        for name in self.needs:
-            if not context.has(name):
-                raise InputError(self.name, name, "missing", "a recorded column of the session")
+        lacking = (name for name in self.needs if not context.has(name))
+        if name := next(lacking, self.missing(context)):
+            raise InputError(self.name, name, "missing", "a recorded column of the session")
 
 
 @dataclass(frozen=True)

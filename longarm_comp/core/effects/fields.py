@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.effects.parameters import Parameter
 
 PARAMETER, PLACE, FORM, TRIED = "parameter", "place", "form", "tried"
 Places = Callable[[Arm], Sequence[int] | Sequence[str]]
@@ -28,14 +29,11 @@ def parameter(
     lower: float = -math.inf,
     upper: float = math.inf,
     default: float = 0.0,
-    unknown: bool = False,
-    like: str = "",
-    usual: float = 0.0,
+    **further: Any,
 ) -> Any:
     """Declare a field as a fitted `Parameter`; `default` is its value without this error."""
-    meta = {"unit": unit, "meaning": meaning, "prior": prior, "lower": lower, "upper": upper}
-    meta |= {"unknown": unknown, "like": like, "usual": usual}
-    return dataclasses.field(default=default, metadata={PARAMETER: meta})
+    made = Parameter("", unit, meaning, prior, lower, upper, **further)
+    return dataclasses.field(default=default, metadata={PARAMETER: made})
 
 
 def place(allowed: Places | None = None, default: int | str | None = None) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -12,7 +13,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, Sites, form, parameter, place
-from longarm_comp.core.effects.joint_term import JointTerm, by_drive, reach, with_prior
+from longarm_comp.core.effects.joint_term import JointTerm, reach
 from longarm_comp.core.effects.sites import moving_joints, rows
 from longarm_comp.core.errors import InputError
 
@@ -25,11 +26,11 @@ class JointZero(JointTerm):
     title = "zero offset"
     types = ("revolute", "prismatic")
     action = "Set the zero of the servo or encoder again."
-    actions = by_drive(
-        hydraulic="Set the zero of the joint's angle or length sensor again.",
-        motor="Reference the axis again, or set the encoder's zero.",
-        cable="Reference the joint again; look for a cable that slipped or stretched.",
-    )
+    actions: ClassVar = {
+        "hydraulic": "Set the zero of the joint's angle or length sensor again.",
+        "motor": "Reference the axis again, or set the encoder's zero.",
+        "cable": "Reference the joint again; look for a cable that slipped or stretched.",
+    }
     geometry = True
     displaces_joint = True
 
@@ -39,9 +40,9 @@ class JointZero(JointTerm):
         """Prior from the row's tolerance, else 4 mrad or 1 mm."""
         joint = arm.joints[self.joint - 1]
         if joint.type == "prismatic":
-            return with_prior(self.declared(), unit="m", prior=joint.tolerance.d_m or 1e-3)
+            return self.with_prior(joint.tolerance.d_m or 1e-3, unit="m")
         declared = joint.tolerance.theta_deg
-        return with_prior(self.declared(), prior=math.radians(declared) if declared else 4e-3)
+        return self.with_prior(math.radians(declared) if declared else 4e-3)
 
     def twists(self, posture: Posture) -> Twists:
         return self.motion(posture, self.offset)
@@ -85,7 +86,7 @@ class DhError(Effect):
         priors = {"a": a, "b": a, "alpha": alpha, "beta": alpha, "d": d, "theta": theta}
         if joint.commanded:
             priors["theta" if joint.type == "revolute" else "d"] = 0.0
-        return tuple(dataclasses.replace(p, prior=priors[p.name]) for p in self.declared())
+        return self.with_prior(*priors.values())
 
     def check(self, arm: Arm, where: str) -> None:
         """No length is wrong by a quarter of the arm's reach."""
@@ -162,7 +163,7 @@ class Encoder(Bias):
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         zero, scale = self.declared()
         if arm.joints[self.joint - 1].type == "prismatic":
-            return (*with_prior((zero,), unit="m", prior=1e-3), scale)
+            return (dataclasses.replace(zero, unit="m", prior=1e-3), scale)
         return zero, scale
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:

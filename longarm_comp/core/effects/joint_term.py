@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -16,17 +14,12 @@ from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import play
 from longarm_comp.core.arm.posture import Chain, Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar, Twist
-from longarm_comp.core.effects.effect import Drive, Effect, Parameter, Sites, form, place
+from longarm_comp.core.effects.effect import Drive, Effect, Sites, form, place
 from longarm_comp.core.effects.sites import moving_joints
 
 _POSES = 64
 """Poses over which a typical load is taken."""
 _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
-
-
-def by_drive(**actions: str) -> Mapping[str, str]:
-    """What can be done about an effect, by the joint's kind of drive."""
-    return actions
 
 
 @dataclass(frozen=True)
@@ -167,12 +160,6 @@ def joint_load(posture: Posture, joint: int) -> Scalar:
         share = posture.force(station)[2] if sliding else posture.moment(station)[2]
         total = total + (share if weight == 1.0 else weight * share)
     return total
-
-
-@lru_cache(maxsize=1024)
-def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Parameter, ...]:
-    """Copies of parameters with other attributes (prior, unit) for an arm."""
-    return tuple(dataclasses.replace(p, **changes) for p in parameters)  # type: ignore[arg-type]
 
 
 _loads_of: dict[str, tuple[float, float]] = {}

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from longarm_comp.core.arm import stacked
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Element, Posture, Twists, loads
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec, absolute
 from longarm_comp.core.effects.effect import Effect, Sites
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -69,41 +72,41 @@ def cantilever(posture: Posture, element: Element) -> Twist:
 
 def _cantilevers(posture: Posture) -> dict[int, Twist]:
     """Of all elements, by station; those of one kind at once."""
-    kinds: dict[tuple, dict[int, tuple[Scalar, ...]]] = {}
+    kinds: dict[tuple, dict[tuple[int, int], tuple[Scalar, ...]]] = {}
     masses, firsts = posture.carried
     for e in elements(posture):
         length, sign, inverse = _beam(posture, e)
         spread = posture.line_loads[e.station]
         frame, at = posture.frames[e.station], e.station
-        carried = (*frame.n, *frame.o, *frame.a, *frame.p, masses[at], *firsts[at])
-        kind = e.axis, sign, tuple(h is length for _, h in spread)
+        n, o, a = _beam_axes(e.axis, frame[:3])
+        carried = (*n, *o, *a, *frame.p, masses[at], *firsts[at])
+        kind = sign, tuple(h is length for _, h in spread)
         item = (length, *inverse, *carried, *(x for load in spread for x in load))
-        kinds.setdefault(kind, {})[at] = item
+        kinds.setdefault(kind, {})[at, e.axis] = item
     made = {}
-    for (axis, sign, whole), items in kinds.items():
+    for (sign, whole), items in kinds.items():
         for stations, x in stacked.alike(items):
             frame = Frame(x[4:7], x[7:10], x[10:13], x[13:16])
             felt = loads(frame, x[16], x[17:20], posture.gravity)
             along = list(zip(x[20::2], x[21::2], whole, strict=True))
-            twist = _cantilever(axis, sign, x[0], x[1:4], felt, along)
-            for row, station in enumerate(stations):
-                made[station] = stacked.one_of(twist, row)
-    return made  # type: ignore[return-value]
+            twist = _cantilever(sign, x[0], x[1:4], felt, along)
+            for row, (station, axis) in enumerate(stations):
+                made[station] = _frame_axes(axis, stacked.one_of(twist, row))
+    return made
 
 
 def _cantilever(
-    axis: int,
     sign: float,
     length: Scalar,
     inverse: Vec,
     felt: tuple[Vec, Vec, Vec],
     spread: Sequence[tuple[Scalar, Scalar, bool]],
 ) -> Twist:
-    """Twist at the end of an element, as `cantilever`.
+    """Twist at the end of an element, as `cantilever`, in the beam's axes.
 
     Args:
-        axis, sign, length, inverse: as `_beam` gives them.
-        felt: gravity, force and moment at the end, in its axes.
+        sign, length, inverse: as `_beam` gives them.
+        felt: gravity, force and moment at the end, in the beam's axes.
         spread: density (kg/m) and loaded length (m) of each mass along it, and whether that is
             the element's whole length.
     """
@@ -122,72 +125,63 @@ def _cantilever(
         bent_before = (length * length * length - h * h * h) / 3 - h * (length * length - h * h) / 4
         sag_w = sag_w + density * h * (h * h * h / 8 + bent_before)
 
-    uw = _across(axis, sign, gravity)
-    slope, sag = _end_loaded(length, axis, sign, force, moment)
-    for k, w in uw.items():
-        slope[k] = slope[k] + slope_w * w
+    slope, sag = _end_loaded(length, sign, force, moment)
+    for k, w in enumerate(_across(sign, gravity)):
+        slope[k + 1] = slope[k + 1] + slope_w * w
         sag[k] = sag[k] + sag_w * w
-    d, theta = _bend(axis, sign, slope, sag, inverse)
-    i, j, k = _axes(axis)
-    half = [0.5 * t for t in theta]
-    turned = list(d)
-    turned[i] = -0.2 * (half[j] * d[k] - half[k] * d[j])
-    turned[j] = d[j] - half[i] * d[k]
-    turned[k] = d[k] + half[i] * d[j]
-    return (*turned, *theta)  # type: ignore[return-value]
+    _, y, z, *theta = _bend(sign, slope, sag, inverse)
+    about_x, about_y, about_z = (0.5 * t for t in theta)
+    shortened = -0.2 * (about_y * z - about_z * y)
+    return (shortened, y - about_x * z, z + about_x * y, *theta)  # type: ignore[return-value]
 
 
 def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
     """Twist at the end of a beam element under a force (N) and moment (N m) in its axes there, to
     first order."""
     length, sign, inverse = _beam(posture, element)
-    slope, sag = _end_loaded(length, element.axis, sign, force, moment)
-    d, theta = _bend(element.axis, sign, slope, sag, inverse)
-    return (*d, *theta)
+    ends = (_beam_axes(element.axis, v) for v in (force, moment))
+    slope, sag = _end_loaded(length, sign, *ends)
+    return _frame_axes(element.axis, _bend(sign, slope, sag, inverse))
 
 
 def _beam(posture: Posture, element: Element) -> tuple[Scalar, float, tuple[float, float, float]]:
-    """Length (m), sign along its axis and compliances about x, y, z (1/(N m^2)) of an element."""
+    """Length (m), sign along its axis and compliances (1/(N m^2)) along and across an element."""
     signed = posture.lengths[element.station]
-    length = absolute(signed)
     sign = -1.0 if type(signed) is float and signed < 0 else 1.0
     first, second, torsion = element.beam.stiffness
-    across = 1 / first, 1 / second
-    along = 1 / torsion
-    return length, sign, (along, *across) if element.axis == 0 else (*across, along)
+    return absolute(signed), sign, (1 / torsion, 1 / first, 1 / second)
 
 
-def _axes(axis: int) -> tuple[int, int, int]:
-    """The axis along the beam and the two across it."""
-    return axis, (axis + 1) % 3, (axis + 2) % 3
+def _beam_axes(axis: int, of_frame: tuple[_T, _T, _T]) -> tuple[_T, _T, _T]:
+    """What belongs to a frame's x, y, z, by the beam's axes: the one along it, two across it."""
+    return of_frame[axis:] + of_frame[:axis]  # type: ignore[return-value]
 
 
-def _across(axis: int, sign: float, v: Vec) -> dict[int, Scalar]:
-    """``u x v`` of the beam's direction u: its two components across the beam, by axis."""
-    _, j, k = _axes(axis)
-    return {j: -v[k], k: v[j]} if sign > 0 else {j: v[k], k: -v[j]}
+def _frame_axes(axis: int, twist: Twist) -> Twist:
+    """A twist in the beam's axes, in the frame's."""
+    d, theta = twist[:3], twist[3:]
+    return (*d[3 - axis :], *d[: 3 - axis], *theta[3 - axis :], *theta[: 3 - axis])  # type: ignore[return-value]
+
+
+def _across(sign: float, v: Vec) -> tuple[Scalar, Scalar]:
+    """``u x v`` of the beam's direction u: its two components across the beam."""
+    return (-v[2], v[1]) if sign > 0 else (v[2], -v[1])
 
 
 def _end_loaded(
-    length: Scalar, axis: int, sign: float, force: Vec, moment: Vec
+    length: Scalar, sign: float, force: Vec, moment: Vec
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Integrals over the length of the bending moment ``M(s)`` and of ``M(s) (l - s)``.
-
-    The second is 0 along the beam: torsion bends nothing.
-    """
+    """Integrals over the length of the bending moment ``M(s)`` and, across, of ``M(s) (l - s)``."""
     l1, l2, l3 = length, 0.5 * length * length, length * length * length / 3
     slope: list[Scalar] = [l1 * m for m in moment]
-    sag: list[Scalar] = [0.0, 0.0, 0.0]
-    for k, pushed in _across(axis, sign, force).items():
+    sag: list[Scalar] = []
+    for k, pushed in enumerate(_across(sign, force), 1):
         slope[k] = slope[k] + l2 * pushed
-        sag[k] = l2 * moment[k] + l3 * pushed
+        sag.append(l2 * moment[k] + l3 * pushed)
     return slope, sag
 
 
-def _bend(
-    axis: int, sign: float, slope: list[Scalar], sag: list[Scalar], inverse: Vec
-) -> tuple[Vec, Vec]:
+def _bend(sign: float, slope: list[Scalar], sag: list[Scalar], inverse: Vec) -> Twist:
     """Displacement and turn of a beam's end from these integrals."""
-    bend = (sag[0] * inverse[0], sag[1] * inverse[1], sag[2] * inverse[2])
-    d = {axis: 0.0, **_across(axis, -sign, bend)}
-    return (d[0], d[1], d[2]), (slope[0] * inverse[0], slope[1] * inverse[1], slope[2] * inverse[2])
+    y, z = _across(-sign, (0.0, sag[0] * inverse[1], sag[1] * inverse[2]))
+    return (0.0, y, z, slope[0] * inverse[0], slope[1] * inverse[1], slope[2] * inverse[2])

@@ -8,7 +8,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Vec, add, cross
 from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
-from longarm_comp.core.effects.joint_term import typical_loads, with_prior
+from longarm_comp.core.effects.joint_term import typical_loads
 from longarm_comp.core.effects.sites import moving_joints, rows
 
 
@@ -29,20 +29,16 @@ class TipPayload(_Weight):
     name = "tip_payload"
     title = "load at the tip"
     whole = "tip"
+    part = "weighed"  # else `undeclared_weight` has it
     action = "Weigh what the tip carries and declare it in arm.yaml."
 
     mass: float = parameter("kg", "mass beyond the declared payload", prior=0.1)
-
-    @classmethod
-    def sites(cls, arm: Arm) -> Sites:
-        """None where no weight is declared: `undeclared_weight` has it."""
-        return [{}] if arm.weighed else []
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: a tenth of the arm's weight; the carried mass cannot become negative."""
         weight = typical_loads(arm)[0] / 9.81
         held = arm.payload.mass_kg if arm.payload else 0.0
-        return with_prior(self.declared(), prior=max(0.1 * weight, 1e-6), lower=-held)
+        return self.with_prior(max(0.1 * weight, 1e-6), lower=-held)
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         at = posture.arm.payload or posture.arm.tip
@@ -74,7 +70,7 @@ class LinkMass(_Weight):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: a tenth of the arm's weight."""
-        return with_prior(self.declared(), prior=max(0.1 * typical_loads(arm)[0] / 9.81, 1e-6))
+        return self.with_prior(max(0.1 * typical_loads(arm)[0] / 9.81, 1e-6))
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         return (Lumped(posture.frame(self.frame), self.mass, ZERO),)
@@ -105,10 +101,8 @@ class UndeclaredWeight(_Weight):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Priors: a quarter of the arm's weight at the tip, and another shared by the joints."""
-        tip, drives = self.declared()
         quarter = typical_loads(arm)[0] / 9.81 / 4
-        each = quarter / len(moving_joints(arm))
-        return (*with_prior((tip,), prior=quarter), *with_prior((drives,), prior=each))
+        return self.with_prior(quarter, quarter / len(moving_joints(arm)))
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         arm = posture.arm

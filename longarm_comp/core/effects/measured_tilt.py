@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing_extensions import Self
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Inclinometer
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Effect, Parameter, form, parameter, place
 from longarm_comp.core.effects.sites import frames
-from longarm_comp.core.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -61,11 +59,6 @@ class MeasuredTilt(Effect):
     def inputs(self) -> tuple[str, ...]:
         of = self.sensor or self.frame
         return (f"incl_{of}_x", f"incl_{of}_y")
-
-    def require(self, context: Context) -> None:
-        for column in self.inputs:
-            if not context.has(column):
-                raise InputError(self.name, column, "missing", "an inclinometer's reading (rad)")
 
     def twists(self, posture: Posture) -> Twists:
         x, y = (posture.context.column(name, 0.0) for name in self.inputs)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -53,9 +52,7 @@ class BasePose(Effect):
         if known is None:
             return self.declared()
         turn = (math.radians(v) for v in three(known.rpy_deg))
-        priors = (*three(known.xyz_m), *turn)
-        pairs = zip(self.declared(), priors, strict=True)
-        return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
+        return self.with_prior(*three(known.xyz_m), *turn, unknown=False)
 
     def base(self, arm: Arm) -> Frame:
         moved = exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
@@ -78,6 +75,7 @@ class TipOffset(Effect):
 
     name = "tip_offset"
     title = "marker offset"
+    whole = "tip"
     action = "Check the mount of the marker or tool."
     geometry = True
 
@@ -85,10 +83,6 @@ class TipOffset(Effect):
     x: float = parameter("m", "tip position error along x", prior=3e-3, unknown=True)
     y: float = parameter("m", "tip position error along y", prior=3e-3, unknown=True)
     z: float = parameter("m", "tip position error along z", prior=3e-3, unknown=True)
-
-    @property
-    def where(self) -> str:
-        return f"marker {self.marker}" if self.marker else "tip"
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
@@ -99,8 +93,7 @@ class TipOffset(Effect):
         known = tolerance.markers.get(self.marker) if self.marker else tolerance.tip
         if known is None:
             return self.declared()
-        pairs = zip(self.declared(), three(known.xyz_m), strict=True)
-        return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
+        return self.with_prior(*three(known.xyz_m), unknown=False)
 
     def twists(self, posture: Posture) -> Twists:
         """Translation in the carrying frame, of the marker alone: what hangs there stays."""

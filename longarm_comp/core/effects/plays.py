@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -10,13 +12,7 @@ from longarm_comp.core.arm.history import SLIDE
 from longarm_comp.core.arm.parts import Beam
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Parameter, form, parameter
-from longarm_comp.core.effects.joint_term import (
-    JointTerm,
-    RestingTerm,
-    by_drive,
-    typical_loads,
-    with_prior,
-)
+from longarm_comp.core.effects.joint_term import JointTerm, RestingTerm, typical_loads
 
 
 @dataclass(frozen=True)
@@ -30,10 +26,10 @@ class Backlash(RestingTerm):
     title = "play"
     types = ("revolute", "prismatic")
     action = "Tighten or replace the gear, coupling or clamp of the joint."
-    actions = by_drive(
-        hydraulic="Renew worn pins and bushes of the cylinder and the joint.",
-        cable="Raise the cables' pretension; look for worn sheaves.",
-    )
+    actions: ClassVar = {
+        "hydraulic": "Renew worn pins and bushes of the cylinder and the joint.",
+        "cable": "Raise the cables' pretension; look for worn sheaves.",
+    }
     needs = ("approach",)
     limit_aliases = ("friction_hysteresis",)  # load decides nowhere
 
@@ -41,9 +37,7 @@ class Backlash(RestingTerm):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior 20 mrad, or 0.5 mm for a slide."""
-        if self.slides(arm):
-            return with_prior(self.declared(), unit="m", prior=5e-4)
-        return self.declared()
+        return self.with_prior(5e-4, unit="m") if self.slides(arm) else self.declared()
 
     def twists(self, posture: Posture) -> Twists:
         return self.motion(posture, (0.5 * self.width) * self.side(posture))
@@ -57,7 +51,7 @@ class ServoDeadband(Backlash):
     title = "deadband of a servo"
     acts = "servo"
     action = "Narrow the deadband of the servo, or add integral action."
-    actions = by_drive(hydraulic="Check the valve for its deadband; add integral action.")
+    actions: ClassVar = {"hydraulic": "Check the valve for its deadband; add integral action."}
     aliases = ("backlash",)
 
 
@@ -102,12 +96,11 @@ class FrictionHysteresis(JointTerm):
     title = "friction"
     types = ("revolute", "prismatic")
     action = "Clean and grease the joint; look for dragging seals and cables."
-    actions = by_drive(
-        hydraulic="Check the cylinder's seals and guides, and the valve's deadband.",
-        cable="Clean and grease sheaves and conduits; look for cables that rub.",
-    )
+    actions: ClassVar = {
+        "hydraulic": "Check the cylinder's seals and guides, and the valve's deadband.",
+        "cable": "Clean and grease sheaves and conduits; look for cables that rub.",
+    }
     needs = ("approach",)
-    remembers = True
 
     near: float = form(0.04, lower=0.01, upper=0.6)
     far: float = form(0.15, lower=0.01, upper=0.6)
@@ -120,8 +113,7 @@ class FrictionHysteresis(JointTerm):
         """Priors 10, 3 and 3 mrad, or 0.3, 0.1 and 0.1 mm for a slide."""
         if not self.slides(arm):
             return self.declared()
-        width, *parts = with_prior(self.declared(), unit="m", prior=1e-4)
-        return *with_prior((width,), prior=3e-4), *parts
+        return self.with_prior(3e-4, 1e-4, 1e-4, unit="m")
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -164,8 +156,8 @@ class TelescopeClearance(JointTerm):
         slider = _slider(arm, self.joint)
         body = slider.body_length_m if slider and slider.body_length_m else 1.0
         clearance, give = self.declared()
-        (give,) = with_prior((give,), prior=3e-3 * (body / 2) ** 2 / typical_loads(arm)[1])
-        return clearance, give
+        prior = 3e-3 * (body / 2) ** 2 / typical_loads(arm)[1]
+        return clearance, dataclasses.replace(give, prior=prior)
 
     def twists(self, posture: Posture) -> Twists:
         """Rotation about the lateral moment's direction at the mouth of the outer beam."""

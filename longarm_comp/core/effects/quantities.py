@@ -20,7 +20,7 @@ import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -49,6 +49,7 @@ class Quantity(ABC):
         si: its SI unit, where it has one on every arm.
         plain: whether a cause is likely to depend on it as it is.
         inputs: fields of the circumstances that it reads.
+        resolution: span below which it is the arm's tolerance that varies, in its unit.
         numbers: numbers in its name: joints, rows.
         axis: 0, 1, 2, where its name has one.
     """
@@ -57,9 +58,14 @@ class Quantity(ABC):
     si: ClassVar[str] = "1"
     plain = True
     inputs: ClassVar[tuple[str, ...]] = ()
+    resolution: ClassVar[float] = 0.0
 
     numbers: tuple[int, ...] = ()
     axis: int = 0
+
+    @abstractmethod
+    def read(self, at: Any) -> Scalar:
+        """Its value at a `Posture`; on the measuring side, at a `SeenPoint`."""
 
     def exists(self, arm: Arm) -> bool:
         """Whether the arm has it."""
@@ -69,23 +75,9 @@ class Quantity(ABC):
         """SI unit; ``1`` for none."""
         return self.si
 
-    @property
-    def joints(self) -> tuple[int, ...]:
-        """Commanded joints (0-based) whose history it reads."""
-        return ()
-
 
 class OfPosture(Quantity):
-    """A quantity of the arm at a posture.
-
-    `resolution`: span below which it is the arm's tolerance that varies, in its unit.
-    """
-
-    resolution = 0.0
-
-    @abstractmethod
-    def read(self, posture: Posture) -> Scalar:
-        """Its value."""
+    """A quantity of the arm at a posture."""
 
 
 class _OfJoint(OfPosture):
@@ -126,10 +118,6 @@ class JointSide(_OfJoint):
     pattern = r"side_(\d+)"
     inputs = ("approach",)
 
-    @property
-    def joints(self) -> tuple[int, ...]:
-        return (self.joint,)
-
     def read(self, posture: Posture) -> Scalar:
         return posture.context.of_joint("approach", self.joint)[0]
 
@@ -142,10 +130,8 @@ class LoadSum(OfPosture):
         return bool(_turning(arm))
 
     def read(self, posture: Posture) -> Scalar:
-        total: Scalar = 0.0
-        for row in _turning(posture.arm):
-            total = total + spatial.absolute(joint_load(posture, row))
-        return total
+        loads = (joint_load(posture, row) for row in _turning(posture.arm))
+        return sum(map(spatial.absolute, loads), 0.0)
 
 
 class Warmth(OfPosture):

@@ -82,7 +82,8 @@ class Shape(ABC):
     @classmethod
     def numbers(cls) -> tuple[str, ...]:
         """Names of its own numbers, in the order of the text."""
-        return tuple(f.name for f in dataclasses.fields(cls) if f.name not in _COMMON)
+        of_all = {f.name for f in dataclasses.fields(Shape)}
+        return tuple(f.name for f in dataclasses.fields(cls) if f.name not in of_all)
 
     def check(self) -> None:
         """Raise `FunctionError` where a number is out of its bounds."""
@@ -90,9 +91,6 @@ class Shape(ABC):
             number = getattr(self, name)
             if not abs(number) <= LARGEST:
                 raise FunctionError(f"{self.word}: {name} {number}", f"within +-{LARGEST:g}")
-
-
-_COMMON = ("of", "low", "high")
 
 
 class Linear(Shape):
@@ -232,8 +230,6 @@ SHAPES: dict[str, type[Shape]] = {
 _MOST_FACTORS = 3
 """Of a product: more than a few hundred poses tell apart from noise."""
 
-_Read = Callable[[Quantity], Scalar]
-
 
 @dataclass(frozen=True)
 class Function:
@@ -241,12 +237,9 @@ class Function:
 
     factors: tuple[Shape, ...] = ()
 
-    def value(self, read: _Read) -> Scalar:
+    def value(self, read: Callable[[Quantity], Scalar]) -> Scalar:
         """Its value, given how to read a quantity."""
-        product: Scalar = 1.0
-        for factor in self.factors:
-            product = product * factor.at(read(factor.quantity))
-        return product
+        return math.prod((f.at(read(f.quantity)) for f in self.factors), start=1.0)
 
     @property
     def text(self) -> str:
@@ -270,11 +263,8 @@ class Function:
 
     def units(self, arm: Arm) -> list[str]:
         """Units of its value, to be multiplied; empty for a number."""
-        made = []
-        for factor in self.factors:
-            unit = factor.quantity.unit(arm)
-            made += [unit] * factor.power if unit != "1" else []
-        return made
+        each = ([factor.quantity.unit(arm)] * factor.power for factor in self.factors)
+        return [unit for units in each for unit in units if unit != "1"]
 
 
 _FACTOR = re.compile(r"([a-z_]+)\(([A-Za-z]\w*)((?:, [^,()]+)*)\)")
@@ -336,6 +326,4 @@ def _ranges(domain: str) -> dict[str, tuple[float, float]]:
 def _number(text: str) -> float:
     if not _NUMBER.fullmatch(text):
         raise FunctionError(text, "a number")
-    if not math.isfinite(float(text)):
-        raise FunctionError(text, "a finite number")
     return float(text)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.arm.spatial import Twist, add_twists
+from longarm_comp.core.arm.spatial import Twist, summed
 from longarm_comp.core.effects.effect import Effect, form, parameter
 from longarm_comp.core.effects.link_deflection import extra_sag
 
@@ -27,14 +27,14 @@ class ThermalGrowth(Effect):
         """Translation along every row's a and d, in proportion to their length."""
         warm = posture.context.column("temperature_c", posture.arm.reference_temperature_c)
         rise = self.expansion * (warm - posture.arm.reference_temperature_c)
-        growth: dict[int, Twist] = {}
+        growth: list[dict[int, Twist]] = []
         for joint, value in zip(posture.arm.joints, posture.values, strict=True):
             d = joint.d_m + value if joint.type == "prismatic" else joint.d_m
-            before, here = posture.frame(joint.id - 1), posture.frame(joint.id)
-            growth[here] = (0.0, 0.0, rise * d, 0.0, 0.0, 0.0)
-            along_x: Twist = (rise * joint.a_m, 0.0, 0.0, 0.0, 0.0, 0.0)
-            growth[before] = add_twists(growth[before], along_x) if before in growth else along_x
-        return growth
+            growth += [
+                {posture.frame(joint.id): (0.0, 0.0, rise * d, 0.0, 0.0, 0.0)},
+                {posture.frame(joint.id - 1): (rise * joint.a_m, 0.0, 0.0, 0.0, 0.0, 0.0)},
+            ]
+        return summed(growth)
 
 
 @dataclass(frozen=True)

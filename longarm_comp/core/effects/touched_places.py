@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 from longarm_comp.core.arm import spatial
@@ -9,7 +10,6 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Parameter, form, parameter, place
-from longarm_comp.core.effects.joint_term import with_prior
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class TouchBeside(Bias):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         *turn, stretch = self.declared()
-        return (*turn, *with_prior((stretch,), prior=self.tolerance))
+        return (*turn, dataclasses.replace(stretch, prior=self.tolerance))
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """The point, already less the other one, less the way between the two."""

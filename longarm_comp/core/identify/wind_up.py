@@ -32,8 +32,12 @@ RUN_UPS = (0.02, 0.035, 0.05, 0.07, 0.1)
 
 
 def remembers(term: Effect | Bias) -> bool:
-    """Whether an effect is of its joint's history, with the run-ups taken in its form."""
-    return isinstance(term, Effect) and term.remembers
+    """Whether an effect is of its joint's history.
+
+    The length that unrecorded run-ups were taken to have is then a form of it: `run_up`, one for
+    the whole session, which is sought in the data.
+    """
+    return isinstance(term, Effect) and "run_up" in term.forms
 
 
 def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:

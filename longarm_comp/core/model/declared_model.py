@@ -12,4 +12,5 @@ def declared_model(arm: Arm, *, deflection: bool = True) -> Model:
     """The model of the declared arm: its servos' steps, and the deflection of its beams if
     ``deflection`` is set."""
     sag = (LinkDeflection(),) if deflection and arm.links else ()
-    return Model(arm, (*sag, *ServoQuantisation.as_declared(arm)))
+    stepped = [row for row in arm.commanded if arm.joints[row - 1].step > 0]
+    return Model(arm, (*sag, *(ServoQuantisation(row, steps_per_turn=0) for row in stepped)))
