@@ -207,7 +207,7 @@ class Model:
         gravity = self._gravity(posture.context)
         bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
         extra = tuple(mass for effect in self.effects for mass in effect.masses(bare))
-        return dataclasses.replace(bare, extra=extra, _cache={})
+        return dataclasses.replace(bare, extra=extra, _cache={}) if extra else bare
 
     def _passed(self, posture: Posture, passes: int) -> Posture:
         for _ in range(passes):
@@ -231,11 +231,8 @@ class Model:
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """The arm at q with given twists (by station), and its loads."""
-        frames, lengths = self.chain.place(q, twists)
-        gravity = self._gravity(context)
-        posture = Posture(self.chain, tuple(q), context, frames, lengths, gravity, twists)
-        extra = tuple(mass for effect in self.effects for mass in effect.masses(posture))
-        return dataclasses.replace(posture, extra=extra, _cache={}) if extra else posture
+        placed, gravity = self.chain.place(q, twists), self.arm.gravity_mps2
+        return self._weighed(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
 
     def _gravity(self, context: Context) -> Vec:
         """Gravity (m/s^2) in the frame of the measurements."""
