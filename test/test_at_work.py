@@ -70,7 +70,7 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
     active = np.arange(6)
     root = rng.standard_normal((6, 6))
     prior = root @ root.T
-    known = RecursivePosterior.begun(space, space.values, active, prior)
+    known = RecursivePosterior.begun(space, space.values(space.model), active, prior)
     rows = [
         Row(float(k), rng.standard_normal((3, len(space))), rng.standard_normal(3), np.eye(3), 1.0)
         for k in range(9)
@@ -78,7 +78,7 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
     for row in rows:
         known = known.seen(row)
     columns = np.concatenate([row.columns for row in rows])
-    data = np.concatenate([row.value for row in rows]) - columns @ space.values
+    data = np.concatenate([row.value for row in rows]) - columns @ space.values(space.model)
     a = columns[:, active]
     whitened = np.linalg.inv(a @ prior @ a.T + np.eye(len(a)))
     for onset, change in ((2, 0), (5, len(space.keys) - 1)):
@@ -95,7 +95,7 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
         unit = np.eye(len(space))[places[0]]
         shifted = data - jump[:, 0] / space.widths[places[0]]
         expected = prior @ a.T @ whitened @ shifted
-        got = (known.mean - space.values)[active] - known.response[onset] @ unit
+        got = (known.mean - space.values(space.model))[active] - known.response[onset] @ unit
         np.testing.assert_allclose(got, expected, atol=1e-8)
 
 

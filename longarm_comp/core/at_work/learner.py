@@ -45,31 +45,6 @@ class Asked:
         return f"{' or '.join(self.between)}? measure q = {q}, from {side}"
 
 
-def asked(known: Explanations, context: Context, noise: np.ndarray) -> Asked | None:
-    """As `Learner.asked`, of sightings of a noise (3, 3), m^2."""
-    first, *others = known.branches
-    rivals = [b for b in others if b.weight > 1.0 - CREDIBLE and _new(b, first)]
-    if not rivals:
-        return None
-    space, arm = known.space, known.space.model.arm
-    q, side = _pool(arm.lower, arm.upper)
-    legs = np.zeros((*q.shape, LEGS))
-    legs[..., 0] = side * run_up_lengths(arm)
-    there = dataclasses.replace(
-        context,
-        **History(side, legs).fields(),
-        columns={name: np.full(len(q), value) for name, value in context.columns.items()},
-    )
-    tips = [space.at(b.known.expected).tip(q, there) for b in (first, *rivals)]
-    off = np.array(tips[1:]) - tips[0]
-    odds = 0.5 * np.einsum("rij,jk,rik->ri", off, np.linalg.inv(noise), off)
-    which, best = np.unravel_index(int(odds.argmax()), odds.shape)
-    if odds[which, best] < np.log(CREDIBLE / (1.0 - CREDIBLE)):
-        return None
-    between = _new(first, rivals[which]) or "no change", _new(rivals[which], first)
-    return Asked(q[best], side[best], between, float(np.linalg.norm(off[which, best])))
-
-
 def _new(branch: Branch, other: Branch) -> str:
     """Name of an effect that has changed by one explanation and not by another, or ""."""
     theirs = {change.key for change in other.changes}
@@ -169,7 +144,7 @@ class Learner:
             return self
         known = self.known or _begun(self.model, context)
         point, columns = known.space.columns(self.model, q, context)
-        at = _values(known.space, self.model)
+        at = known.space.values(self.model)
         (spread,), _ = unknown_history(self.model, q[None], context)
         noise = np.maximum(self.record.noise, np.diag(variance)) + np.diag(spread**2)
         noise = noise + self.record.structure
@@ -241,7 +216,28 @@ class Learner:
         """
         if self.known is None or self.frozen:
             return None
-        return asked(self.known, context, self.record.noise + self.record.structure)
+        first, *others = self.known.branches
+        rivals = [b for b in others if b.weight > 1.0 - CREDIBLE and _new(b, first)]
+        if not rivals:
+            return None
+        space, arm = self.known.space, self.model.arm
+        q, side = _pool(arm.lower, arm.upper)
+        legs = np.zeros((*q.shape, LEGS))
+        legs[..., 0] = side * run_up_lengths(arm)
+        there = dataclasses.replace(
+            context,
+            **History(side, legs).fields(),
+            columns={name: np.full(len(q), value) for name, value in context.columns.items()},
+        )
+        tips = [space.at(b.known.expected).tip(q, there) for b in (first, *rivals)]
+        off = np.array(tips[1:]) - tips[0]
+        precision = np.linalg.inv(self.record.noise + self.record.structure)
+        odds = 0.5 * np.einsum("rij,jk,rik->ri", off, precision, off)
+        which, best = np.unravel_index(int(odds.argmax()), odds.shape)
+        if odds[which, best] < np.log(CREDIBLE / (1.0 - CREDIBLE)):
+            return None
+        between = _new(first, rivals[which]) or "no change", _new(rivals[which], first)
+        return Asked(q[best], side[best], between, float(np.linalg.norm(off[which, best])))
 
     @property
     def named(self) -> tuple[Named, ...]:
@@ -280,18 +276,11 @@ def _begun(model: Model, context: Context) -> Explanations:
     record = model.uncertainty
     assert record is not None
     space = Parameters.of(model, context)
-    at = {identity: k for k, identity in enumerate(record.slots)}
-    active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
-    factor = record.factor[[at[space.identities[k]] for k in active]]
-    known = RecursivePosterior.begun(space, space.values, active, factor @ factor.T)
+    held = [k for k, name in enumerate(space.identities) if name in record.row]
+    factor = record.factor[[record.row[space.identities[k]] for k in held]]
+    active = np.array(held, dtype=int)
+    known = RecursivePosterior.begun(space, space.values(model), active, factor @ factor.T)
     return Explanations((Branch(1.0, known),))
-
-
-def _values(space: Parameters, model: Model) -> np.ndarray:
-    """(q,) numbers of a model; 0 of what it does not hold."""
-    made = np.zeros(len(space))
-    made[[space.position[slot.identity] for slot in model.slots]] = model.values
-    return made
 
 
 def _judged(
