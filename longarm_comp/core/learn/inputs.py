@@ -88,14 +88,10 @@ def _spread(values: tuple[object, ...], columns: Array) -> None:
     """Mean over the joints whose value is known (not 0), and the difference of each from it."""
     each = columns[:, 1:]
     each[:] = np.asarray(values, float).T
-    known = np.abs(each) > 0.0
-    if known.all():
-        columns[:, 0] = each.sum(axis=1) / len(values)
-    else:
-        count = known.sum(axis=1)
-        each[~known] = np.nan
-        some = count > 0
-        columns[some, 0] = np.nansum(each[some], axis=1) / count[some]
+    each[~(np.abs(each) > 0.0)] = np.nan
+    count = (~np.isnan(each)).sum(axis=1)
+    some = count > 0
+    columns[some, 0] = np.nansum(each[some], axis=1) / count[some]
     each -= columns[:, :1]
 
 

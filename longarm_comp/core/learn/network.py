@@ -64,9 +64,9 @@ def with_ones(x: Array) -> Array:
 
 
 def forward(shape: NetworkShape, weights: Array, x1: Array) -> Array:
-    """Outputs (N, k) of inputs with ones (N, d+1)."""
+    """Outputs (..., N, k) of networks with weights (..., D) for inputs with ones (N, d+1)."""
     v, w, b = shape.split(weights)
-    y: Array = np.tanh(x1 @ v) @ w + b
+    y: Array = np.tanh(x1 @ v) @ w + b[..., None, :]
     return y
 
 
