@@ -14,8 +14,6 @@ from longarm_comp.sim.context import Array, State, TrueContext
 from longarm_comp.sim.hidden.base import THETA, D, HiddenEffect, Place
 from longarm_comp.sim.rods import STEPS, Walker, rpy_matrix, settle
 
-_AXIS = {"a": 0, "d": 2}
-
 
 @dataclass(frozen=True)
 class Settled:
@@ -147,7 +145,7 @@ class Walk:
     def _run(self, walker: Walker, row: int, role: str, size: Array) -> None:
         """Back along the rods of a row's role and the rigid rest of its size (N,)."""
         beams = [b for b in self._arm.links if b.row == row and b.role == role]
-        axis = _AXIS[role]
+        axis = 0 if role == "a" else 2
         sign = -1.0 if np.all(size < 0) else 1.0
         fixed = sum(b.length_m for b in beams if b.length_m != "rest")
         lengths = [
