@@ -15,7 +15,7 @@ from longarm_comp.core.arm.history import LEGS
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.learner import Learner, asked
+from longarm_comp.core.at_work.learner import Learner
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
@@ -238,12 +238,13 @@ def test_it_asks_for_the_pose_that_tells_rivals_apart() -> None:
 def test_it_does_not_ask_where_no_pose_tells() -> None:
     """Play, friction and droop of a joint that carries no load move the tip alike everywhere."""
     work = Work()
-    known = work.learned(work.learned(Learner.of(fitted()), 5), 3, LAG).known
+    learner = work.learned(work.learned(Learner.of(fitted()), 5), 3, LAG)
+    known = learner.known
     assert known is not None
     names = [b.changes[0].key[0] for b in known.branches]
     alike = {"friction_hysteresis", "backlash"}
     few = [b for b, name in zip(known.branches, names, strict=True) if name in alike]
     assert len(few) >= 2
     even = tuple(dataclasses.replace(b, weight=1.0 / len(few)) for b in few)
-    noise = np.diag(VARIANCE)
-    assert asked(dataclasses.replace(known, branches=even), work.pose()[1], noise) is None
+    unsure = dataclasses.replace(learner, known=dataclasses.replace(known, branches=even))
+    assert unsure.asked(work.pose()[1]) is None
