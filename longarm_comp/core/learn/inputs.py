@@ -67,7 +67,6 @@ def raw_names(joints: int, context: tuple[str, ...]) -> list[str]:
 
 
 def _raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
-    """(N, columns) raw inputs in SI units; NaN where the context is not known."""
     n, joints = q.shape
     raw = np.full((n, len(raw_names(joints, used))), np.nan)
     raw[:, :joints] = q

@@ -170,8 +170,6 @@ class Predictor:
         away = unsure | outside.any(axis=1)
         bad = away | useless | unproven
         reason = [""] * len(raw)
-        if not bad.any():
-            return ~bad, away, reason
         names = raw_names(self.encoding.joints, self.encoding.context)
         for row in np.flatnonzero(bad):
             parts = [
@@ -208,7 +206,7 @@ class Expansion:
 
     Attributes:
         error, sigma: (3,) m.
-        in_domain, reason, doubt: as in `Prediction`.
+        in_domain, reason: as in `Prediction`.
         jacobian: (3, n), m per rad or m of each joint.
         reach: (n,) rad or m. If no joint moves farther, the joints stay inside the training data
             and ``error + jacobian @ step`` is accurate to `LINEAR_M`. Zero: valid only at q.
@@ -220,7 +218,6 @@ class Expansion:
     reason: str
     jacobian: np.ndarray
     reach: np.ndarray
-    doubt: float = 0.0
 
 
 class Expander:
@@ -262,7 +259,7 @@ class Expander:
             reach[self._moved] = np.minimum(reach[self._moved], step * self._width)
         return Expansion(
             found.error[0], found.sigma[0], bool(found.in_domain[0]), found.reason[0],
-            jacobian, reach, float(found.doubt[0]),
+            jacobian, reach,
         )  # fmt: skip
 
 
@@ -292,5 +289,4 @@ class Nearby:
             np.repeat(found.sigma[None], count, axis=0),
             np.full(count, found.in_domain),
             [found.reason] * count,
-            np.full(count, found.doubt),
         )
