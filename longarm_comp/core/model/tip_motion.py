@@ -190,7 +190,6 @@ def moved(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) 
 
 
 def _sum(vectors: list[np.ndarray]) -> Vec:
-    """Sum of vectors (3, ...)."""
     if not vectors:
         return spatial.ZERO
     return tuple(sum(vectors[1:], vectors[0]))  # type: ignore[return-value]
