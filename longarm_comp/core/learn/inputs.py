@@ -117,8 +117,7 @@ def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Co
     if not np.isfinite(q).all():
         row, joint = np.argwhere(~np.isfinite(q))[0]
         raise InputError(where, f"q{joint + 1} of row {row}", q[row, joint], "a finite number")
-    if context is None:
-        return q, Context()
+    context = context or Context()
     for name in filter(context.has, INPUT_KINDS["context"]):
         per_joint = name in PER_JOINT
         value = np.asarray(getattr(context, name) if per_joint else context.columns[name], float)
