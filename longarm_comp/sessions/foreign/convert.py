@@ -69,12 +69,12 @@ class Options:
     def like(self, mapping: Path) -> Options:
         """With what an earlier mapping says beside; what is told here goes before it."""
         form = Like(mapping)
-        given = {
-            source: name + (f":{unit.name}" if unit else "")
-            for name, (source, unit) in form.columns.items()
-        }
         told = {name.partition(":")[0] for name in self.given.values()}
-        kept = {k: v for k, v in given.items() if v.partition(":")[0] not in told}
+        kept = {
+            source: f"{name}:{unit.name}" if unit else name
+            for name, (source, unit) in form.columns.items()
+            if name not in told
+        }
         return replace(
             self,
             units=self.units or form.units,
