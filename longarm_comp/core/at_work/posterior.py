@@ -74,17 +74,11 @@ class RecursivePosterior:
 
     @classmethod
     def begun(
-        cls,
-        space: Parameters,
-        mean: np.ndarray,
-        active: np.ndarray,
-        covariance: np.ndarray,
-        again: np.ndarray | None = None,
+        cls, space: Parameters, mean: np.ndarray, active: np.ndarray, covariance: np.ndarray
     ) -> RecursivePosterior:
         c, k = space.places.shape
-        again = np.zeros(c, bool) if again is None else again
         return cls(
-            space, mean, active, covariance, again, np.zeros(0), np.zeros(0, int),
+            space, mean, active, covariance, np.zeros(c, bool), np.zeros(0), np.zeros(0, int),
             np.zeros((0, len(active), len(space))), np.zeros((0, c, k, k)), np.zeros((0, c, k)),
             np.zeros(0),
         )  # fmt: skip
@@ -207,7 +201,8 @@ class RecursivePosterior:
             covariance += weight[t] * (carried @ own @ carried.T + np.outer(off, off))
         again = self.again.copy()
         again[c] = True
-        return RecursivePosterior.begun(self.space, mean, active, covariance, again)
+        begun = RecursivePosterior.begun(self.space, mean, active, covariance)
+        return dataclasses.replace(begun, again=again)
 
     def _thinned(self) -> RecursivePosterior:
         """With one onset fewer where there are too many: the one least apart for its age."""
