@@ -43,7 +43,7 @@ class _Build:
     def __init__(self, true: TrueArm, q: Array) -> None:
         self.arm, self._hidden = true.arm, true.hidden
         self._state = State.of(self.arm, np.tile(q, (3, 1)), None)
-        self._walk = Walk(self._state, self._hidden, 1)
+        self._walk = Walk(true, self._state)
         self.springs: list[tuple[Array, Array]] = []  # where, and root of its compliance
         self.masses: list[tuple[Array, float, int]] = []  # where, kg, springs before it
         self.moved: list[tuple[Array, Array | None, Array, int]] = []  # rows that move
