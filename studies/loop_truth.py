@@ -56,7 +56,7 @@ _READERS: dict[str, Callable[[Hidden, Arm], Values]] = {
     "prismatic_pitch": _joints("gain", "gain"),
     "backlash": _joints("half", "width", 2.0),
     "friction_hysteresis": _joints("lag", "width", 2.0),
-    "servo_droop": _joints("yielding", "compliance"),
+    "servo_droop": _joints("compliance", "compliance"),
     "servo_deadband": _joints("half", "width", 2.0),
     "link_stiffness": _softness,
     "tip_payload": _arm(mass="mass_kg"),

@@ -15,7 +15,7 @@ from longarm_comp.core.arm.history import LEGS
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work import file
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.learner import Learner, asked
+from longarm_comp.core.at_work.learner import Learner
 from longarm_comp.core.at_work.posterior import RecursivePosterior, Row
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
@@ -70,7 +70,7 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
     active = np.arange(6)
     root = rng.standard_normal((6, 6))
     prior = root @ root.T
-    known = RecursivePosterior.begun(space, space.values, active, prior)
+    known = RecursivePosterior.begun(space, space.values(space.model), active, prior)
     rows = [
         Row(float(k), rng.standard_normal((3, len(space))), rng.standard_normal(3), np.eye(3), 1.0)
         for k in range(9)
@@ -78,7 +78,7 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
     for row in rows:
         known = known.seen(row)
     columns = np.concatenate([row.columns for row in rows])
-    data = np.concatenate([row.value for row in rows]) - columns @ space.values
+    data = np.concatenate([row.value for row in rows]) - columns @ space.values(space.model)
     a = columns[:, active]
     whitened = np.linalg.inv(a @ prior @ a.T + np.eye(len(a)))
     for onset, change in ((2, 0), (5, len(space.keys) - 1)):
@@ -95,7 +95,7 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
         unit = np.eye(len(space))[places[0]]
         shifted = data - jump[:, 0] / space.widths[places[0]]
         expected = prior @ a.T @ whitened @ shifted
-        got = (known.mean - space.values)[active] - known.response[onset] @ unit
+        got = (known.mean - space.values(space.model))[active] - known.response[onset] @ unit
         np.testing.assert_allclose(got, expected, atol=1e-8)
 
 
@@ -238,12 +238,13 @@ def test_it_asks_for_the_pose_that_tells_rivals_apart() -> None:
 def test_it_does_not_ask_where_no_pose_tells() -> None:
     """Play, friction and droop of a joint that carries no load move the tip alike everywhere."""
     work = Work()
-    known = work.learned(work.learned(Learner.of(fitted()), 5), 3, LAG).known
+    learner = work.learned(work.learned(Learner.of(fitted()), 5), 3, LAG)
+    known = learner.known
     assert known is not None
     names = [b.changes[0].key[0] for b in known.branches]
     alike = {"friction_hysteresis", "backlash"}
     few = [b for b, name in zip(known.branches, names, strict=True) if name in alike]
     assert len(few) >= 2
     even = tuple(dataclasses.replace(b, weight=1.0 / len(few)) for b in few)
-    noise = np.diag(VARIANCE)
-    assert asked(dataclasses.replace(known, branches=even), work.pose()[1], noise) is None
+    unsure = dataclasses.replace(learner, known=dataclasses.replace(known, branches=even))
+    assert unsure.asked(work.pose()[1]) is None

@@ -122,4 +122,4 @@ def test_several_joints_are_answered_by_the_slope_at_the_first(predictor: Predic
     assert np.abs(many.error[-1] - many.error[0]).max() > 1e-4
     assert many.sigma.shape == (5, 3)
     assert many.in_domain.all()
-    assert len(many.reason) == len(many.doubt) == 5
+    assert len(many.reason) == 5

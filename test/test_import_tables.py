@@ -145,7 +145,11 @@ def test_what_the_user_says_wins(shell: Shell) -> None:
 
 def test_a_plain_name_needs_no_unit_of_one_with_a_heading(shell: Shell) -> None:
     """In whichever order they stand."""
-    for names, cells in (("Goal q1,q1 [deg]", "7,180"), ("q1 [deg],Goal q1", "180,7")):
+    for names, cells in (
+        ("Goal q1,q1 [deg]", "7,180"),
+        ("q1 [deg],Goal q1", "180,7"),
+        ("Goal q1,Last q1,q1 [deg]", "7,8,180"),
+    ):
         Path("log.csv").write_text(f"{names},X [mm],Y [mm],Z [mm]\n{cells},1,2,3\n")
         assert shell("import-data", "log.csv") == 0, shell.err
         assert session()["q1"].tolist() == pytest.approx([np.pi])

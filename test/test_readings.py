@@ -317,7 +317,7 @@ def test_the_tip_by_readings_needs_no_model_of_the_servos() -> None:
     terms = (ServoDroop(3), JointCompliance(3))
     fitted = fit(Model(ARM, terms).plus(*geometry(ARM, rows)), rows)
     model = with_uncertainty(fitted)
-    worse = drives.ServoDroop(3 * DROOP.yielding)
+    worse = drives.ServoDroop(3 * DROOP.compliance)
     fresh = sensed((worse, soft(3)), seed=7)
     by_command = np.linalg.norm(model.tip(fresh.q) - fresh.tip, axis=1).mean()
     arm = by_readings(model)

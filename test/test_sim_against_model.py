@@ -100,7 +100,7 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
         ],
         0.01,
     ),
-    "servo_droop": (lambda e: _each(TURNING, ServoDroop, compliance=e.yielding), 0.6),
+    "servo_droop": (lambda e: _each(TURNING, ServoDroop, compliance=e.compliance), 0.6),
     "servo_deadband": (
         lambda e: _each(TURNING, ServoDeadband, width=2 * e.half, gate=e.gate / TORQUE),
         0.3,

@@ -159,7 +159,7 @@ def known(arm: Arm, hidden: tuple[HiddenEffect, ...]) -> Model:
                     width = 2 * e.half[j]
                     terms.append(Backlash(row, gate=e.gate / torque, blend=sharp, width=width))
                 elif isinstance(e, drives.ServoDroop):
-                    terms.append(ServoDroop(row, compliance=e.yielding[j]))
+                    terms.append(ServoDroop(row, compliance=e.compliance[j]))
                 elif isinstance(e, drives.ServoDeadband):
                     terms.append(ServoDeadband(row, e.gate / torque, sharp, width=2 * e.half[j]))
                 elif isinstance(e, drives.FrictionMemory):

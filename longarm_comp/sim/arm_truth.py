@@ -14,8 +14,6 @@ from longarm_comp.sim.context import Array, State, TrueContext
 from longarm_comp.sim.hidden.base import THETA, D, HiddenEffect, Place
 from longarm_comp.sim.rods import STEPS, Walker, rpy_matrix, settle
 
-_AXIS = {"a": 0, "d": 2}
-
 
 @dataclass(frozen=True)
 class Settled:
@@ -34,18 +32,9 @@ class Walk:
         masses: of each frame: kg and position, m.
     """
 
-    def __init__(
-        self,
-        state: State,
-        hidden: Sequence[HiddenEffect],
-        steps: int,
-        held: Array | float = 0.0,
-        *,
-        shear: bool = False,
-    ) -> None:
-        arm = state.arm
-        self._arm, self._state, self._hidden = arm, state, tuple(hidden)
-        self._steps, self._shear = steps, shear
+    def __init__(self, true: TrueArm, state: State, held: Array | float = 0.0) -> None:
+        arm = true.arm
+        self._true, self._arm, self._state, self._hidden = true, arm, state, true.hidden
         self._motor = {row: k for k, row in enumerate(arm.commanded)}
         q = state.q
         for effect in self._hidden:
@@ -147,7 +136,7 @@ class Walk:
     def _run(self, walker: Walker, row: int, role: str, size: Array) -> None:
         """Back along the rods of a row's role and the rigid rest of its size (N,)."""
         beams = [b for b in self._arm.links if b.row == row and b.role == role]
-        axis = _AXIS[role]
+        axis = 0 if role == "a" else 2
         sign = -1.0 if np.all(size < 0) else 1.0
         fixed = sum(b.length_m for b in beams if b.length_m != "rest")
         lengths = [
@@ -180,7 +169,7 @@ class Walk:
         compliance = np.reshape(order, (3, 1)) ** -1.0
         for effect in self._hidden:
             compliance = compliance * effect.softness(beams[k], self._state)
-        stretch = _stretch(beams[k], axis) if self._shear else None
+        stretch = _stretch(beams[k], axis) if self._true.shear else None
         bodies = [
             (b.mass_kg / length, np.clip(ends[j + 1] - length, ends[k], ends[k + 1]))
             for j, b in enumerate(beams)
@@ -193,7 +182,7 @@ class Walk:
                 continue
             middle = (near + far) / 2
             density = sum((rho * (start < middle) for rho, start in bodies), np.zeros_like(near))
-            walker.rod(axis, sign, far - near, compliance, density, self._steps, stretch)
+            walker.rod(axis, sign, far - near, compliance, density, self._true.steps, stretch)
 
     def _give(self, walker: Walker, place: Place) -> None:
         for effect in reversed(self._hidden):
@@ -248,7 +237,7 @@ class TrueArm:
                 )
         self.arm = arm
         self.hidden = tuple(sorted(hidden, key=lambda effect: not effect.of_command))
-        self._steps, self._shear = steps, shear
+        self.steps, self.shear = steps, shear
 
     def tip(self, q: Array, context: TrueContext | None = None) -> Array:
         """True tip in the base frame, (N, 3) m, for commanded joints (N, n) or (n,)."""
@@ -266,11 +255,11 @@ class TrueArm:
 
     def settled(self, q: Array, context: TrueContext | None = None) -> Settled:
         state = State.of(self.arm, q, context)
-        walk = Walk(state, self.hidden, self._steps, shear=self._shear)
+        walk = Walk(self, state)
         gamma = walk.solve(walk.rigid())
         if any(effect.gated for effect in self.hidden):
             torques = walk.finish(gamma).torques
             held = sum((e.held(torques, state) for e in self.hidden), np.zeros_like(state.q))
-            walk = Walk(state, self.hidden, self._steps, held, shear=self._shear)
+            walk = Walk(self, state, held)
             gamma = walk.solve(gamma)
         return walk.finish(gamma)

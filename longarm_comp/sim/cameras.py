@@ -78,6 +78,7 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 Array = NDArray[np.float64]
 Light = NDArray[np.float32]
+Window = tuple[int, int, int, int]
 _FINE = 6  # fine pixels along the side of an image pixel
 
 
@@ -217,7 +218,7 @@ def _light(
 
 def _window(
     camera_T_marker: Array, plate: Plate, head: CameraPair, conditions: Conditions
-) -> tuple[int, int, int, int] | None:
+) -> Window | None:
     """The part of the image (x0, y0, x1, y1) that the blurred plate may touch."""
     half = np.asarray(plate.size_m) / 2
     outline = np.array([[x, y, 0.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
@@ -234,12 +235,8 @@ def _window(
 
 
 def _fine_plate(
-    window: tuple[int, int, int, int],
-    camera_T_marker: Array,
-    plate: Plate,
-    head: CameraPair,
-    covered: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    window: Window, camera_T_marker: Array, plate: Plate, head: CameraPair, covered: float
+) -> tuple[Light, Light]:
     """Light from the plate and its share of every fine pixel of the window."""
     x0, y0, x1, y1 = window
     u = x0 - 0.5 + (np.arange((x1 - x0) * _FINE) + 0.5) / _FINE
@@ -269,7 +266,7 @@ def _fine_plate(
     return colour * share, share
 
 
-def _undistorted(window: tuple[int, int, int, int], head: CameraPair) -> tuple[Array, Array]:
+def _undistorted(window: Window, head: CameraPair) -> tuple[Array, Array]:
     """Rays x/z, y/z of the window's fine pixels: exact at pixel centres, linear between them."""
     x0, y0, x1, y1 = window
     u, v = np.arange(x0 - 1.0, x1 + 1.0), np.arange(y0 - 1.0, y1 + 1.0)
@@ -282,7 +279,7 @@ def _undistorted(window: tuple[int, int, int, int], head: CameraPair) -> tuple[A
     return inner[..., 0], inner[..., 1]
 
 
-def _seen_through(fine: NDArray[np.float32], conditions: Conditions) -> NDArray[np.float32]:
+def _seen_through(fine: Light, conditions: Conditions) -> Light:
     """Lens blur, motion and the pixel's own area: fine pixels to image pixels."""
     if conditions.blur_px > 0.0:
         fine = cv2.GaussianBlur(fine, (0, 0), conditions.blur_px * _FINE)
@@ -302,7 +299,7 @@ def _path_kernel(motion_px: tuple[float, float]) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=8)
-def _background(seed: int, size: tuple[int, int], blur_px: float) -> NDArray[np.float32]:
+def _background(seed: int, size: tuple[int, int], blur_px: float) -> Light:
     """A cluttered background: soft patches, boxes with sharp edges, fine grain, lens blur."""
     rng = np.random.default_rng(seed)
     soft = rng.uniform(60.0, 150.0, (size[1] // 80 + 2, size[0] // 80 + 2)).astype(np.float32)

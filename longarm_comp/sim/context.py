@@ -58,7 +58,6 @@ class State:
 
 
 def _array(name: str, value: Array | float, shape: tuple[int, ...]) -> Array:
-    """`value` as finite numbers of a shape."""
     try:
         array = np.broadcast_to(np.asarray(value, float), shape)
     except (TypeError, ValueError) as error:

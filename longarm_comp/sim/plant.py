@@ -103,7 +103,7 @@ class Plant:
         self._loaded = [j for j in self._servos if j.told or loose]
         self.emulator = ServoEmulator(
             config.servos.protocol, config.servos.start_ticks(), specs, link=link,
-            load_of=lambda _: self._loads, clock=clock,
+            loads=lambda: self._loads, clock=clock,
         )  # fmt: skip
         self._rng = rng
         self._true = TrueArm(config.arm, self._behind, steps=QUICK_STEPS)
@@ -221,7 +221,7 @@ def _loose(
     tick = abs(joint.travel)
     for effect in effects:
         if isinstance(effect, ServoDroop):
-            soft = effect.yielding[number] * joint.full_effort
+            soft = effect.compliance[number] * joint.full_effort
             spec = replace(spec, droop_ticks=spec.droop_ticks + soft / tick)
         else:
             wide, held = effect.half[number] / tick, effect.gate / joint.full_effort

@@ -43,7 +43,7 @@ class _Build:
     def __init__(self, true: TrueArm, q: Array) -> None:
         self.arm, self._hidden = true.arm, true.hidden
         self._state = State.of(self.arm, np.tile(q, (3, 1)), None)
-        self._walk = Walk(self._state, self._hidden, 1)
+        self._walk = Walk(true, self._state)
         self.springs: list[tuple[Array, Array]] = []  # where, and root of its compliance
         self.masses: list[tuple[Array, float, int]] = []  # where, kg, springs before it
         self.moved: list[tuple[Array, Array | None, Array, int]] = []  # rows that move
@@ -197,16 +197,15 @@ class Ringing:
 
     def moved(self, t_s: float, q: Array) -> Array:
         """The joints are at q (n,) at a time: the tip's displacement then, (3,) m."""
-        now = self._modes(q)
-        if self._last is None:
-            self._last = t_s, q, np.zeros_like(q)
-        before, came, speed = self._last
+        before, came, speed = self._last or (t_s, q, np.zeros_like(q))
+        now = self._modes(q, speed)
         if t_s > before:
             fresh = (q - came) / (t_s - before)
             rate = self._rate(now)
             kick = now.driven @ (fresh - speed) / (1j * rate.imag)  # when the last span began
             self._wave = (self._wave + kick) * np.exp(rate * (t_s - before))
-            self._last = t_s, q, fresh
+            before, came, speed = t_s, q, fresh
+        self._last = before, came, speed
         return np.asarray(now.tip @ self._wave.real)
 
     def left(self, since_s: Array) -> Array:
@@ -227,7 +226,7 @@ class Ringing:
         """(k,) complex 1/s of the modes' decay and turn."""
         return modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
 
-    def _modes(self, q: Array) -> _Vibration:
+    def _modes(self, q: Array, speed: Array) -> _Vibration:
         """Those of the posture; a wave goes on in them with the motion that the masses have."""
         span = self._true.arm.upper - self._true.arm.lower
         # of a joint's range: so far the modes are those of the posture before
@@ -237,12 +236,11 @@ class Ringing:
         if self._about is None:
             self._wave = np.zeros(len(new.omega), complex)
         else:
-            old, last = self._about[1], self._last
-            speed, rate = (self._rate(old) * self._wave).real, self._rate(new)
+            old, rate = self._about[1], self._rate(new)
+            pace = (self._rate(old) * self._wave).real
             pull = new.shape.T * new.mass  # the masses go on where they are and as they move
             there = pull @ (old.shape @ self._wave.real)
-            turning = (old.carried - new.carried) @ (np.zeros(len(q)) if last is None else last[2])
-            then = pull @ (old.shape @ speed + turning)
+            then = pull @ (old.shape @ pace + (old.carried - new.carried) @ speed)
             self._wave = there - 1j * (then - rate.real * there) / rate.imag
         self._about = np.array(q), new
         return new

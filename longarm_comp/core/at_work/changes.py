@@ -64,19 +64,15 @@ class Parameters:
         return [int(k) for k in self.places[c] if k >= 0]
 
     @cached_property
-    def identities(self) -> tuple[tuple[object, ...], ...]:
-        """(q,) of the slots."""
-        return tuple(slot.identity for slot in self.slots)
-
-    @cached_property
     def position(self) -> Mapping[tuple[object, ...], int]:
         """Of a slot by its identity."""
-        return {identity: k for k, identity in enumerate(self.identities)}
+        return {slot.identity: k for k, slot in enumerate(self.slots)}
 
-    @cached_property
-    def values(self) -> np.ndarray:
-        """(q,) as the model has them."""
-        return np.array([s.value for s in self.slots], dtype=float)
+    def values(self, model: Model) -> np.ndarray:
+        """(q,) as a model has them; 0 of what it does not hold."""
+        made = np.zeros(len(self))
+        made[[self.position[slot.identity] for slot in model.slots]] = model.values
+        return made
 
     @cached_property
     def widths(self) -> np.ndarray:

@@ -35,7 +35,6 @@ class Asked:
     q: np.ndarray  # (n,) commanded joints, rad and m
     side: np.ndarray  # (n,) of +-1, from which each joint arrives, by a run-up
     between: tuple[str, str]  # effects that it tells apart, the likelier first
-    apart: float  # how far their predictions lie apart there, m
 
     @property
     def text(self) -> str:
@@ -43,31 +42,6 @@ class Asked:
         q = " ".join(f"{value:.3f}" for value in self.q)
         side = " ".join("+" if value > 0 else "-" for value in self.side)
         return f"{' or '.join(self.between)}? measure q = {q}, from {side}"
-
-
-def asked(known: Explanations, context: Context, noise: np.ndarray) -> Asked | None:
-    """As `Learner.asked`, of sightings of a noise (3, 3), m^2."""
-    first, *others = known.branches
-    rivals = [b for b in others if b.weight > 1.0 - CREDIBLE and _new(b, first)]
-    if not rivals:
-        return None
-    space, arm = known.space, known.space.model.arm
-    q, side = _pool(arm.lower, arm.upper)
-    legs = np.zeros((*q.shape, LEGS))
-    legs[..., 0] = side * run_up_lengths(arm)
-    there = dataclasses.replace(
-        context,
-        **History(side, legs).fields(),
-        columns={name: np.full(len(q), value) for name, value in context.columns.items()},
-    )
-    tips = [space.at(b.known.expected).tip(q, there) for b in (first, *rivals)]
-    off = np.array(tips[1:]) - tips[0]
-    odds = 0.5 * np.einsum("rij,jk,rik->ri", off, np.linalg.inv(noise), off)
-    which, best = np.unravel_index(int(odds.argmax()), odds.shape)
-    if odds[which, best] < np.log(CREDIBLE / (1.0 - CREDIBLE)):
-        return None
-    between = _new(first, rivals[which]) or "no change", _new(rivals[which], first)
-    return Asked(q[best], side[best], between, float(np.linalg.norm(off[which, best])))
 
 
 def _new(branch: Branch, other: Branch) -> str:
@@ -167,9 +141,9 @@ class Learner:
         """
         if self.frozen:
             return self
-        known = self.known or _begun(self.model, context)
+        known = self.known or _begun(self.model, self.record, context)
         point, columns = known.space.columns(self.model, q, context)
-        at = _values(known.space, self.model)
+        at = known.space.values(self.model)
         (spread,), _ = unknown_history(self.model, q[None], context)
         noise = np.maximum(self.record.noise, np.diag(variance)) + np.diag(spread**2)
         noise = noise + self.record.structure
@@ -180,55 +154,32 @@ class Learner:
             self, known=known, pending=pending, sightings=self.sightings + 1,
             doubtful=self.doubtful + doubtful,
         )  # fmt: skip
-        return after if known is self.known else after._named(t_s)._served(columns, at)
+        if known is self.known:
+            return after
+        return after._named(known, t_s)._served(known, columns, at)
 
-    def _named(self, t_s: float) -> Learner:
+    def _named(self, known: Explanations, t_s: float) -> Learner:
         """With a version for every place at which something has surely changed."""
-        assert self.known is not None
         made, said = self, {n.where for n in self.named}
-        for where, chance in self.known.places.items():
+        for where, chance in known.places.items():
             if where not in said and chance >= CREDIBLE:
-                version = Version(t_s, self._of(self.known.expected), self._name(where))
+                version = Version(t_s, self._of(known, known.expected), _name(known, where))
                 made = dataclasses.replace(made, versions=(*made.versions, version))
         return made
 
-    def _name(self, where: str) -> Named:
-        assert self.known is not None
-        here = [(b, c) for b in self.known.branches for c in b.changes if c.where == where]
-        whole = sum(b.weight for b, _ in here)
-        chances: dict[str, float] = {}
-        for branch, change in here:
-            name = change.key[0]
-            chances[name] = chances.get(name, 0.0) + branch.weight / whole
-        first, *others = sorted(chances, key=lambda name: -chances[name])
-        branch, change = next((b, c) for b, c in here if c.key[0] == first)
-        space = branch.known.space
-        places = space.own(space.keys.index(change.key))
-        moved = branch.known.expected[places] - np.array(change.before)
-        parameters = (space.slots[k].parameter for k in places)
-        by = ((p.name, p.unit, float(v)) for p, v in zip(parameters, moved, strict=True) if v)
-        return Named(
-            effect=first, where=where, since_s=change.since_s, by=tuple(by),
-            probability=chances[first], rivals=tuple((name, chances[name]) for name in others),
-            sightings=change.sightings,
-        )  # fmt: skip
-
-    def _served(self, columns: np.ndarray, at: np.ndarray) -> Learner:
+    def _served(self, known: Explanations, columns: np.ndarray, at: np.ndarray) -> Learner:
         """Serve the mean over all explanations, in a bounded step."""
-        assert self.known is not None
-        wanted = np.clip(self.known.expected, *self.known.space.bounds) - at
+        wanted = np.clip(known.expected, *known.space.bounds) - at
         step = float(np.linalg.norm(columns @ wanted))
         if step < WORTH * math.sqrt(float(np.trace(self.record.noise + self.record.structure))):
             return self
         share = min(1.0, self.step_m / step)
-        return dataclasses.replace(self, model=self._of(at + share * wanted))
+        return dataclasses.replace(self, model=self._of(known, at + share * wanted))
 
-    def _of(self, values: np.ndarray) -> Model:
-        known = self.known
-        assert known is not None
+    def _of(self, known: Explanations, values: np.ndarray) -> Model:
         model = known.space.at(values)
         active, covariance = known.covariance()
-        slots = tuple(known.space.identities[k] for k in active)
+        slots = tuple(known.space.slots[k].identity for k in active)
         record = dataclasses.replace(self.record, slots=slots, factor=factor_of(covariance))
         made = dataclasses.replace(model, uncertainty=record)
         made.__dict__["chain"] = model.chain
@@ -241,7 +192,28 @@ class Learner:
         """
         if self.known is None or self.frozen:
             return None
-        return asked(self.known, context, self.record.noise + self.record.structure)
+        first, *others = self.known.branches
+        rivals = [b for b in others if b.weight > 1.0 - CREDIBLE and _new(b, first)]
+        if not rivals:
+            return None
+        space, arm = self.known.space, self.model.arm
+        q, side = _pool(arm.lower, arm.upper)
+        legs = np.zeros((*q.shape, LEGS))
+        legs[..., 0] = side * run_up_lengths(arm)
+        there = dataclasses.replace(
+            context,
+            **History(side, legs).fields(),
+            columns={name: np.full(len(q), value) for name, value in context.columns.items()},
+        )
+        tips = [space.at(b.known.expected).tip(q, there) for b in (first, *rivals)]
+        off = np.array(tips[1:]) - tips[0]
+        precision = np.linalg.inv(self.record.noise + self.record.structure)
+        odds = 0.5 * np.einsum("rij,jk,rik->ri", off, precision, off)
+        which, best = np.unravel_index(int(odds.argmax()), odds.shape)
+        if odds[which, best] < np.log(CREDIBLE / (1.0 - CREDIBLE)):
+            return None
+        between = _new(first, rivals[which]) or "no change", _new(rivals[which], first)
+        return Asked(q[best], side[best], between)
 
     @property
     def named(self) -> tuple[Named, ...]:
@@ -251,8 +223,10 @@ class Learner:
     @property
     def now(self) -> tuple[Named, ...]:
         """The same, by what is known now."""
-        known = self.known.places if self.known is not None else {}
-        return tuple(self._name(n.where) if n.where in known else n for n in self.named)
+        known = self.known
+        if known is None:
+            return self.named
+        return tuple(_name(known, n.where) if n.where in known.places else n for n in self.named)
 
     @property
     def unexplained(self) -> bool:
@@ -275,23 +249,35 @@ class Learner:
         )
 
 
-def _begun(model: Model, context: Context) -> Explanations:
+def _name(known: Explanations, where: str) -> Named:
+    here = [(b, c) for b in known.branches for c in b.changes if c.where == where]
+    whole = sum(b.weight for b, _ in here)
+    chances: dict[str, float] = {}
+    for branch, change in here:
+        name = change.key[0]
+        chances[name] = chances.get(name, 0.0) + branch.weight / whole
+    first, *others = sorted(chances, key=lambda name: -chances[name])
+    branch, change = next((b, c) for b, c in here if c.key[0] == first)
+    space = branch.known.space
+    places = space.own(space.keys.index(change.key))
+    moved = branch.known.expected[places] - np.array(change.before)
+    parameters = (space.slots[k].parameter for k in places)
+    by = ((p.name, p.unit, float(v)) for p, v in zip(parameters, moved, strict=True) if v)
+    return Named(
+        effect=first, where=where, since_s=change.since_s, by=tuple(by),
+        probability=chances[first], rivals=tuple((name, chances[name]) for name in others),
+        sightings=change.sightings,
+    )  # fmt: skip
+
+
+def _begun(model: Model, record: ModelUncertainty, context: Context) -> Explanations:
     """What a fitted model's record says."""
-    record = model.uncertainty
-    assert record is not None
     space = Parameters.of(model, context)
-    at = {identity: k for k, identity in enumerate(record.slots)}
-    active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
-    factor = record.factor[[at[space.identities[k]] for k in active]]
-    known = RecursivePosterior.begun(space, space.values, active, factor @ factor.T)
+    held = [name for name in space.position if name in record.row]
+    factor = record.factor[[record.row[name] for name in held]]
+    active = np.array([space.position[name] for name in held], dtype=int)
+    known = RecursivePosterior.begun(space, space.values(model), active, factor @ factor.T)
     return Explanations((Branch(1.0, known),))
-
-
-def _values(space: Parameters, model: Model) -> np.ndarray:
-    """(q,) numbers of a model; 0 of what it does not hold."""
-    made = np.zeros(len(space))
-    made[[space.position[slot.identity] for slot in model.slots]] = model.values
-    return made
 
 
 def _judged(

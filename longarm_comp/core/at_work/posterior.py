@@ -46,6 +46,16 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
+class _Hypotheses:
+    """The changes of every effect at every onset."""
+
+    log_weight: np.ndarray  # (T, C) against "nothing changed"
+    mean: np.ndarray  # (T, C, k) jump in ordinary sizes
+    spread: np.ndarray  # (T, C, k, k) its covariance
+    unnamed: np.ndarray  # (T,) log weight of a change of no known effect
+
+
+@dataclass(frozen=True, eq=False)
 class RecursivePosterior:
     """What is known after some sightings."""
 
@@ -64,17 +74,11 @@ class RecursivePosterior:
 
     @classmethod
     def begun(
-        cls,
-        space: Parameters,
-        mean: np.ndarray,
-        active: np.ndarray,
-        covariance: np.ndarray,
-        again: np.ndarray | None = None,
+        cls, space: Parameters, mean: np.ndarray, active: np.ndarray, covariance: np.ndarray
     ) -> RecursivePosterior:
         c, k = space.places.shape
-        again = np.zeros(c, bool) if again is None else again
         return cls(
-            space, mean, active, covariance, again, np.zeros(0), np.zeros(0, int),
+            space, mean, active, covariance, np.zeros(c, bool), np.zeros(0), np.zeros(0, int),
             np.zeros((0, len(active), len(space))), np.zeros((0, c, k, k)), np.zeros((0, c, k)),
             np.zeros(0),
         )  # fmt: skip
@@ -113,7 +117,33 @@ class RecursivePosterior:
 
     @cached_property
     def hypotheses(self) -> _Hypotheses:
-        return _Hypotheses.of(self)
+        values, turn = np.linalg.eigh(self.gram)
+        z = np.einsum("tcik,tci->tck", turn, self.along)[:, :, None, :]
+        square = SIZES[:, None] ** 2
+        grown = 1.0 + square * np.maximum(values, 0.0)[:, :, None, :]
+        share = square / grown  # (T, C, S, k)
+        evidence = 0.5 * (share * z**2).sum(-1) - 0.5 * np.log(grown).sum(-1)
+        means = np.einsum("tcik,tcsk->tcsi", turn, share * z)
+        lower, upper = (bound[:, None, :] for bound in _bounds(self.space, self.mean))
+        sd = np.sqrt(np.einsum("tcik,tcsk->tcsi", turn**2, share))
+        inside = log_mass((lower - means) / sd, (upper - means) / sd)
+        scale = SIZES[:, None]
+        evidence = evidence + (inside - log_mass(lower / scale, upper / scale)).sum(-1)
+        top = evidence.max(-1, initial=-np.inf, keepdims=True)
+        chance = np.exp(evidence - top)
+        factor = top[..., 0] + np.log(chance.mean(-1))
+        chance /= chance.sum(-1, keepdims=True)
+        mean = np.clip(means, lower, upper)
+        middle = np.einsum("tcs,tcsi->tci", chance, mean)
+        spread = np.einsum(
+            "tcik,tck,tcjk->tcij", turn, np.einsum("tcs,tcsk->tck", chance, share), turn
+        )
+        log_prior = self.space.log_prior + math.log(_HAZARD * (1.0 - UNNAMED))
+        if self.again.any():
+            more = math.log(_AGAIN / self.again.sum())
+            log_prior = np.where(self.again, np.maximum(log_prior, more), log_prior)
+        unnamed = self.growth + math.log(_HAZARD * UNNAMED)
+        return _Hypotheses(factor + log_prior, middle, spread, unnamed)
 
     @property
     def total(self) -> float:
@@ -171,7 +201,8 @@ class RecursivePosterior:
             covariance += weight[t] * (carried @ own @ carried.T + np.outer(off, off))
         again = self.again.copy()
         again[c] = True
-        return RecursivePosterior.begun(self.space, mean, active, covariance, again)
+        begun = RecursivePosterior.begun(self.space, mean, active, covariance)
+        return dataclasses.replace(begun, again=again)
 
     def _thinned(self) -> RecursivePosterior:
         """With one onset fewer where there are too many: the one least apart for its age."""
@@ -181,46 +212,6 @@ class RecursivePosterior:
         kept = np.arange(len(self.since)) != 1 + int(apart.argmin())
         names = ("since", "count", "response", "gram", "along", "growth")
         return dataclasses.replace(self, **{n: getattr(self, n)[kept] for n in names})
-
-
-@dataclass(frozen=True, eq=False)
-class _Hypotheses:
-    """The changes of every effect at every onset."""
-
-    log_weight: np.ndarray  # (T, C) against "nothing changed"
-    mean: np.ndarray  # (T, C, k) jump in ordinary sizes
-    spread: np.ndarray  # (T, C, k, k) its covariance
-    unnamed: np.ndarray  # (T,) log weight of a change of no known effect
-
-    @classmethod
-    def of(cls, known: RecursivePosterior) -> _Hypotheses:
-        space = known.space
-        values, turn = np.linalg.eigh(known.gram)
-        z = np.einsum("tcik,tci->tck", turn, known.along)[:, :, None, :]
-        square = SIZES[:, None] ** 2
-        grown = 1.0 + square * np.maximum(values, 0.0)[:, :, None, :]
-        share = square / grown  # (T, C, S, k)
-        evidence = 0.5 * (share * z**2).sum(-1) - 0.5 * np.log(grown).sum(-1)
-        means = np.einsum("tcik,tcsk->tcsi", turn, share * z)
-        lower, upper = (bound[:, None, :] for bound in _bounds(space, known.mean))
-        sd = np.sqrt(np.einsum("tcik,tcsk->tcsi", turn**2, share))
-        inside = log_mass((lower - means) / sd, (upper - means) / sd)
-        scale = SIZES[:, None]
-        evidence = evidence + (inside - log_mass(lower / scale, upper / scale)).sum(-1)
-        top = evidence.max(-1, initial=-np.inf, keepdims=True)
-        chance = np.exp(evidence - top)
-        factor = top[..., 0] + np.log(chance.mean(-1))
-        chance /= chance.sum(-1, keepdims=True)
-        mean = np.clip(means, lower, upper)
-        middle = np.einsum("tcs,tcsi->tci", chance, mean)
-        spread = np.einsum(
-            "tcik,tck,tcjk->tcij", turn, np.einsum("tcs,tcsk->tck", chance, share), turn
-        )
-        log_prior = space.log_prior + math.log(_HAZARD * (1.0 - UNNAMED))
-        if known.again.any():
-            more = math.log(_AGAIN / known.again.sum())
-            log_prior = np.where(known.again, np.maximum(log_prior, more), log_prior)
-        return cls(factor + log_prior, middle, spread, known.growth + math.log(_HAZARD * UNNAMED))
 
 
 def _with_new(held: np.ndarray) -> np.ndarray:

@@ -156,8 +156,6 @@ def _student_log(square: Array, tail: float, k: int) -> float:
     return float(np.sum(constant - 0.5 * (tail + k) * np.log1p(square / tail)))
 
 
-Progress = Callable[[int, int], None]
-
 _INITS = ["ssa", "xavier"]
 _HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in order until the evidence falls by _UNLIKELY
 _UNLIKELY = 30.0
@@ -178,7 +176,7 @@ def train(
     iterations: int = 50,
     hidden: int | None = None,
     ensemble: int = 5,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
     provenance: Provenance | None = None,
 ) -> Predictor:
     """Train the paper's SSA-BP on residuals.

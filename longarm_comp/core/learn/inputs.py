@@ -67,7 +67,6 @@ def raw_names(joints: int, context: tuple[str, ...]) -> list[str]:
 
 
 def _raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
-    """(N, columns) raw inputs in SI units; NaN where the context is not known."""
     n, joints = q.shape
     raw = np.full((n, len(raw_names(joints, used))), np.nan)
     raw[:, :joints] = q
@@ -88,14 +87,10 @@ def _spread(values: tuple[object, ...], columns: Array) -> None:
     """Mean over the joints whose value is known (not 0), and the difference of each from it."""
     each = columns[:, 1:]
     each[:] = np.asarray(values, float).T
-    known = np.abs(each) > 0.0
-    if known.all():
-        columns[:, 0] = each.sum(axis=1) / len(values)
-    else:
-        count = known.sum(axis=1)
-        each[~known] = np.nan
-        some = count > 0
-        columns[some, 0] = np.nansum(each[some], axis=1) / count[some]
+    each[~(np.abs(each) > 0.0)] = np.nan
+    count = (~np.isnan(each)).sum(axis=1)
+    some = count > 0
+    columns[some, 0] = np.nansum(each[some], axis=1) / count[some]
     each -= columns[:, :1]
 
 
@@ -122,8 +117,7 @@ def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Co
     if not np.isfinite(q).all():
         row, joint = np.argwhere(~np.isfinite(q))[0]
         raise InputError(where, f"q{joint + 1} of row {row}", q[row, joint], "a finite number")
-    if context is None:
-        return q, Context()
+    context = context or Context()
     for name in filter(context.has, INPUT_KINDS["context"]):
         per_joint = name in PER_JOINT
         value = np.asarray(getattr(context, name) if per_joint else context.columns[name], float)

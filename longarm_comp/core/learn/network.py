@@ -64,10 +64,9 @@ def with_ones(x: Array) -> Array:
 
 
 def forward(shape: NetworkShape, weights: Array, x1: Array) -> Array:
-    """Outputs (N, k) of inputs with ones (N, d+1)."""
+    """Outputs (..., N, k) of networks with weights (..., D) for inputs with ones (N, d+1)."""
     v, w, b = shape.split(weights)
-    y: Array = np.tanh(x1 @ v) @ w + b
-    return y
+    return np.tanh(x1 @ v) @ w + b[..., None, :]
 
 
 def output_jacobian(shape: NetworkShape, weights: Array, x1: Array) -> Array:
@@ -208,8 +207,7 @@ def hidden_alike(shape: NetworkShape, weights: Array) -> NDArray[np.bool_]:
     mirrored = np.linalg.norm(columns[:, None] + columns[None], axis=2) / scale
     # relative distance of hidden units below which they count as collapsed
     near = np.minimum(apart, mirrored) < 0.05
-    alike: NDArray[np.bool_] = np.tril(near, -1).any(axis=1) | (norm < 1e-6)
-    return alike
+    return np.tril(near, -1).any(axis=1) | (norm < 1e-6)
 
 
 def separate(shape: NetworkShape, weights: Array, rng: np.random.Generator) -> Array:

@@ -27,7 +27,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.inputs import Encoding, check_rows, raw_names
-from longarm_comp.core.learn.network import NetworkShape, output_jacobian, with_ones
+from longarm_comp.core.learn.network import NetworkShape, forward, output_jacobian, with_ones
 
 Array = NDArray[np.float64]
 
@@ -99,12 +99,6 @@ class Predictor:
         return NetworkShape(len(self.encoding.kept), self.hidden, len(self.offset))
 
     @cached_property
-    def members(self) -> tuple[Array, Array, Array]:
-        """Weights of the ensemble: hidden (M, d+1, H), output (M, H, 3) and its bias (M, 1, 3)."""
-        v, w, b = self.shape.split(self.weights)
-        return np.ascontiguousarray(v), np.ascontiguousarray(w), np.ascontiguousarray(b[:, None])
-
-    @cached_property
     def box(self) -> tuple[Array, Array]:
         """Lower and upper (columns,) of the training region, margins included."""
         # of a context column's training range; it has less influence, and drifts
@@ -133,16 +127,10 @@ class Predictor:
         inside, outside, reason = self._domain(raw, largest, sigma)
         return Prediction(error, sigma, inside, reason, largest / self.variance_limit, outside)
 
-    def _outputs(self, x: Array) -> Array:
-        """Standardised outputs (M, N, 3) of the members for standardised inputs (N, d)."""
-        v, w, b = self.members
-        outputs: Array = np.tanh(with_ones(x) @ v) @ w + b
-        return outputs
-
     def _mean_and_variance(self, x: Array) -> tuple[Array, Array]:
         """Mean (N, 3) and epistemic variance (N, 3) in m, m^2 for standardised inputs (N, d)."""
         x1 = with_ones(x)
-        outputs = self._outputs(x)
+        outputs = forward(self.shape, self.weights, x1)
         mean = outputs.sum(axis=0) / len(outputs)
         variance = ((outputs - mean) ** 2).sum(axis=0) / max(1, len(outputs) - 1)
         for start in range(0, len(x1), 1024):
@@ -162,8 +150,11 @@ class Predictor:
         for column in np.flatnonzero(unknown.any(axis=0)):
             step = np.zeros_like(x)
             step[:, column] = unknown[:, column]
-            apart = self._outputs(x + step).mean(axis=0) - self._outputs(x - step).mean(axis=0)
-            variance += (0.5 * self.scale * apart) ** 2
+            up, down = (
+                forward(self.shape, self.weights, with_ones(moved)).mean(axis=0)
+                for moved in (x + step, x - step)
+            )
+            variance += (0.5 * self.scale * (up - down)) ** 2
         return variance
 
     def _domain(
@@ -179,8 +170,6 @@ class Predictor:
         away = unsure | outside.any(axis=1)
         bad = away | useless | unproven
         reason = [""] * len(raw)
-        if not bad.any():
-            return ~bad, away, reason
         names = raw_names(self.encoding.joints, self.encoding.context)
         for row in np.flatnonzero(bad):
             parts = [
@@ -217,7 +206,7 @@ class Expansion:
 
     Attributes:
         error, sigma: (3,) m.
-        in_domain, reason, doubt: as in `Prediction`.
+        in_domain, reason: as in `Prediction`.
         jacobian: (3, n), m per rad or m of each joint.
         reach: (n,) rad or m. If no joint moves farther, the joints stay inside the training data
             and ``error + jacobian @ step`` is accurate to `LINEAR_M`. Zero: valid only at q.
@@ -229,7 +218,6 @@ class Expansion:
     reason: str
     jacobian: np.ndarray
     reach: np.ndarray
-    doubt: float = 0.0
 
 
 class Expander:
@@ -237,7 +225,7 @@ class Expander:
 
     def __init__(self, predictor: Predictor) -> None:
         self._predictor = predictor
-        encoding, (v, w, _) = predictor.encoding, predictor.members
+        encoding, (v, w, _) = predictor.encoding, predictor.shape.split(predictor.weights)
         joint = encoding.kept < encoding.joints  # columns that are a joint
         self._moved = encoding.kept[joint]
         self._width = encoding.scale[joint]
@@ -271,17 +259,14 @@ class Expander:
             reach[self._moved] = np.minimum(reach[self._moved], step * self._width)
         return Expansion(
             found.error[0], found.sigma[0], bool(found.in_domain[0]), found.reason[0],
-            jacobian, reach, float(found.doubt[0]),
+            jacobian, reach,
         )  # fmt: skip
-
-
-Ask = Callable[[np.ndarray, Context], Expansion]
 
 
 class Nearby:
     """A predictor for one target, which reuses its last expansion within its reach."""
 
-    def __init__(self, ask: Ask) -> None:
+    def __init__(self, ask: Callable[[np.ndarray, Context], Expansion]) -> None:
         self._ask = ask
         self._held: tuple[np.ndarray, Context, Expansion] | None = None
 
@@ -304,5 +289,4 @@ class Nearby:
             np.repeat(found.sigma[None], count, axis=0),
             np.full(count, found.in_domain),
             [found.reason] * count,
-            np.full(count, found.doubt),
         )

@@ -55,8 +55,7 @@ class Flock:
 def diagonal_step(rng: np.random.Generator, position: Array, leader: Array) -> Array:
     """``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension."""
     sign = 1.0 - 2.0 * rng.integers(0, 2, position.shape, dtype=np.int8)
-    step: Array = np.mean(np.abs(position - leader) * sign, axis=1, keepdims=True)
-    return step
+    return np.mean(np.abs(position - leader) * sign, axis=1, keepdims=True)
 
 
 class Rules:
@@ -69,16 +68,14 @@ class Rules:
         if alarmed:
             return position + rng.standard_normal((len(position), 1))
         alpha = 1.0 - rng.random(len(position))  # (0, 1]
-        shrink: Array = np.exp(-rank / (alpha * horizon))
-        return position * shrink[:, None]
+        return position * np.exp(-rank / (alpha * horizon))[:, None]
 
     def follow(self, rng: np.random.Generator, position: Array, leader: Array) -> Array:
         return leader + diagonal_step(rng, position, leader)
 
     def starve(self, rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
         quantity = rng.standard_normal((len(position), 1))
-        moved: Array = quantity * np.exp((flock.worst - position) / rank[:, None] ** 2)
-        return moved
+        return quantity * np.exp((flock.worst - position) / rank[:, None] ** 2)
 
     def watch(
         self, rng: np.random.Generator, position: Array, fitness: Array, flock: Flock
@@ -89,8 +86,7 @@ class Rules:
         gap = (fitness - flock.worst_fitness)[:, None]
         step = k * np.abs(position - flock.worst)
         away = position + np.divide(step, gap, out=np.zeros_like(step), where=gap < 0)
-        moved: Array = np.where((fitness > flock.best_fitness)[:, None], towards, away)
-        return moved
+        return np.where((fitness > flock.best_fitness)[:, None], towards, away)
 
 
 CANONICAL = Rules()
@@ -137,18 +133,15 @@ class SparrowSearch:
         n, horizon = self.population, self.iterations
         lead = max(1, round(_PD * n))
         half = max(lead, n // 2)
+        watchers = max(1, round(_SD * n))
         rank = np.arange(1, n + 1, dtype=float)
-        evaluations = 0
 
         def evaluate(position: Array) -> Array:
-            nonlocal evaluations
-            evaluations += len(position)
             value = np.asarray(fitness(position), float)
             return np.where(np.isnan(value), np.inf, value)
 
         def clip(position: Array) -> Array:
-            inside: Array = np.fmax(np.fmin(position, upper), lower)  # a NaN goes to a bound
-            return inside
+            return np.fmax(np.fmin(position, upper), lower)  # a NaN goes to a bound
 
         home = rng.uniform(lower, upper, (n, len(lower)))  # personal bests
         value = evaluate(home)
@@ -173,7 +166,7 @@ class SparrowSearch:
                 better = now_value < value
                 home[better], value[better] = now[better], now_value[better]
 
-                watching = rng.permutation(n)[: max(1, round(_SD * n))]
+                watching = rng.permutation(n)[:watchers]
                 best, worst_index = int(np.argmin(value)), int(np.argmax(now_value))
                 f_best, f_worst = float(value[best]), float(now_value[worst_index])
                 flock = Flock(home[best], now[worst_index], f_best, f_worst, horizon)
@@ -184,4 +177,5 @@ class SparrowSearch:
                 home[better], value[better] = now[better], now_value[better]
             history[t] = value.min()
         best = int(np.argmin(value))
+        evaluations = n + horizon * (n + watchers)
         return SparrowResult(home[best].copy(), float(value[best]), history, evaluations)

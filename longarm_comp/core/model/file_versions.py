@@ -17,7 +17,7 @@ def put(path: str | Path, content: bytes) -> None:
     path = Path(path)
     settle(path)
     if os.path.isfile(path):  # False in an unreadable folder; writing then raises
-        with atomic_path(_before(path)) as partial:
+        with atomic_path(_beside(path, "before")) as partial:
             partial.write_bytes(path.read_bytes())
     with atomic_path(path) as partial:
         partial.write_bytes(content)
@@ -27,7 +27,7 @@ def put(path: str | Path, content: bytes) -> None:
 def settle(path: str | Path) -> None:
     """Finish a `put` that was broken off: what it kept is the previous version, or not needed."""
     path = Path(path)
-    kept = _before(path)
+    kept = _beside(path, "before")
     if not os.path.isfile(kept):
         return
     if os.path.isfile(path) and path.read_bytes() == kept.read_bytes():  # nothing was replaced
@@ -39,10 +39,6 @@ def settle(path: str | Path) -> None:
 def previous(path: str | Path) -> Path:
     """Path of the previous version. Raises InputError where the path names no file."""
     return _beside(path, "previous")
-
-
-def _before(path: Path) -> Path:
-    return _beside(path, "before")
 
 
 def _beside(path: str | Path, what: str) -> Path:

@@ -80,15 +80,13 @@ def link_frames(model: Model, q: np.ndarray, prefix: str = "") -> list[Placed]:
     Rows off the chain, which only lead others, have none. Every name starts with ``prefix``.
     """
     posture = model.posture(unstack(q))
-    made: list[Placed] = []
-    parent, before = prefix + BASE_LINK, np.eye(4)
-    for joint in model.arm.joints:
-        if joint.moves:
-            name, pose = prefix + link_name(joint), posture.frames[posture.frame(joint.id)].matrix()
-            made.append(Placed.at(parent, name, np.linalg.inv(before) @ pose))
-            parent, before = name, pose
-    tip = model.tip_frame(posture).matrix()
-    return [*made, Placed.at(parent, prefix + TIP, np.linalg.inv(before) @ tip)]
+    moving = [joint for joint in model.arm.joints if joint.moves]
+    links = [(link_name(j), posture.frames[posture.frame(j.id)].matrix()) for j in moving]
+    chain = [(BASE_LINK, np.eye(4)), *links, (TIP, model.tip_frame(posture).matrix())]
+    return [
+        Placed.at(prefix + parent, prefix + name, np.linalg.inv(before) @ pose)
+        for (parent, before), (name, pose) in pairwise(chain)
+    ]
 
 
 def entered(model: Model, path: np.ndarray) -> str:

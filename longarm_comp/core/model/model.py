@@ -24,13 +24,7 @@ from longarm_comp.core.arm.posture import PLACEMENT, Chain, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter
 from longarm_comp.core.model.encoders import Parts
-from longarm_comp.core.model.tip_motion import (
-    Reseen,
-    TipMotion,
-    TwistChange,
-    moved,
-    stack,
-)
+from longarm_comp.core.model.tip_motion import Reseen, TipMotion, TwistChange, moved, stack
 from longarm_comp.core.model.uncertainty import ModelUncertainty
 
 
@@ -207,7 +201,7 @@ class Model:
         gravity = self._gravity(posture.context)
         bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
         extra = tuple(mass for effect in self.effects for mass in effect.masses(bare))
-        return dataclasses.replace(bare, extra=extra, _cache={})
+        return dataclasses.replace(bare, extra=extra, _cache={}) if extra else bare
 
     def _passed(self, posture: Posture, passes: int) -> Posture:
         for _ in range(passes):
@@ -231,11 +225,8 @@ class Model:
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """The arm at q with given twists (by station), and its loads."""
-        frames, lengths = self.chain.place(q, twists)
-        gravity = self._gravity(context)
-        posture = Posture(self.chain, tuple(q), context, frames, lengths, gravity, twists)
-        extra = tuple(mass for effect in self.effects for mass in effect.masses(posture))
-        return dataclasses.replace(posture, extra=extra, _cache={}) if extra else posture
+        placed, gravity = self.chain.place(q, twists), self.arm.gravity_mps2
+        return self._weighed(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
 
     def _gravity(self, context: Context) -> Vec:
         """Gravity (m/s^2) in the frame of the measurements."""
@@ -330,7 +321,7 @@ class Model:
         for slot in slots:
             term, per = slot.owner, 0.5 / slot.step
             if isinstance(term, Bias):
-                raised, lowered = (self._reseen(term, end) for end in slot.ends)
+                raised, lowered = (self._changed(term, end) for end in slot.ends)
                 ends.append(Reseen(raised, lowered, per, term.sees))
             elif term.changes_loads:
                 ends.append(self._reloaded(slot, posture))
@@ -365,13 +356,10 @@ class Model:
 
     def _reloaded(self, slot: Slot, posture: Posture) -> TwistChange:
         """Change of the twists that depend on the loads, with a parameter that changes these."""
-        terms = list(self.terms)
-        if slot.term < len(terms) and terms[slot.term] is slot.owner:
-            terms[slot.term] = slot.ends[0]
-            model = self.with_terms(terms)
-        else:  # a load that the model does not hold: from none of it on
-            none = slot.owner.with_values({p.name: 0.0 for p in slot.owner.parameters(self.arm)})
-            model = self.plus(dataclasses.replace(slot, owner=none).ends[0])
+        if not any(term is slot.owner for term in self.terms):  # from none of such a load on
+            none = {p.name: 0.0 for p in slot.owner.parameters(self.arm)}
+            slot = dataclasses.replace(slot, owner=slot.owner.with_values(none))
+        model = self._changed(slot.owner, slot.ends[0])
         raised = model._under_load(model._weighed(posture))
         return TwistChange(raised, self._under_load(posture), 1.0 / slot.step)
 
@@ -379,12 +367,10 @@ class Model:
         """The twists that depend on the loads."""
         return [(e, e.twists(posture)) for e in self.effects if e.loaded or e.changes_loads]
 
-    def _reseen(self, bias: Bias, changed: Bias) -> Model:
-        """The model with a term of the measuring side changed."""
-        biases = tuple(changed if b is bias else b for b in self.biases)
-        if not any(b is changed for b in biases):
-            biases = (*biases, changed)
-        return dataclasses.replace(self, biases=biases)
+    def _changed(self, term: Effect | Bias, to: Effect | Bias) -> Model:
+        """A copy with a term changed, which is added if the model does not hold it."""
+        terms = [to if t is term else t for t in self.terms]
+        return self.with_terms(terms if any(t is to for t in terms) else [*terms, to])
 
 
 def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:

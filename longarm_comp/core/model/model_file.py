@@ -113,22 +113,22 @@ def store(
         origins: by term number, the origin of that term.
         intervals: by (term number, parameter), 95 % intervals that replace the normal ones.
     """
-    half = {}
+    ends = dict(intervals or {})
     if standard_errors is not None:
         for slot, se in zip(model.slots, standard_errors, strict=True):
-            half[slot.term, slot.parameter.name] = 1.96 * float(se)
+            p, half = slot.parameter, 1.96 * float(se)
+            normal = max(slot.value - half, p.lower), min(slot.value + half, p.upper)
+            ends.setdefault((slot.term, p.name), normal)
     sides: dict[str, list[_StoredTerm]] = {"geometry": [], "effects": [], "camera": []}
     for number, term in enumerate(model.terms):
         if term.passing:
             continue
-        parameters = {}
-        for p in term.parameters(model.arm):
-            value = float(getattr(term, p.name))
-            width = half.get((number, p.name))
-            ci = (intervals or {}).get((number, p.name))
-            if ci is None and width is not None:
-                ci = (max(value - width, p.lower), min(value + width, p.upper))
-            parameters[p.name] = _StoredValue(value=value, unit=p.unit, ci95=ci)
+        parameters = {
+            p.name: _StoredValue(
+                value=float(getattr(term, p.name)), unit=p.unit, ci95=ends.get((number, p.name))
+            )
+            for p in term.parameters(model.arm)
+        }
         side = "camera" if isinstance(term, Bias) else "geometry" if term.geometry else "effects"
         stored = _StoredTerm(
             effect=term.name, where=term.where, form=term.placement, parameters=parameters,
@@ -152,12 +152,11 @@ def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
     known = model.uncertainty
     if known is None:
         return None
-    row = {identity: k for k, identity in enumerate(known.slots)}
     order = [slot.identity for slot in slots_of(model.arm, _in_file(model))]
     factor = np.zeros((len(order), known.factor.shape[1]))
     for k, identity in enumerate(order):
-        if identity in row:
-            factor[k] = known.factor[row[identity]]
+        if identity in known.row:
+            factor[k] = known.factor[known.row[identity]]
     return _StoredUncertainty(
         factor=written(triangular(factor)),
         structure_m2=known.structure.tolist(), noise_m2=known.noise.tolist(),

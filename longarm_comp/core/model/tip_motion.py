@@ -98,7 +98,7 @@ class TipMotion:
         seen = self.model.seen(self.frame.p, self.context, kind)
         free = seen is self.frame.p
         blocks = [self._point_change(change, kind, free) for change in self.changes]
-        return _together(seen, blocks)
+        return _together(stack(seen), blocks)
 
     def _point_change(self, change: _Moved | Reseen, kind: str, free: bool) -> Vec:
         if isinstance(change, Reseen):
@@ -132,14 +132,12 @@ class TipMotion:
             for change in self.changes
         ]
         whole = np.broadcast_to(model.read(at, row), np.shape(stack(self.frame.p))[:-1])
-        columns = np.empty((*whole.shape, 1, len(each)))
-        for k, column in enumerate(each):
-            columns[..., 0, k] = column
-        return whole[..., None], columns
+        return _together(whole[..., None], [(column,) for column in each])
 
     def pull(self, kind: str) -> np.ndarray:
         """(N, 3, 3) derivative of the reported point by the tip's position."""
-        return _together(self.frame.p, [self._reported(axis, kind) for axis in IDENTITY[:3]])[1]
+        blocks = [self._reported(axis, kind) for axis in IDENTITY[:3]]
+        return _together(stack(self.frame.p), blocks)[1]
 
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Reported axes of the tip (N, 3, 3) and their turn (rad) by each parameter (N, 3, p).
@@ -150,7 +148,7 @@ class TipMotion:
         gain = [self._report_of_turn(axis) for axis in IDENTITY[:3]]
         blocks = [self._turn(change, gain) for change in self.changes]
         rotation = seen.matrix()[..., :3, :3]
-        return rotation, _together(self.frame.p, blocks)[1]
+        return rotation, _together(stack(self.frame.p), blocks)[1]
 
     def _report_of_turn(self, axis: Vec) -> Vec:
         """Turn of the reported axes as the tip turns about an axis of the base, per rad."""
@@ -192,7 +190,6 @@ def moved(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) 
 
 
 def _sum(vectors: list[np.ndarray]) -> Vec:
-    """Sum of vectors (3, ...)."""
     if not vectors:
         return spatial.ZERO
     return tuple(sum(vectors[1:], vectors[0]))  # type: ignore[return-value]
@@ -240,10 +237,11 @@ def stack(v: Vec) -> np.ndarray:
     return np.stack(np.broadcast_arrays(*v), axis=-1)
 
 
-def _together(point: Vec, blocks: Sequence[Vec]) -> tuple[np.ndarray, np.ndarray]:
-    """The point, (N, 3), and the blocks in its shape, (N, 3, p)."""
-    whole = stack(point)
-    columns = np.empty((len(blocks), 3, *whole.shape[:-1]))
+def _together(
+    whole: np.ndarray, blocks: Sequence[tuple[Scalar, ...]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """A value (N, k), and p blocks of its k components in its shape, (N, k, p)."""
+    columns = np.empty((len(blocks), whole.shape[-1], *whole.shape[:-1]))
     for column, block in zip(columns, blocks, strict=True):
         for axis, component in enumerate(block):
             column[axis] = component

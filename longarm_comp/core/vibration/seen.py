@@ -141,14 +141,12 @@ def corrected(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
     if not seen or not len(modes.omega) or not len(at_ring.omega):
         return modes
     steep = _steepness(np.array([wave.size for wave in seen]))
-    model = _steepness(at_ring.tip)
+    apart = np.abs(np.subtract.outer(steep, _steepness(at_ring.tip)))
     slow = at_ring.omega < 2.0 * at_ring.omega[0]
-    factors = []
-    for wave, rise in zip(seen, steep, strict=True):
-        nearest = int(np.argmin(np.where(slow, np.abs(model - rise), np.inf)))
-        factors.append(wave.hz / float(at_ring.hz[nearest]))
+    model = at_ring.hz[np.where(slow, apart, np.inf).argmin(axis=1)]
+    factors = np.array([wave.hz for wave in seen]) / model
     nearest_wave = np.abs(np.subtract.outer(_steepness(modes.tip), steep)).argmin(axis=1)
-    return replace(modes, omega=modes.omega * np.array(factors)[nearest_wave])
+    return replace(modes, omega=modes.omega * factors[nearest_wave])
 
 
 def _steepness(moves: np.ndarray) -> np.ndarray:

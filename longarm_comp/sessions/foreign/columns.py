@@ -117,15 +117,11 @@ def understand(
     """
     where = cells.where
     told = {cells.place(key, "--map"): key for key in given}
-    meant = [given[key].partition(":")[0] for key in told.values()]
-    found: dict[str, Column] = {}
-    rank: dict[str, int] = {}
-    for place, source in sorted(enumerate(cells.names), key=lambda item: item[0] not in told):
-        if source in apart and place not in told:
-            continue
+    ranked: list[tuple[int, Column]] = []
+    for place, source in enumerate(cells.names):
         stem, unit = split_name(source)
         if place in told:
-            key = told[place]
+            rank, key = 0, told[place]
             name, _, own = given[key].partition(":")
             if own and own not in KNOWN:
                 raise InputError(where, f"--map {key}", own, f"a unit: {', '.join(KNOWN)}")
@@ -133,25 +129,21 @@ def understand(
             if not re.fullmatch(r"[A-Za-z_]\w*", name):
                 allowed = "a column of a session: q1..qn, x, y, z, ..."
                 raise InputError(where, f"--map {key}", name, allowed)
+        elif stem and source not in apart:
+            rank = 1 + (meaning(stem, arm, headings=False) is None)
+            name = meaning(source, arm) or meaning(stem, arm) or ""
         else:
-            name = (meaning(source, arm) or meaning(stem, arm) or "") if stem else ""
-            if name in meant:  # what the user says wins
-                continue
-        if not name:
             continue
-        # A name that means it by itself wins over one that does with a heading before it.
-        by = 0 if place in told else 1 + (meaning(stem, arm, headings=False) is None)
-        if name in found and rank[name] == by:
-            both = f"{found[name].source} and {source}"
-            raise InputError(
-                where, f"column {name}", both, f"one; choose it with --map NAME={name}"
-            )
-        if name in found and rank[name] < by:
-            continue
-        rank[name] = by
-        found[name] = Column(name, source, place, unit)
-
-    made = [replace(c, unit=_fitting(cells, c, defaults, arm)) for c in found.values()]
+        if name:
+            ranked.append((rank, Column(name, source, place, unit)))
+    found: dict[str, tuple[int, Column]] = {}
+    # What the user says wins; a name by itself wins over one with a heading before it.
+    for rank, column in sorted(ranked, key=lambda each: each[0]):
+        best, first = found.setdefault(column.name, (rank, column))
+        if column is not first and rank == best:
+            both, one = f"{first.source} and {column.source}", f"--map NAME={column.name}"
+            raise InputError(where, f"column {column.name}", both, f"one; choose it with {one}")
+    made = [replace(c, unit=_fitting(cells, c, defaults, arm)) for _, c in found.values()]
     return sorted(made, key=lambda c: _order(c.name))
 
 

@@ -32,7 +32,8 @@ def appended(tables: Sequence[Cells]) -> Cells:
         begin = index[-1] + 2  # a gap: nobody knows what the joints did between
         rows += [(line, tuple(row[k] for k in order)) for line, row in table.rows]
         index += range(begin, begin + len(table.rows))
-    return replace(first, where=_all(tables), rows=tuple(rows), index=tuple(index))
+    where = ", ".join(table.where for table in tables)
+    return replace(first, where=where, rows=tuple(rows), index=tuple(index))
 
 
 def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]]:
@@ -65,7 +66,7 @@ def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]
         if not rows:
             raise InputError(table.where, f"--join {column}", "no row in common", f"{one[0]}, ...")
         made = replace(made, names=(*made.names, *names), rows=rows)
-    return replace(made, where=_all(tables)), tuple(lonely)
+    return replace(made, where=", ".join(t.where for t in tables)), tuple(lonely)
 
 
 def ordered(cells: Cells, column: str) -> Cells:
@@ -158,7 +159,3 @@ def _pointed(cells: Cells) -> Cells:
         for line, row in cells.rows
     )
     return replace(cells, rows=rows, decimal=".")
-
-
-def _all(tables: Sequence[Cells]) -> str:
-    return ", ".join(table.where for table in tables)

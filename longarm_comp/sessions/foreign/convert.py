@@ -15,7 +15,6 @@ import yaml
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
-from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.csv import LABELS, XYZ
 from longarm_comp.sessions.foreign.cells import Cells, read_cells
 from longarm_comp.sessions.foreign.columns import JOINT, Column, kind_of, turned, understand
@@ -36,6 +35,7 @@ from longarm_comp.sessions.foreign.units import (
     seconds,
     split_name,
 )
+from longarm_comp.sessions.foreign.written import Like
 from longarm_comp.sessions.table import write_table
 from longarm_comp.sessions.targets import QUATERNION
 
@@ -68,25 +68,19 @@ class Options:
 
     def like(self, mapping: Path) -> Options:
         """With what an earlier mapping says beside; what is told here goes before it."""
-        data = read_yaml(mapping)
-        try:
-            given = {
-                str(held["from"]): name + (f":{held['unit']}" if "unit" in held else "")
-                for name, held in data["columns"].items()
-            }
-            rotation, decimal = data.get("rotation"), data["decimal"]
-            units = tuple(map(str, data["units"]))
-        except (TypeError, KeyError, AttributeError) as error:
-            allowed = "a mapping that longarm import-data wrote"
-            raise InputError(mapping, "columns", repr(error), allowed) from error
+        form = Like(mapping)
         told = {name.partition(":")[0] for name in self.given.values()}
-        kept = {k: v for k, v in given.items() if v.partition(":")[0] not in told}
+        kept = {
+            source: f"{name}:{unit.name}" if unit else name
+            for name, (source, unit) in form.columns.items()
+            if name not in told
+        }
         return replace(
             self,
-            units=self.units or units,
+            units=self.units or form.units,
             given={**kept, **self.given},
-            rotation=self.rotation or rotation,
-            decimal=self.decimal or decimal,
+            rotation=self.rotation or form.rotation,
+            decimal=self.decimal or form.decimal,
         )
 
 

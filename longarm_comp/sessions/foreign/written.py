@@ -24,18 +24,26 @@ _SIDE = re.compile(r"approach_(q\d+)")
 
 
 class Like:
-    """The form of a table, as the mapping of `longarm import-data` tells it."""
+    """The form of a table, as the mapping of `longarm import-data` tells it.
+
+    Attributes:
+        columns: by session column, the name in the table and its unit.
+        units, rotation, decimal: as in `convert.Options`.
+        workbook: whether the table was a workbook.
+    """
 
     def __init__(self, mapping: Path) -> None:
         data = read_yaml(mapping)
         try:
-            self._columns = {
+            self.columns = {
                 str(name): (str(held["from"]), UNITS[held["unit"]] if "unit" in held else None)
                 for name, held in data["columns"].items()
             }
+            self.units, self.rotation = tuple(map(str, data["units"])), data.get("rotation")
             self.workbook = Path(str(data["source"])).suffix.lower() in WORKBOOK
-            self._decimal = str(data["decimal"] or ".")
-            self._separator = _plain(str(data["separator"]), self._decimal)
+            self.decimal = data["decimal"]
+            self._sign = str(self.decimal or ".")
+            self._separator = _plain(str(data["separator"]), self._sign)
         except (TypeError, KeyError, AttributeError) as error:
             allowed = "a mapping that longarm import-data wrote"
             raise InputError(mapping, "columns", repr(error), allowed) from error
@@ -47,7 +55,7 @@ class Like:
     def read(self, path: str | Path) -> Table:
         """A table in this form as one in SI; columns that the mapping does not know stay."""
         cells = read_cells(Path(path))
-        known = {s: (n, u) for n, (s, u) in self._columns.items()}
+        known = {s: (n, u) for n, (s, u) in self.columns.items()}
         known = {split_name(s)[0]: held for s, held in known.items()} | known
         made: dict[str, list[str]] = {}
         for place, source in enumerate(cells.names):
@@ -82,21 +90,21 @@ class Like:
                 frame.to_excel(partial, index=False, engine="openpyxl")
             else:
                 frame.to_csv(
-                    partial, index=False, sep=self._separator, decimal=self._decimal,
+                    partial, index=False, sep=self._separator, decimal=self._sign,
                     lineterminator="\n",
                 )  # fmt: skip
 
     def _form(self, name: str) -> tuple[str, Unit | None, bool]:
         """The user's name of a column, its unit, and whether a zero point moves its values."""
         joint, side, point = (p.fullmatch(name) for p in (_JOINT, _SIDE, _POINT))
-        if side and side[1] in self._columns:
-            return f"approach {split_name(self._columns[side[1]][0])[0]}", None, False
-        if name in self._columns:
-            source, unit = self._columns[name]
+        if side and side[1] in self.columns:
+            return f"approach {split_name(self.columns[side[1]][0])[0]}", None, False
+        if name in self.columns:
+            source, unit = self.columns[name]
             return source, unit, True
         for found in (joint, point):
-            if found and found[2] in self._columns:
-                source, unit = self._columns[found[2]]
+            if found and found[2] in self.columns:
+                source, unit = self.columns[found[2]]
                 stem, named = split_name(source)
                 what = (found[1] or "").strip("_").replace("_", " ")
                 bracket = f" [{unit.name}]" if unit and named else ""

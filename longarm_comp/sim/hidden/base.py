@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import ClassVar, Literal, TypeVar
 
-import numpy as np
-
 from longarm_comp.core.arm.parts import Beam
 from longarm_comp.sim.context import Array, State
 from longarm_comp.sim.rods import Walker
@@ -29,15 +27,6 @@ class Place:
     prismatic: bool = False  # whether the row slides
     beam: Beam | None = None  # the sliding beam
     overlap: Array | None = None  # length (N,) m of its body inside the beam before it
-
-
-def wound_up(compliance: Array, place: Place, beyond: Walker) -> Array | None:
-    """Turn (3, B, N) of a turning joint by its torque times its compliance (n,), rad/(N m)."""
-    if place.kind != "bearing" or place.joint is None or place.prismatic:
-        return None
-    turn = np.zeros_like(beyond.moment)
-    turn[2] = compliance[place.joint] * beyond.moment[2]
-    return turn
 
 
 class Dosed:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from longarm_comp.sim.context import Array, State
-from longarm_comp.sim.hidden.base import HiddenEffect, Place, wound_up
-from longarm_comp.sim.rods import Walker
+from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.loads import JointCompliance
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ STEPS_PER_TURN = (180, 256, 300, 360, 512, 720, 1000, 1024, 2048, 4096, 16384)
 class ServoQuantisation(HiddenEffect):
     """Servos are told whole steps: the command is rounded to `step` (n,), rad or m; 0: not."""
 
-    of_command: ClassVar[bool] = True
+    of_command = True
     step: Array
 
     def scaled(self, dose: float) -> ServoQuantisation:
@@ -100,7 +99,7 @@ class FrictionMemory(HiddenEffect):
 class _Resting(HiddenEffect):
     """The load lies on one side where |torque| > gate, else the approach decides."""
 
-    gated: ClassVar[bool] = True
+    gated = True
     half: Array  # half of the way from side to side, (n,), rad or m
     gate: float  # torque or force above which the weight decides, N m or N
 
@@ -123,24 +122,19 @@ class ServoDeadband(_Resting):
 
 
 @dataclass(frozen=True)
-class ServoDroop(HiddenEffect):
-    """A proportional servo yields by torque / gain."""
-
-    yielding: Array  # 1 / proportional gain, (n,), rad/(N m), 0 on sliding joints
-
-    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
-        return wound_up(self.yielding, place, beyond)
+class ServoDroop(JointCompliance):
+    """A proportional servo yields by torque / gain: `compliance` is 1 / gain, 0 where it slides."""
 
     def before(self, torques: Array, state: State) -> Array:
         turning = np.array([j.type == "revolute" for j in state.arm.joints if j.commanded])
-        return turning * self.yielding * torques
+        return turning * self.compliance * torques
 
 
 @dataclass(frozen=True)
 class CoggingBump(HiddenEffect):
     """Outside every library: joint `joint` is pushed off by `height` (rad) near one angle."""
 
-    doses: ClassVar[tuple[str, ...]] = ("height",)
+    doses = ("height",)
     joint: int
     centre: float
     width: float
@@ -160,7 +154,7 @@ class CableDrag(HiddenEffect):
     The pull is `pull` (rad) times the product of both joints' places in their ranges, -1 to 1.
     """
 
-    doses: ClassVar[tuple[str, ...]] = ("pull",)
+    doses = ("pull",)
     joint: int
     wound_by: tuple[int, int]
     pull: float

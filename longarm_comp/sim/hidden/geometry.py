@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from longarm_comp.sim.context import Array, State
 from longarm_comp.sim.hidden.base import THETA, A, D, HiddenEffect
@@ -67,7 +66,7 @@ class ThermalGrowth(HiddenEffect):
 class LooseScrew(HiddenEffect):
     """Not in the library: row `row` jumps by `jump` (rad) beyond an angle of a joint."""
 
-    doses: ClassVar[tuple[str, ...]] = ("jump",)
+    doses = ("jump",)
     row: int
     joint: int
     threshold: float

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from longarm_comp.core.arm.parts import Beam
 from longarm_comp.sim.context import Array, State
-from longarm_comp.sim.hidden.base import HiddenEffect, Place, wound_up
+from longarm_comp.sim.hidden.base import HiddenEffect, Place
 from longarm_comp.sim.rods import Walker
 
 
@@ -20,7 +19,11 @@ class JointCompliance(HiddenEffect):
     compliance: Array
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
-        return wound_up(self.compliance, place, beyond)
+        if place.kind != "bearing" or place.joint is None or place.prismatic:
+            return None
+        turn = np.zeros_like(beyond.moment)
+        turn[2] = self.compliance[place.joint] * beyond.moment[2]
+        return turn
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class BaseCompliance(HiddenEffect):
 class BaseSettling(HiddenEffect):
     """The foot sinks by `sink` m/h and leans by `lean` (2,) rad/h about x and y."""
 
-    doses: ClassVar[tuple[str, ...]] = ("sink", "lean")
+    doses = ("sink", "lean")
     sink: float
     lean: Array
 
@@ -75,7 +78,7 @@ class BaseSettling(HiddenEffect):
 class TelescopeClearance(HiddenEffect):
     """Sliding beams droop in their guides by clearance / overlap, towards the load, and give."""
 
-    doses: ClassVar[tuple[str, ...]] = ("clearance", "pads")
+    doses = ("clearance", "pads")
     clearance: float  # across the guide, m
     pads: float = 0.0  # compression per force of the two pads of a guide, an overlap apart, m/N
 
@@ -97,7 +100,7 @@ class TelescopeClearance(HiddenEffect):
 class LinkStiffness(HiddenEffect):
     """The print is softer than declared: compliance times 1 + softer (by beam name)."""
 
-    doses: ClassVar[tuple[str, ...]] = ("dose",)
+    doses = ("dose",)
     softer: dict[str, float]
     dose: float = 1.0
 
@@ -141,7 +144,7 @@ class TipPayload(HiddenEffect):
 class LinkMass(HiddenEffect):
     """An undeclared mass (kg) in the origin of the frame of row `row`."""
 
-    doses: ClassVar[tuple[str, ...]] = ("mass_kg",)
+    doses = ("mass_kg",)
     row: int
     mass_kg: float
 
@@ -157,7 +160,7 @@ class MeasuredTilt(HiddenEffect):
     first joint; a session records it as `incl_<row>_x` and `incl_<row>_y`.
     """
 
-    doses: ClassVar[tuple[str, ...]] = ("sway", "lean")
+    doses = ("sway", "lean")
     row: int
     sway: Array  # (2,) rad
     period_s: float  # of the sway

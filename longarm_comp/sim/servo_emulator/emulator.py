@@ -51,9 +51,6 @@ def _take(counts: Counter[int], servo_id: int) -> bool:
 _STEP_S = 0.01  # in which a load is constant: a fraction of the 30 ms in which servos follow
 Of = TypeVar("Of")
 
-LoadOf = Callable[[Mapping[int, float]], Mapping[int, float]]
-"""Servo positions (ticks) to external load on each, as a signed share of its stall torque."""
-
 
 class ServoEmulator:
     """Servos on a pseudo-terminal, moved by a thread of their own.
@@ -63,7 +60,7 @@ class ServoEmulator:
         positions: initial position of each servo, ticks, by id.
         spec: mechanics of all servos, or of each by id; none: an unloaded STS3215.
         link: path of a symbolic link to the pseudo-terminal, the same after every ``start``.
-        load_of: external load from positions; none: unloaded.
+        loads: present external load of servos by id, as a signed share of the stall torque.
         clock: seconds, by which the servos move.
 
     Use as a context manager, or ``start`` and ``unplug``.
@@ -75,7 +72,7 @@ class ServoEmulator:
         positions: Mapping[int, float],
         spec: MotorSpec | Mapping[int, MotorSpec] | None = None,
         link: Path | None = None,
-        load_of: LoadOf | None = None,
+        loads: Callable[[], Mapping[int, float]] = dict,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._wire = wire_of(protocol, "servo emulator") if isinstance(protocol, str) else protocol
@@ -85,7 +82,7 @@ class ServoEmulator:
             i: self._wire.device(i, Motor(specs[i], ticks)) for i, ticks in positions.items()
         }
         self._link = link
-        self._load_of = load_of
+        self._loads = loads
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -104,7 +101,9 @@ class ServoEmulator:
         self._fds = master, slave
         self.port = os.ttyname(slave)
         if self._link is not None:
-            _point(self._link, self.port)
+            fresh = self._link.with_name(f".{self._link.name}.{os.getpid()}")
+            fresh.symlink_to(self.port)
+            fresh.replace(self._link)  # in one step, so that it is never missing
         self._stop.clear()
         self._thread = threading.Thread(target=self._serve, args=(master,), daemon=True)
         self._thread.start()
@@ -170,10 +169,8 @@ class ServoEmulator:
         while self._now < now:
             dt = min(_STEP_S, now - self._now)
             self._now += dt
-            if self._load_of is not None:
-                positions = {i: d.motor.position for i, d in self._devices.items()}
-                for servo_id, load in self._load_of(positions).items():
-                    self._devices[servo_id].motor.external_load = load
+            for servo_id, load in self._loads().items():
+                self._devices[servo_id].motor.external_load = load
             for device in self._devices.values():
                 device.motor.advance(dt)
 
@@ -193,7 +190,8 @@ class ServoEmulator:
                     for servo_id, reply in self._answers(frame)
                 ]
             for reply in sent:
-                _send(master, reply)
+                with contextlib.suppress(BlockingIOError):  # bytes that nobody reads are lost
+                    os.write(master, reply)
 
     def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
         try:
@@ -203,16 +201,3 @@ class ServoEmulator:
         if any(i != device.servo_id for i, device in self._devices.items()):
             self._devices = {device.servo_id: device for device in self._devices.values()}
         return replies
-
-
-def _send(master: int, data: bytes) -> None:
-    """Write bytes to the line. Bytes that nobody reads are lost, as on a real line."""
-    with contextlib.suppress(BlockingIOError):
-        os.write(master, data)
-
-
-def _point(link: Path, target: str) -> None:
-    """Create or replace a symbolic link atomically, so that it is never missing."""
-    fresh = link.with_name(f".{link.name}.{os.getpid()}")
-    fresh.symlink_to(target)
-    fresh.replace(link)

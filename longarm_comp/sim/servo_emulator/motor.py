@@ -80,17 +80,13 @@ class Motor:
         """Whether the horn turns faster than one tick in 20 ms."""
         return abs(self.velocity) > 50.0
 
-    @property
-    def _hot(self) -> bool:
-        return self.temperature_c > _SHUTDOWN_C
-
     def switch(self, on: bool) -> None:
         """Torque on or off; it stays off while there is an alarm."""
         self.torque_on = on and not self.alarms
 
     def clear_alarms(self) -> None:
         """Clear the alarms. A servo that is still too hot keeps its alarm."""
-        self.alarms = {"overheat"} & self.alarms if self._hot else set()
+        self.alarms = {"overheat"} & self.alarms if self.temperature_c > _SHUTDOWN_C else set()
         self._overloaded_s = 0.0
 
     def advance(self, dt_s: float) -> None:
@@ -156,7 +152,7 @@ class Motor:
         self._overloaded_s = self._overloaded_s + dt_s if overloaded else 0.0
         if self._overloaded_s > spec.overload_s:
             self._alarm("overload")
-        if self._hot:
+        if self.temperature_c > _SHUTDOWN_C:
             self._alarm("overheat")
 
     def _alarm(self, name: str) -> None:
