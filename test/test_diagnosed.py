@@ -121,10 +121,39 @@ def test_an_arm_that_declares_no_weight_still_gives_way() -> None:
     assert "declares no weight" in found.summary
     calibrated, written = (found.rows[name].mean for name in ("calibrated", found.written))
     assert written < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA < 0.6 * calibrated
-    held = [e for e in found.model.effects if e.through_others]
-    assert {e.name for e in held} == {"undeclared_weight"} and held[0].tip + held[0].drives > 0.0
+    (held,) = (e for e in found.model.effects if e.through_others)
+    assert held.name == "undeclared_weight" and held.tip + held.drives + held.guides > 0.0
     solid = diagnose(arm, of_truth(Model(arm), 200))
     assert solid.verdict == "noise" and not any(e.through_others for e in solid.model.effects)
+
+
+def test_what_a_slide_moves_in_weighs_too() -> None:
+    """The weight of a telescope's outer part does not move out with the inner one."""
+    joints = [
+        {"id": 1, "type": "revolute", "alpha_deg": 90, "d_m": 0.8, "limits_deg": [0, 60]},
+        {"id": 2, "type": "prismatic", "alpha_deg": 90, "d_m": 3.2, "theta_offset_deg": 90,
+         "limits_m": [0, 2.5]},
+        {"id": 3, "type": "revolute", "alpha_deg": -90, "limits_deg": [-30, 30]},
+    ]  # fmt: skip
+    told = {"name": "telescope", "convention": "mdh_craig", "joints": joints,
+            "tip": {"frame": 3, "position_m": [0.4, 0, 0]}}  # fmt: skip
+    stiff = {"row": 2, "role": "d", "EI_nm2": 1e9, "GJ_nm2": 1e9}
+    boom = [
+        {"name": "outer", "length_m": 3.0, "mass_kg": 120, "body_length_m": 3.0, **stiff},
+        {"name": "inner", "length_m": "rest", "mass_kg": 50, "body_length_m": 2.9, **stiff},
+    ]
+    load = {"mass_kg": 20, "frame": 3, "position_m": [0.4, 0, 0]}
+    true_arm = Arm.parse(told | {"links": boom, "payload": load}, "heavy")
+    truth = Model(true_arm, (LinkDeflection(), JointCompliance(1, 5e-6)))
+    found = diagnose(Arm.parse(told, "weightless"), of_truth(truth, 200))
+    (finding,) = found.findings
+    assert "joint_compliance" in finding.names
+    assert found.rows[found.written].mean < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA
+    weight = next(e for e in found.model.effects if e.name == "undeclared_weight")
+    assert weight.guides > 1.0
+    # The columns of a compliance cancel with those of the weights at the model's own values only
+    at_rows = found.model.columns(found.fit.posture)[1]
+    assert np.allclose(at_rows, found.fit.columns, rtol=1e-9, atol=1e-12)
 
 
 def test_what_never_changed_is_not_testable() -> None:

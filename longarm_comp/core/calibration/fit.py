@@ -125,17 +125,12 @@ def _fit_parts(
     adapting = any(part.sigma is None or part.fixed is None for part in parts)
     for part in parts:
         part.look()
-    posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
     cost, best, least, stalled = np.inf, now, np.inf, 0
     for step in range(1, GAUSS_NEWTON_STEPS + 1):
-        gram, moment = np.zeros((len(scale), len(scale))), np.zeros(len(scale))
         for part in parts:
             part.weigh(settled=step > 2)
-            a, y = part.whitened(scale[part.mine], centre[part.mine])
-            gram[np.ix_(part.mine, part.mine)] += a.T @ a
-            moment[part.mine] += a.T @ y
         try:
-            posterior = linear.solved(gram, moment, lower, upper)
+            posterior = linear.solved(*_normal(parts, scale, centre), lower, upper)
         except np.linalg.LinAlgError:
             rows = sum(len(part.seen) for part in parts)
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
@@ -159,15 +154,27 @@ def _fit_parts(
             best, least = now, cost
         if stalled == STALLED:
             break
-    if not converged and cost > least + GAIN:
-        for part in parts:
+    for part in parts:
+        if not converged and cost > least + GAIN:
             part.moved(best[part.mine], close=False)
-            part.differentiate()
-    covariance = posterior.covariance * np.outer(scale, scale)
+        part.differentiate()  # of loads and what yields under them the rows tell only the product
+    covariance = linear.solved(*_normal(parts, scale, centre)).covariance * np.outer(scale, scale)
     for part in parts:
         if part.sigma is None:
             part.noise = part.spread()
     return [p.fitted(covariance[np.ix_(p.mine, p.mine)], step, converged) for p in parts]
+
+
+def _normal(
+    parts: list[SessionProblem], scale: np.ndarray, centre: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The normal equations of all parts, in units of the priors: (p, p) and (p,)."""
+    gram, moment = np.zeros((len(scale), len(scale))), np.zeros(len(scale))
+    for part in parts:
+        a, y = part.whitened(scale[part.mine], centre[part.mine])
+        gram[np.ix_(part.mine, part.mine)] += a.T @ a
+        moment[part.mine] += a.T @ y
+    return gram, moment
 
 
 def _stepped(

@@ -94,24 +94,38 @@ class UndeclaredWeight(_Weight):
     drives: float = parameter(
         "kg", "mass at every joint beyond a kilogram a metre", prior=0.3, lower=0.0
     )
+    guides: float = parameter(
+        "kg", "mass a metre of what every slide moves in", prior=1.0, lower=0.0
+    )
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
         return [] if arm.weighed else [{}]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Priors: a quarter of the arm's weight at the tip, and another shared by the joints."""
+        """Priors: a quarter of the arm's weight at the tip, and another shared by the joints; a
+        guide weighs as much as its slide."""
         quarter = typical_loads(arm)[0] / 9.81 / 4
-        return self.with_prior(quarter, quarter / len(moving_joints(arm)))
+        shares = self.with_prior(quarter, quarter / len(moving_joints(arm)), 1.0)
+        return shares if _guided(arm) else shares[:2]
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         arm = posture.arm
         tip = Lumped(posture.frame(arm.tip.frame), self.tip, arm.tip.position_m)
         drives = (Lumped(posture.frame(row), self.drives, ZERO) for row in moving_joints(arm))
+        guides = (
+            Lumped(posture.bearing(row), self.guides * abs(size), (0.0, 0.0, size / 2))
+            for row, size in _guided(arm)
+        )
         usual = (
             Lumped(posture.frame(row), mass, position) for row, position, mass in arm.usual_masses
         )
-        return (tip, *drives, *usual)
+        return (tip, *drives, *guides, *usual)
+
+
+def _guided(arm: Arm) -> list[tuple[int, float]]:
+    """Row of every slide, and the length of its guide: that of the slide at joint value 0 (m)."""
+    return [(j.id, j.d_m) for j in arm.joints if j.type == "prismatic" and j.d_m]
 
 
 @dataclass(frozen=True)
