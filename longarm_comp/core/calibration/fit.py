@@ -35,6 +35,10 @@ GAIN = 0.1
 WORSE = 0.1
 """Rise of the cost, as a share of it, from which a step is shortened.  Columns leave out how loads
 follow a change, so that close to the solution a good step may raise the cost a little."""
+AMISS = 1.0
+"""Cost beyond what the design said of a step, from which the design no longer holds: the weight of
+one row.  Of loads and what yields under them the rows tell only the product, so that a step far
+within a standard error may bend it."""
 
 
 def fit(
@@ -60,7 +64,8 @@ def fit(
         rho: correlation of the noise from one row to the next (in the order of the rows).
         robust: give outliers weight 0, anew at every step.
         weights: (N of seen rows,) fixed weights instead.
-        close: the last step must be below so many standard errors.
+        close: the last step must be below so many standard errors. The design is that of the
+            values before it, where this is more than `CLOSE`.
         begun: a fit of the same model to the same session, if there is one: residual and design
             are taken from it.
         near: a fit of a similar model to the same session; its loads save a load pass.
@@ -130,21 +135,23 @@ def _fit_parts(
         for part in parts:
             part.weigh(settled=step > 2)
         try:
-            posterior = linear.solved(*_normal(parts, scale, centre), lower, upper)
+            gram, moment, square = _normal(parts, scale, centre)
+            posterior = linear.solved(gram, moment, lower, upper)
         except np.linalg.LinAlgError:
             rows = sum(len(part.seen) for part in parts)
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
             raise JobError(text, session=parts[0].seen.source) from None
         goal = centre + posterior.u * scale
         step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
-        # Within a standard error the design hardly changes, and is kept
+        said = square + posterior.u @ (gram @ posterior.u + posterior.u - 2.0 * moment)
         near = bool((step_size <= 1.0).all())
         now, cost = _stepped(parts, now, goal, centre, scale, near)
+        holds = near and cost <= said + AMISS
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
-            if not near:
+            if not holds:
                 part.differentiate()
-        if (step_size <= close).all() and (step > 2 or not adapting):
+        if holds and (step_size <= close).all() and (step > 2 or not adapting):
             converged = True
             break
         if adapting:
@@ -154,11 +161,14 @@ def _fit_parts(
             best, least = now, cost
         if stalled == STALLED:
             break
-    for part in parts:
-        if not converged and cost > least + GAIN:
-            part.moved(best[part.mine], close=False)
-        part.differentiate()  # of loads and what yields under them the rows tell only the product
-    covariance = linear.solved(*_normal(parts, scale, centre)).covariance * np.outer(scale, scale)
+    back = not converged and cost > least + GAIN
+    if back or close <= CLOSE:
+        for part in parts:
+            if back:
+                part.moved(best[part.mine], close=False)
+            part.differentiate()
+        posterior = linear.solved(*_normal(parts, scale, centre)[:2])
+    covariance = posterior.covariance * np.outer(scale, scale)
     for part in parts:
         if part.sigma is None:
             part.noise = part.spread()
@@ -167,14 +177,16 @@ def _fit_parts(
 
 def _normal(
     parts: list[SessionProblem], scale: np.ndarray, centre: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The normal equations of all parts, in units of the priors: (p, p) and (p,)."""
-    gram, moment = np.zeros((len(scale), len(scale))), np.zeros(len(scale))
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The normal equations of all parts, in units of the priors: (p, p), (p,), and the data's
+    square."""
+    gram, moment, square = np.zeros((len(scale), len(scale))), np.zeros(len(scale)), 0.0
     for part in parts:
         a, y = part.whitened(scale[part.mine], centre[part.mine])
         gram[np.ix_(part.mine, part.mine)] += a.T @ a
         moment[part.mine] += a.T @ y
-    return gram, moment
+        square += float(y @ y)
+    return gram, moment, square
 
 
 def _stepped(
@@ -203,7 +215,7 @@ def _stepped(
         try:
             move(values)
             after = cost(values)
-            if after <= (1.0 + WORSE) * before + 1.0:
+            if after <= (1.0 + WORSE) * before + AMISS:
                 return values, after
         except JobError as error:
             failed = error
