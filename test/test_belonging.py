@@ -121,7 +121,7 @@ def test_nothing_is_written_for_rows_that_do_not_belong(
             command(wide(demo), joint(0, np.negative)(session))
 
 
-@pytest.mark.parametrize("name", ["wam", pytest.param("ur5", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["wam", "ur5"])
 def test_real_rows_are_told_from_spoilt_ones(data_dir: Path, name: str) -> None:
     (part,) = laser_tracked(data_dir / "real", name)
     arm, rows = wide(part.arm), part.train

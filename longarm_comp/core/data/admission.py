@@ -86,7 +86,7 @@ def admit(
         predicted = physics.measured(located.q, located.context())
         case = _Case(session, arm, located, predicted, physics)
         _lengths(case)
-        findings += (*_frame(case), *_belongs(case, judge))
+        findings += (*_belongs(case, judge), *_frame(case))
     return Admission(session, tuple(findings))
 
 
