@@ -18,22 +18,57 @@ from pathlib import Path
 from typing import TypeVar
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.effects import (
-    camera_errors,
-    compliances,
-    discovered,
-    drive_errors,
-    geometry_errors,
-    link_deflection,
-    masses,
-    measured_tilt,
-    placements,
-    plays,
-    slow_changes,
-    touched_places,
+from longarm_comp.core.effects.camera_errors import CameraDrift, CameraRadial, CameraScale
+from longarm_comp.core.effects.compliances import (
+    BaseCompliance,
+    BearingTilt,
+    JointCompliance,
+    LinkBending,
+    LinkStiffness,
+    ServoDroop,
+)
+from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
+from longarm_comp.core.effects.drive_errors import (
+    GearEccentricity,
+    GuideCurvature,
+    JointGain,
+    PrismaticPitch,
+    ServoQuantisation,
 )
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.fields import FORM, PARAMETER, PLACE
+from longarm_comp.core.effects.geometry_errors import CylinderPins, DhError, Encoder, JointZero
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.masses import (
+    GravityDirection,
+    LinkMass,
+    TipPayload,
+    UndeclaredWeight,
+)
+from longarm_comp.core.effects.measured_tilt import MeasuredTilt
+from longarm_comp.core.effects.placements import (
+    AnchorPlace,
+    BasePose,
+    CameraPose,
+    SensorPlace,
+    TipOffset,
+    TipOrientation,
+)
+from longarm_comp.core.effects.plays import (
+    Backlash,
+    CylinderPlay,
+    FrictionHysteresis,
+    ServoDeadband,
+    SlidePlay,
+    TelescopeClearance,
+)
+from longarm_comp.core.effects.slow_changes import (
+    BaseSettling,
+    Creep,
+    ThermalGrowth,
+    ThermalSoftening,
+)
+from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside, TouchPlace
 from longarm_comp.core.entry_points import check_name, of_other_packages
 from longarm_comp.core.errors import InputError
 
@@ -44,20 +79,15 @@ GROUP = "longarm_comp.effects"
 """Group of the entry points of effects from other packages."""
 
 _OURS: tuple[Kind, ...] = (
-    *(geometry_errors.JointZero, geometry_errors.DhError, geometry_errors.CylinderPins),
-    *(placements.BasePose, placements.TipOffset, placements.TipOrientation, placements.AnchorPlace),
-    *(placements.SensorPlace, touched_places.TouchPlace, touched_places.TouchBeside),
-    *(touched_places.PlanePlace, placements.CameraPose, geometry_errors.Encoder),
-    *(link_deflection.LinkDeflection, masses.UndeclaredWeight, compliances.JointCompliance),
-    *(compliances.BearingTilt, compliances.LinkStiffness, masses.TipPayload, masses.LinkMass),
-    *(plays.TelescopeClearance, compliances.LinkBending, plays.SlidePlay),
-    *(drive_errors.GuideCurvature, compliances.BaseCompliance, slow_changes.BaseSettling),
-    *(measured_tilt.MeasuredTilt, masses.GravityDirection, plays.Backlash, plays.CylinderPlay),
-    *(plays.FrictionHysteresis, drive_errors.GearEccentricity, drive_errors.JointGain),
-    *(drive_errors.PrismaticPitch, compliances.ServoDroop, plays.ServoDeadband),
-    *(drive_errors.ServoQuantisation, slow_changes.ThermalGrowth, slow_changes.ThermalSoftening),
-    *(slow_changes.Creep, camera_errors.CameraScale, camera_errors.CameraRadial),
-    *(camera_errors.CameraDrift, discovered.Discovered, discovered.DiscoveredView),
+    *(JointZero, DhError, CylinderPins, BasePose, TipOffset, TipOrientation, AnchorPlace),
+    *(SensorPlace, TouchPlace, TouchBeside, PlanePlace, CameraPose, Encoder, LinkDeflection),
+    UndeclaredWeight,
+    *(JointCompliance, BearingTilt, LinkStiffness, TipPayload, LinkMass, TelescopeClearance),
+    *(LinkBending, SlidePlay, GuideCurvature, BaseCompliance, BaseSettling, MeasuredTilt),
+    *(GravityDirection, Backlash, CylinderPlay, FrictionHysteresis, GearEccentricity, JointGain),
+    *(PrismaticPitch, ServoDroop, ServoDeadband, ServoQuantisation, ThermalGrowth),
+    *(ThermalSoftening, Creep),
+    *(CameraScale, CameraRadial, CameraDrift, Discovered, DiscoveredView),
 )
 BUILT_IN: dict[str, Kind] = {kind.name: kind for kind in _OURS}
 """The effects of this package, in the order of listing and search."""
