@@ -9,6 +9,7 @@ import pytest
 from discover_rows import DEMO
 from hidden_arm import SIGMA, at, session
 from small_arm import ARM
+from telescope_arm import WEIGHTLESS, heavy
 from test_thresholds import session_of
 
 from longarm_comp.core.arm.arm import Arm
@@ -129,23 +130,7 @@ def test_an_arm_that_declares_no_weight_still_gives_way() -> None:
 
 def test_what_a_slide_moves_in_weighs_too() -> None:
     """The weight of a telescope's outer part does not move out with the inner one."""
-    joints = [
-        {"id": 1, "type": "revolute", "alpha_deg": 90, "d_m": 0.8, "limits_deg": [0, 60]},
-        {"id": 2, "type": "prismatic", "alpha_deg": 90, "d_m": 3.2, "theta_offset_deg": 90,
-         "limits_m": [0, 2.5]},
-        {"id": 3, "type": "revolute", "alpha_deg": -90, "limits_deg": [-30, 30]},
-    ]  # fmt: skip
-    told = {"name": "telescope", "convention": "mdh_craig", "joints": joints,
-            "tip": {"frame": 3, "position_m": [0.4, 0, 0]}}  # fmt: skip
-    stiff = {"row": 2, "role": "d", "EI_nm2": 1e9, "GJ_nm2": 1e9}
-    boom = [
-        {"name": "outer", "length_m": 3.0, "mass_kg": 120, "body_length_m": 3.0, **stiff},
-        {"name": "inner", "length_m": "rest", "mass_kg": 50, "body_length_m": 2.9, **stiff},
-    ]
-    load = {"mass_kg": 20, "frame": 3, "position_m": [0.4, 0, 0]}
-    true_arm = Arm.parse(told | {"links": boom, "payload": load}, "heavy")
-    truth = Model(true_arm, (LinkDeflection(), JointCompliance(1, 5e-6)))
-    found = diagnose(Arm.parse(told, "weightless"), of_truth(truth, 200))
+    found = diagnose(WEIGHTLESS, of_truth(heavy(1e9, 5e-6), 200))
     (finding,) = found.findings
     assert "joint_compliance" in finding.names
     assert found.rows[found.written].mean < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from scipy.stats import f, multivariate_normal
 from small_arm import ARM as SMALL
+from telescope_arm import WEIGHTLESS, heavy
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration import linear
-from longarm_comp.core.calibration.calibrate import geometry
-from longarm_comp.core.calibration.fit import fit, fit_together
+from longarm_comp.core.calibration.calibrate import declared_model, geometry, stages
+from longarm_comp.core.calibration.fit import CLOSE, fit, fit_together
 from longarm_comp.core.calibration.linear import whiten
 from longarm_comp.core.calibration.noise import (
     NoiseEstimate,
@@ -26,9 +27,10 @@ from longarm_comp.core.calibration.noise import (
 from longarm_comp.core.calibration.placement import placed
 from longarm_comp.core.calibration.standing import frames
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.compliances import JointCompliance, LinkBending
 from longarm_comp.core.effects.geometry_errors import DhError, JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.masses import UndeclaredWeight
 from longarm_comp.core.effects.placements import BasePose, TipOffset
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
@@ -204,6 +206,27 @@ def test_arms_on_one_torso_share_it(rng: np.random.Generator) -> None:
     )
     alone = fit(*parts[0])
     assert made[0].standard_errors[0] < 0.85 * alone.standard_errors[0]
+
+
+@pytest.mark.parametrize(("share", "close"), [(0.5, CLOSE), (0.9, 0.3)])
+def test_loads_and_what_yields_are_fitted_to_the_end_wherever_it_starts(
+    share: float, close: float
+) -> None:
+    """Rows tell little but their product: a step far within a standard error bends the design."""
+    rng = np.random.default_rng(0)
+    session = measured(heavy(1e6, 1e-5), box(WEIGHTLESS, 200, rng), rng)
+    *_, (_, rigid) = stages(declared_model(WEIGHTLESS), session)
+    yielding = JointCompliance(1), LinkBending(2), UndeclaredWeight()
+    known: dict[str, Any] = {"sigma": np.full(3, SIGMA), "weights": np.ones(200)}
+    end = fit(rigid.model.plus(*yielding), session, **known)
+    loads = np.array([s.owner.name == "undeclared_weight" for s in end.slots])
+    soft = np.array([s.owner.elastic for s in end.slots])
+    there = end.model.values * np.where(loads, 1.0 / share, np.where(soft, share, 1.0))
+    again = fit(end.model.with_values(there), session, close=close, **known)
+    assert again.converged
+    cost = [(f.residual**2).sum() / SIGMA**2 for f in (end, again)]
+    assert abs(cost[1] - cost[0]) < 2.0
+    assert np.allclose(end.columns, end.model.columns(end.posture)[1], rtol=1e-9, atol=1e-12)
 
 
 def test_missing_inputs_are_named(arm: Arm, rng: np.random.Generator) -> None:

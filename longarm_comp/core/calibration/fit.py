@@ -1,10 +1,12 @@
 """Robust joint fit of a model to a session: geometry and effects together.
 
-Gauss-Newton on the posterior mode, each step shortened until it does not raise the cost.  Every
-parameter has a prior (a tolerance), which is what holds the gauge freedoms of a redundant geometry;
-that of an unknown placement lies around its start, so that what the rows do not determine stays
-there.  Sign bounds are kept exactly; rows that no model of this kind explains get weight 0, anew at
-every step.
+Gauss-Newton on the posterior mode.  A step that would raise the cost is shortened along the
+parabola that the model bends it to: of loads and what yields under them the rows tell little but
+the product (geodesic acceleration; Transtrum and Sethna 2012, arXiv 1201.5885).  Every parameter
+has a prior (a tolerance), which is what holds the gauge freedoms of a redundant geometry; that of
+an unknown placement lies around its start, so that what the rows do not determine stays there.
+Sign bounds are kept exactly; rows that no model of this kind explains get weight 0, anew at every
+step.
 """
 
 from __future__ import annotations
@@ -37,8 +39,7 @@ WORSE = 0.1
 follow a change, so that close to the solution a good step may raise the cost a little."""
 AMISS = 1.0
 """Cost beyond what the design said of a step, from which the design no longer holds: the weight of
-one row.  Of loads and what yields under them the rows tell only the product, so that a step far
-within a standard error may bend it."""
+one row."""
 
 
 def fit(
@@ -145,7 +146,8 @@ def _fit_parts(
         step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
         said = square + posterior.u @ (gram @ posterior.u + posterior.u - 2.0 * moment)
         near = bool((step_size <= 1.0).all())
-        now, cost = _stepped(parts, now, goal, centre, scale, near)
+        equations = gram, moment, lower, upper
+        now, cost = _stepped(parts, now, goal, equations, centre, scale, near)
         holds = near and cost <= said + AMISS
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
@@ -193,13 +195,18 @@ def _stepped(
     parts: list[SessionProblem],
     now: np.ndarray,
     goal: np.ndarray,
+    equations: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     centre: np.ndarray,
     scale: np.ndarray,
     near: bool,
 ) -> tuple[np.ndarray, float]:
-    """Go towards a goal, all the way or as far as does not raise the cost: values and their cost.
+    """Go towards a goal as far as does not raise the cost: values and their cost.
 
-    Near ones need fewer load passes.  `JobError` where it is not finite however short the step.
+    Straight all the way, or along the parabola that the model bends the way to.  Near ones need
+    fewer load passes.  `JobError` where it is not finite however short the step.
+
+    Args:
+        equations: products and bounds that the goal solves.
     """
 
     def cost(values: np.ndarray) -> float:
@@ -209,14 +216,24 @@ def _stepped(
         for part in parts:
             part.moved(values[part.mine], near)
 
-    before, share, failed = cost(now), 1.0, None
+    before, failed = cost(now), None
+    most = (1.0 + WORSE) * before + AMISS
+    share, aside = 1.0, None
     while share > SHORTEST:
-        values = now + share * (goal - now)
+        values = now + share * (goal - now) + (0.0 if aside is None else share**2 * aside)
         try:
             move(values)
             after = cost(values)
-            if after <= (1.0 + WORSE) * before + AMISS:
+            if after <= most:
                 return values, after
+            if aside is None:
+                move(now)
+                gram, moment, *bounds = equations
+                bend = np.zeros(len(now))
+                for p in parts:
+                    bend[p.mine] += p.bend((goal - now)[p.mine], scale[p.mine], near)
+                aside = centre + linear.solved(gram, moment - bend, *bounds).u * scale - goal
+                continue
         except JobError as error:
             failed = error
         share *= 0.5

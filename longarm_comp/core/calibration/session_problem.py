@@ -23,6 +23,9 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 
+AHEAD = 0.1
+"""Share of a step over which its second derivative is taken."""
+
 
 class SessionProblem:
     """One session on its way through the Gauss-Newton steps; arguments and errors as of `fit`.
@@ -102,6 +105,15 @@ class SessionProblem:
         """Residual at other parameter values, close to where the design is of; that stays."""
         self.model = self.model.with_values(values)
         self._predict(close)
+
+    def bend(self, step: np.ndarray, scale: np.ndarray, close: bool) -> np.ndarray:
+        """(p,) product of the prior-scaled design with half the second derivative of the rows along
+        a step (p,)."""
+        values, residual = self.model.values, self.residual
+        self.moved(values + AHEAD * step, close)
+        half = (residual - self.residual - AHEAD * (self.columns @ step)) / AHEAD**2
+        white = self._white(np.concatenate([self.columns * scale, half[..., None]], axis=-1))
+        return np.asarray(white[:, :-1].T @ white[:, -1])
 
     def cost(self) -> float:
         """Squared residual of the inliers in units of the noise."""
