@@ -49,7 +49,7 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     again = fit(bare, found.train, sigma=fitted.sigma, rho=fitted.rho, weights=fitted.weights)
     left = np.linalg.norm(errors(again.model, found.held_out), axis=1).mean()
     assert made.seen.before == pytest.approx(left, rel=0.02)
-    assert made.seen.after == pytest.approx(found.rows["with_effects"].mean)
+    assert made.seen.after == pytest.approx(found.proof.rows["with_effects"].mean)
     assert made.seen.before > 1.5 * made.seen.after
     assert made.commanded.before == pytest.approx(made.seen.before)
     assert made.commanded.after > 1.5 * made.seen.after
