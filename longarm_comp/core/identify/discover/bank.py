@@ -23,7 +23,6 @@ from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.effects.discovered import (
     CAMERA,
-    DISTANCE,
     Discovered,
     DiscoveredView,
     components,
@@ -159,7 +158,8 @@ class Bank:
             kept: (p,) columns of the fit that no candidate may stand for.
             left: each (N, d), whitened: what a part of the fit, or all of it, leaves.
         """
-        rows = _some(np.flatnonzero(self.fit.weights > 0))
+        rows = np.flatnonzero(self.fit.weights > 0)
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).round().astype(int))]
         white = (self.units * weight(self.fit)[..., None])[rows].astype(np.float32)
         values = self.functions.values[rows]
         size = np.sqrt((values**2).mean(axis=0))
@@ -294,13 +294,6 @@ def marginal_of(fit: ModelFit, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
     return marginal, left
 
 
-def _some(rows: np.ndarray) -> np.ndarray:
-    """At most `MOST_ROWS` of the rows, evenly spread."""
-    if len(rows) <= MOST_ROWS:
-        return rows
-    return rows[np.linspace(0, len(rows) - 1, MOST_ROWS).round().astype(int)]
-
-
 def _top(table: np.ndarray) -> list[tuple[int, int]]:
     """Places of the largest finite entries."""
     flat = table.ravel()
@@ -313,38 +306,24 @@ def _top(table: np.ndarray) -> list[tuple[int, int]]:
 def banks(fit: ModelFit) -> tuple[Bank, ...]:
     """Candidates of the arm's side and, where positions are seen, of the camera's."""
     arm, rows = fit.model.arm, fit.session
-    (spots, units), *seen_sides = sides(fit)
+    spots = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
+    spots, units = _moving(fit, spots)
     functions = Functions(arm_inputs(arm, fit.posture, rows))
     made = [Bank(fit, spots, units, functions, _axes(arm, spots))]
-    for spots, units in seen_sides:
-        points = fit.model.measured_at(fit.posture)
-        free = all(spot.component == DISTANCE for spot in spots)
-        seen = Functions(camera_inputs(points, rows), None if free else SeenCoordinate)
-        made.append(Bank(fit, spots, units, seen))
+    if rows.plain:
+        points, ways = fit.model.measured_at(fit.posture), views(arm)
+        for some, of in ((AXES, SeenCoordinate), ([w for w in ways if w not in AXES], None)):
+            if some:
+                seen = Functions(camera_inputs(points, rows), of)
+                made.append(Bank(fit, *_moving(fit, [Spot(CAMERA, way) for way in some]), seen))
     return tuple(made)
 
 
-def sides(fit: ModelFit) -> Iterator[tuple[list[Spot], np.ndarray]]:
-    """Components of the arm and, where positions are seen, of the camera; (N, d, K) by a unit."""
-    arm = fit.model.arm
-    spots = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
-    units, moving = _units(fit, [term_of(p, "1", "", 1e-3) for p in spots])
-    yield [p for p, moves in zip(spots, moving, strict=True) if moves], units
-    if fit.session.plain:
-        ways = views(arm)
-        for some in (AXES, [way for way in ways if way not in AXES]):
-            seen = [Spot(CAMERA, way) for way in some]
-            if seen:
-                yield seen, _units(fit, [term_of(p, "1", "", 1e-3) for p in seen])[0]
-
-
-def term_of(
-    place: Spot, function: str, domain: str, scale: float, amount: float = 0.0
-) -> Effect | Bias:
+def term_of(place: Spot, function: str, domain: str, scale: float) -> Effect | Bias:
     """The term of a model that a place and a function stand for."""
     if place.at == CAMERA:
-        return DiscoveredView(place.component, function, domain, scale, amount)
-    return Discovered(place.at, place.component, function, domain, scale, amount)
+        return DiscoveredView(place.component, function, domain, scale)
+    return Discovered(place.at, place.component, function, domain, scale)
 
 
 def _distinct(arm: Arm) -> list[str]:
@@ -355,13 +334,13 @@ def _distinct(arm: Arm) -> list[str]:
     return [name for name in stations(arm) if name not in same]
 
 
-def _units(fit: ModelFit, terms: list[Effect | Bias]) -> tuple[np.ndarray, np.ndarray]:
-    """(N, d, K) motion by a unit of each term that moves anything, and which do, (K,)."""
-    slots = slots_of(fit.model.arm, terms)
+def _moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
+    """The K places where something moves a channel, and (N, d, K) motion by a unit of each."""
+    slots = slots_of(fit.model.arm, [term_of(spot, "1", "", 1e-3) for spot in spots])
     columns = equations(fit.model, fit.session, fit.posture, slots).columns
     largest = np.abs(columns).max(axis=(0, 1))
     moving = largest > np.finfo(float).eps * largest.max(initial=0.0)
-    return columns[..., moving], moving
+    return [spot for spot, moves in zip(spots, moving, strict=True) if moves], columns[..., moving]
 
 
 def _axes(arm: Arm, places: list[Spot]) -> list[Spot]:

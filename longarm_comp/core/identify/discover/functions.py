@@ -125,9 +125,6 @@ class Functions:
             self._values.append(self.of(made))
         return self._numbers[made]
 
-    def _usable(self, made: Function) -> bool:
-        return self._of is None or any(isinstance(q, self._of) for q in made.quantities)
-
     def of(self, made: Function) -> np.ndarray:
         """(N,) values of any function of the inputs."""
         values = np.ones(len(self.inputs.all[0].values)) if self.inputs.all else np.ones(0)
@@ -141,14 +138,13 @@ class Functions:
         return self._shapes[shape]
 
     def _group(self, family: FunctionFamily, *numbers: int, decay: Sequence[float] = ()) -> None:
-        kept = [k for k, n in enumerate(numbers) if self._usable(self.listed[n])]
-        if not kept:
-            return
-        numbers, decay = tuple(numbers[k] for k in kept), [decay[k] for k in kept] if decay else ()
-        used = {q for n in numbers for q in self.listed[n].quantities}
-        rare = sum(not q.plain for q in used)
-        decays = tuple(decay) or (1.0,) * len(numbers)
-        self.groups.append(FunctionGroup(family, numbers, decays, rare))
+        of = {n: self.listed[n].quantities for n in numbers}
+        whole = dict(zip(numbers, decay or [1.0] * len(numbers), strict=True))
+        if self._of is not None:
+            whole = {n: d for n, d in whole.items() if any(isinstance(q, self._of) for q in of[n])}
+        if whole:
+            rare = sum(not q.plain for q in {q for n in whole for q in of[n]})
+            self.groups.append(FunctionGroup(family, tuple(whole), tuple(whole.values()), rare))
 
     def _make(self) -> None:
         inputs = self.inputs.all
