@@ -211,14 +211,12 @@ class Bank:
             for n, k in _top(np.stack(grouped)):
                 several.append(self._hypothesis([(k, f) for f in groups[n].functions], groups[n]))
         yield several
-        if self._vectors:
-            prior = [self._prior(g) for g in self._single]
-            vectors = np.stack([_together(worth[ks]) for ks in self._vectors])
-            best = _top(vectors[:, alone] + np.array(prior))
-            yield [
-                self._hypothesis([(k, alone[n]) for k in self._vectors[v]], self._single[n])
-                for v, n in best
-            ]
+        prior = [self._prior(g) for g in self._single]
+        vectors = np.array([_together(worth[ks]) for ks in self._vectors]).reshape(-1, len(worth.T))
+        yield [
+            self._hypothesis([(k, alone[n]) for k in self._vectors[v]], self._single[n])
+            for v, n in _top(vectors[:, alone] + np.array(prior))
+        ]
         every = self.functions.each_joint if self._axes else []
         at = ([(self._axes[j], f) for j, f in joints] for joints in every)
         seen = ([(k, f) for k, f in joints if np.isfinite(worth[k, f])] for joints in at)

@@ -34,10 +34,11 @@ ORDERS = 5
 """Legendre orders of a smooth function of one input."""
 TOTAL = 3
 """Highest sum of orders of a smooth function of two."""
-THRESHOLDS = 7
-"""Thresholds tried between the ends of an input; dense ones only for the best."""
-HARMONICS = 4
-"""Periods per turn of an angle, at most; half periods over the range of a column: twice these."""
+LOOKS = 7
+"""Values of a threshold, or of a scale of a form, that are looked at side by side.  Waves are as
+fine: half a period is no less than what lies between two of these."""
+DENSE = LOOKS**2
+"""Values that are looked at around the best."""
 
 
 class FunctionFamily(Enum):
@@ -240,38 +241,37 @@ def orders(one: Argument) -> list[float]:
     if one.smooth:
         return []
     if one.circular:
-        return [float(n) for n in range(1, HARMONICS + 1)]
+        return [float(n) for n in range(1, (LOOKS + 1) // 2 + 1)]
     span = one.high - one.low
-    return [n * math.pi / span for n in range(2, 2 * HARMONICS + 1)]
+    return [n * math.pi / span for n in range(2, LOOKS + 2)]
 
 
 def thresholds(one: Argument) -> list[float]:
     """Thresholds that are tried of an input: its quantiles, off the levels."""
     if one.smooth:
         return []
-    shares = np.arange(1, THRESHOLDS + 1) / (THRESHOLDS + 1)
+    shares = np.arange(1, LOOKS + 1) / (LOOKS + 1)
     return [float(v) for v in np.unique(np.quantile(one.values, shares))[1:-1]]
 
 
-def nearby(shape: Shape, one: Argument, width: float, count: int = 30) -> list[Shape]:
-    """The same shape with other thresholds or orders around it.
+def nearby(shape: Shape, one: Argument, width: float) -> list[Shape]:
+    """The same shape with `DENSE` other thresholds or orders around it.
 
     Args:
         shape: with a threshold or an order; nothing is near any other.
         one: its input.
         width: how far around, in steps between those that were tried.
-        count: of looks.
     """
     if isinstance(shape, Threshold):
         place = float((one.values < shape.threshold).mean())
-        step = 1.3 * width / (THRESHOLDS + 1)
-        shares = np.clip(np.linspace(place - step, place + step, count), 0.02, 0.98)
+        step = 1.3 * width / (LOOKS + 1)
+        shares = np.clip(np.linspace(place - step, place + step, DENSE), 0.02, 0.98)
         made = np.unique(np.quantile(one.values, shares))
         if isinstance(shape, Switch):
             return [switch(one, float(v)) for v in made]
         return [type(shape)(one.name, one.low, one.high, float(v)) for v in made]
     if isinstance(shape, Wave) and not one.circular:
         step = width * math.pi / (one.high - one.low)
-        made = np.linspace(shape.order - step, shape.order + step, count)
+        made = np.linspace(shape.order - step, shape.order + step, DENSE)
         return [type(shape)(one.name, one.low, one.high, float(v)) for v in made if v > 0]
     return []
