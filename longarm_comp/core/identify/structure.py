@@ -47,7 +47,6 @@ class Structure:
         size_m: RMS of the smooth part, m.
         share_explained: of the structure that was there, how much the named effects took
             (1 when nothing else is left).
-        groups: (what, standardised statistic) of every group tested.
         at: the joint that the strongest of them moves; empty where it is the tip.
         sign: where it shows, if another sign than this test tells it: ``shows in held-out poses``.
     """
@@ -57,7 +56,6 @@ class Structure:
     inputs: tuple[str, ...]
     size_m: float
     share_explained: float
-    groups: tuple[tuple[str, float], ...]
     at: str = ""
     sign: str = ""
 
@@ -98,7 +96,7 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
         chance = float(fdtrc(count, max(free - count, 1.0), score / count / rest))
         found.append((group, chance, (score / rest - count) / math.sqrt(2.0 * count), b))
     if not found:
-        return Structure(False, 1.0, (), 0.0, 1.0, ())
+        return Structure(False, 1.0, (), 0.0, 1.0)
     found.sort(key=lambda each: (each[1], -each[2]))
     p = min(1.0, len(found) * found[0][1])
     likely = [each for each in found if len(found) * each[1] < SIGNIFICANT]
@@ -124,7 +122,6 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
         inputs if flag else (),
         size if flag else 0.0,
         share if flag else 1.0,
-        tuple((group.label, statistic) for group, _, statistic, _ in found),
         found[0][0].at if flag else "",
     )
 
@@ -148,11 +145,6 @@ class Group:
     inputs: tuple[str, ...]
     at: str
     columns: np.ndarray
-
-    @property
-    def label(self) -> str:
-        """For people: ``q1 x q3 at joint 2``."""
-        return " x ".join(self.inputs) + (f" at {self.at}" if self.at else "")
 
 
 def groups(fit: ModelFit) -> list[Group]:

@@ -105,13 +105,6 @@ class Bank:
         self._single = [g for g in functions.groups if len(g.functions) == 1]
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
-    def columns(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
-        """(N, d, r) columns per unit."""
-        made = [
-            self.units[:, :, self._number[p]] * self.functions.of(f)[:, None] for p, f in members
-        ]
-        return np.stack(made, axis=-1)
-
     def evidences(self, marginal: Marginal, listed: Sequence[Hypothesis]) -> np.ndarray:
         """(C,) log odds of candidates on top of a marginal, on all rows, with their priors."""
         made = np.array([h.log_prior for h in listed])
@@ -140,10 +133,12 @@ class Bank:
         return self._rms(self._white(hypothesis.members))
 
     def _white(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
-        """(dM, r) `columns` of the M inliers in units of the noise."""
-        inside = self.fit.weights > 0
-        columns = (self.columns(members) * weight(self.fit)[..., None])[inside]
-        return columns.reshape(-1, len(members))
+        """(dM, r) columns per unit of the M inliers, in units of the noise."""
+        made = [
+            self.units[:, :, self._number[p]] * self.functions.of(f)[:, None] for p, f in members
+        ]
+        columns = np.stack(made, axis=-1) * weight(self.fit)[..., None]
+        return columns[self.fit.weights > 0].reshape(-1, len(members))
 
     def _rms(self, white: np.ndarray) -> np.ndarray:
         rows = max(len(white) // self.fit.width, 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -163,7 +163,11 @@ class Functions:
             for order in orders(one):
                 pair = [self.number(k(one.name, one.low, one.high, order)) for k in (Cosine, Sine)]
                 self._group(FunctionFamily.WAVE, *pair)
-            self._smooth(one)
+            top = min(ORDERS, one.levels - 2)
+            if top > 1:
+                some = [self.number(legendre(one, n)) for n in range(1, top + 1)]
+                decay = [1.0 / n for n in range(1, top + 1)]
+                self._group(FunctionFamily.SMOOTH, *some, decay=decay)
             for threshold in thresholds(one):
                 self._group(FunctionFamily.SWITCH, self.number(switch(one, threshold)))
                 for side in (Above, Below):
@@ -171,16 +175,10 @@ class Functions:
                     self._group(FunctionFamily.CONTACT, self.number(made))
         for a, b in combinations(inputs, 2):
             self._group(FunctionFamily.PRODUCT, self.number(_linear(a), _linear(b)))
-        for a, b in self._pairs():
+        plain = (i for i in inputs if i.name.startswith("q") or i.name in self.inputs.shared)
+        for a, b in combinations([i for i in plain if i.levels > 1], 2):
             self._smooth_pair(a, b)
         self._each_joint()
-
-    def _smooth(self, one: Argument) -> None:
-        top = min(ORDERS, one.levels - 2)
-        if top < 2:
-            return
-        made = [self.number(legendre(one, n)) for n in range(1, top + 1)]
-        self._group(FunctionFamily.SMOOTH, *made, decay=[1.0 / n for n in range(1, top + 1)])
 
     def _each_joint(self) -> None:
         """One function for every joint: of its own, times what all joints share."""
@@ -193,13 +191,8 @@ class Functions:
                 if len(made) > 1:
                     self.each_joint.append(tuple(made))
 
-    def _pairs(self) -> Iterator[tuple[Argument, Argument]]:
-        """Pairs of joint positions, and of these with what all joints share."""
-        shared = set(self.inputs.shared)
-        plain = [i for i in self.inputs.all if i.name.startswith("q") or i.name in shared]
-        yield from ((a, b) for a, b in combinations(plain, 2) if a.levels > 1 and b.levels > 1)
-
     def _smooth_pair(self, a: Argument, b: Argument) -> None:
+        """Of joint positions, and of these with what all joints share."""
         numbers, decay = [], []
         for i in range(TOTAL + 1):
             for j in range(TOTAL + 1 - i):
