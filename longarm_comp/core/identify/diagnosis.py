@@ -87,11 +87,6 @@ class Diagnosis:
         return self.fit.model
 
     @property
-    def gives_way(self) -> bool:
-        """Whether what every arm gives way by is in the model to use."""
-        return self.search.tolerance.give and self.written != CALIBRATED
-
-    @property
     def left_out(self) -> bool:
         """Whether something was found that the model to use leaves out."""
         return self.written != list(self.fits)[-1]
@@ -159,7 +154,7 @@ def _summary(found: Diagnosis) -> str:
     unnamed = f" {left} and has no name." if left else ""
     gain = f"Held-out mean error {_change(found)}"
     if found.verdict == "noise":
-        if found.gives_way:
+        if found.search.tolerance.give and found.written != CALIBRATED:
             text = "Every part of the arm is a little off; the model now holds this. "
             return f"{text}Beyond it only noise is left. {gain}."
         text = "After calibration only noise is left; no effect was added."

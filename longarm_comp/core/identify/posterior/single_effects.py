@@ -204,13 +204,12 @@ class OfferBank:
     def joint(self, chosen: Sequence[Offer]) -> tuple[float, list[np.ndarray]]:
         """`evidence`, and the coefficients of each offer at the posterior mode."""
         total, (mean,) = self._joint([chosen])
-        values, start = [], 0
-        for offer in chosen:
-            count = 0 if offer.fixed else len(offer.places)
-            own = np.ones(len(offer.places)) if offer.fixed else mean[start : start + count]
-            values.append(own)
-            start += count
-        return float(total[0]), values
+        free = [0 if offer.fixed else len(offer.places) for offer in chosen]
+        parts = np.split(mean, np.cumsum(free, dtype=int))
+        fixed = (np.ones(len(offer.places)) for offer in chosen)
+        return float(total[0]), [
+            part if count else ones for part, count, ones in zip(parts, free, fixed, strict=False)
+        ]
 
     def _joint(self, sets: Sequence[Sequence[Offer]]) -> tuple[np.ndarray, list[np.ndarray]]:
         """(C,) evidence of sets of offers, and the free coefficients of each, offer by offer."""
