@@ -81,10 +81,8 @@ def findings(found: Sequence[FoundEffect]) -> tuple[EffectFinding, ...]:
     Single effects of one name at several places are one finding.  Its set holds the names that may
     stand for all of them; a name that may stand for some only is a partial alias.
     """
-    made = []
-    for name in dict.fromkeys(f.name for f in found if not f.unnamed):
-        parts = [f for f in found if f.name == name]
-        made.append(_finding(name, parts))
+    names = dict.fromkeys(f.name for f in found if not f.unnamed)
+    made = [_finding(name, [f for f in found if f.name == name]) for name in names]
     return tuple(sorted(made, key=lambda f: -f.log_bayes_factor))
 
 

@@ -245,7 +245,6 @@ def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
 
 
 def _compiled_kernel(model: Model, context: Context) -> Kernel | None:
-    """The model's kernel, if it is compiled."""
     layout = context.layout
     kernel = model.__dict__.get("_kernels", {}).get(layout) if layout.traceable else None
     return kernel if kernel is not None and is_compiled(kernel, Engine.AUTO) else None

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -84,7 +84,6 @@ class Bank:
         places: K components.
         units: (N, d, K) motion of the channels by a unit of each, m or rad.
         functions: G functions at the N rows.
-        axes: by commanded joint (0-based), the place that moves it along its own axis.
     """
 
     def __init__(
@@ -93,7 +92,6 @@ class Bank:
         places: Sequence[Spot],
         units: np.ndarray,
         functions: Functions,
-        axes: Sequence[Spot] = (),
     ) -> None:
         self.fit, self.places, self.units, self.functions = fit, tuple(places), units, functions
         self._number = {place: k for k, place in enumerate(self.places)}
@@ -101,7 +99,7 @@ class Bank:
         for k, place in enumerate(self.places):
             kinds.setdefault(place.kind, []).append(k)
         self._vectors = [ks for ks in kinds.values() if len(ks) == 3]
-        self._axes = [self._number[place] for place in axes]
+        self._axes = _axes(fit.model.arm, self._number)
         self._single = [g for g in functions.groups if len(g.functions) == 1]
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
@@ -301,8 +299,7 @@ def banks(fit: ModelFit) -> tuple[Bank, ...]:
     arm, rows = fit.model.arm, fit.session
     spots = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
     spots, units = _moving(fit, spots)
-    functions = Functions(arm_inputs(arm, fit.posture, rows))
-    made = [Bank(fit, spots, units, functions, _axes(arm, spots))]
+    made = [Bank(fit, spots, units, Functions(arm_inputs(arm, fit.posture, rows)))]
     if rows.plain:
         points, ways = fit.model.measured_at(fit.posture), views(arm)
         for some, of in ((AXES, SeenCoordinate), ([w for w in ways if w not in AXES], None)):
@@ -336,12 +333,8 @@ def _moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
     return [spot for spot, moves in zip(spots, moving, strict=True) if moves], columns[..., moving]
 
 
-def _axes(arm: Arm, places: list[Spot]) -> list[Spot]:
-    """By commanded joint, the place that moves it along its own axis."""
-    made = []
-    for row in arm.commanded:
-        word = "move" if arm.joints[row - 1].type == "prismatic" else "turn"
-        place = Spot(f"joint {row}", f"{word} z")
-        if place in places:
-            made.append(place)
-    return made if len(made) == arm.n else []
+def _axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
+    """By commanded joint, the component that moves it along its own axis; where all have one."""
+    slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)
+    own = [Spot(f"joint {row}", "move z" if slide else "turn z") for row, slide in slides]
+    return [number[spot] for spot in own] if number.keys() >= set(own) else []

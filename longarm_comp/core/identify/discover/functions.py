@@ -157,22 +157,19 @@ class Functions:
                 continue
             for kind in (Square, SignedSquare):
                 if (kind is Square and not one.far) or one.low < 0 < one.high:
-                    self._group(
-                        FunctionFamily.SQUARE, self.number(kind(one.name, one.low, one.high))
-                    )
+                    self._group(FunctionFamily.SQUARE, self.number(kind(*one.domain)))
             for order in orders(one):
-                pair = [self.number(k(one.name, one.low, one.high, order)) for k in (Cosine, Sine)]
+                pair = [self.number(kind(*one.domain, order)) for kind in (Cosine, Sine)]
                 self._group(FunctionFamily.WAVE, *pair)
             top = min(ORDERS, one.levels - 2)
             if top > 1:
-                some = [self.number(legendre(one, n)) for n in range(1, top + 1)]
+                some = [self.number(Legendre(*one.domain, n)) for n in range(1, top + 1)]
                 decay = [1.0 / n for n in range(1, top + 1)]
                 self._group(FunctionFamily.SMOOTH, *some, decay=decay)
             for threshold in thresholds(one):
                 self._group(FunctionFamily.SWITCH, self.number(switch(one, threshold)))
                 for side in (Above, Below):
-                    made = side(one.name, one.low, one.high, threshold)
-                    self._group(FunctionFamily.CONTACT, self.number(made))
+                    self._group(FunctionFamily.CONTACT, self.number(side(*one.domain, threshold)))
         for a, b in combinations(inputs, 2):
             self._group(FunctionFamily.PRODUCT, self.number(_linear(a), _linear(b)))
         plain = (i for i in inputs if i.name.startswith("q") or i.name in self.inputs.shared)
@@ -200,7 +197,7 @@ class Functions:
                     continue
                 if (i > 1 and not a.curves) or (j > 1 and not b.curves):
                     continue
-                factors = [legendre(one, n) for one, n in ((a, i), (b, j)) if n]
+                factors = [Legendre(*one.domain, n) for one, n in ((a, i), (b, j)) if n]
                 numbers.append(self.number(*factors))
                 decay.append(1.0 / (i + j))
         if len(numbers) > 3:
@@ -212,12 +209,7 @@ def _linear(one: Argument) -> Shape:
 
     So is one that no command is told: what a command leaves out is then nothing on average.
     """
-    return legendre(one, 1) if one.far or not one.told else Linear(one.name, one.low, one.high)
-
-
-def legendre(one: Argument, order: int) -> Legendre:
-    """Legendre polynomial of an input over its range."""
-    return Legendre(one.name, one.low, one.high, order)
+    return Legendre(*one.domain, 1) if one.far or not one.told else Linear(*one.domain)
 
 
 def switch(one: Argument, threshold: float) -> Switch:
@@ -226,7 +218,7 @@ def switch(one: Argument, threshold: float) -> Switch:
     above = one.values[one.values >= threshold]
     half = 0.5 * float(above.min() - below.max()) if len(below) and len(above) else 0.0
     middle = 0.5 * float(above.min() + below.max()) if len(below) and len(above) else threshold
-    return Switch(one.name, one.low, one.high, middle, max(half, 1e-4 * (one.high - one.low)))
+    return Switch(*one.domain, middle, max(half, 1e-4 * (one.high - one.low)))
 
 
 def orders(one: Argument) -> list[float]:
@@ -262,9 +254,9 @@ def nearby(shape: Shape, one: Argument, width: float) -> list[Shape]:
         made = np.unique(np.quantile(one.values, shares))
         if isinstance(shape, Switch):
             return [switch(one, float(v)) for v in made]
-        return [type(shape)(one.name, one.low, one.high, float(v)) for v in made]
+        return [type(shape)(*one.domain, float(v)) for v in made]
     if isinstance(shape, Wave) and not one.circular:
         step = width * math.pi / (one.high - one.low)
         made = np.linspace(shape.order - step, shape.order + step, DENSE)
-        return [type(shape)(one.name, one.low, one.high, float(v)) for v in made if v > 0]
+        return [type(shape)(*one.domain, float(v)) for v in made if v > 0]
     return []

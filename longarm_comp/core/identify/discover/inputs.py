@@ -69,6 +69,11 @@ class Argument:
         return float(self.values.max())
 
     @property
+    def domain(self) -> tuple[str, float, float]:
+        """Its name and range: what every shape of it begins with."""
+        return self.name, self.low, self.high
+
+    @property
     def far(self) -> bool:
         """Whether it is far from zero for its range, as the time of day in seconds is."""
         return abs(self.low + self.high) > 2 * _FAR * (self.high - self.low)
