@@ -38,7 +38,8 @@ LOOKS = 7
 """Values of a threshold, or of a scale of a form, that are looked at side by side.  Waves are as
 fine: half a period is no less than what lies between two of these."""
 DENSE = LOOKS**2
-"""Values that are looked at around the best."""
+"""Values that are looked at around the best; of a form at once, where rows were set aside that may
+want any."""
 
 
 class FunctionFamily(Enum):
@@ -140,12 +141,12 @@ class Functions:
 
     def _group(self, family: FunctionFamily, *numbers: int, decay: Sequence[float] = ()) -> None:
         of = {n: self.listed[n].quantities for n in numbers}
-        whole = dict(zip(numbers, decay or [1.0] * len(numbers), strict=True))
+        kept = dict(zip(numbers, decay or [1.0] * len(numbers), strict=True))
         if self._of is not None:
-            whole = {n: d for n, d in whole.items() if any(isinstance(q, self._of) for q in of[n])}
-        if whole:
-            rare = sum(not q.plain for q in {q for n in whole for q in of[n]})
-            self.groups.append(FunctionGroup(family, tuple(whole), tuple(whole.values()), rare))
+            kept = {n: d for n, d in kept.items() if any(isinstance(q, self._of) for q in of[n])}
+        if kept:
+            rare = sum(not q.plain for q in {q for n in kept for q in of[n]})
+            self.groups.append(FunctionGroup(family, tuple(kept), tuple(kept.values()), rare))
 
     def _make(self) -> None:
         inputs = self.inputs.all

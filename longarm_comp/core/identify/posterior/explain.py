@@ -227,11 +227,11 @@ class _Search:
 
     def _refitted(self, state: ExplainedSession, found: tuple[FoundEffect, ...]) -> float:
         """Log evidence of other effects than those of a state, fitted to the same noise."""
-        terms = _known(state.fit.model, found)
-        if len({t.key for t in terms}) < len(terms):
+        places = [t.key for f in found for t in f.terms]
+        if len(set(places)) < len(places):
             return -math.inf
         try:
-            model = _with(self.base, state.fit.model, terms)
+            model = _with(self.base, state.fit.model, found)
             begun = fit(model, self.session, close=NEAR, near=state.fit, **state.fit.judged)
             return self._whole(begun, found, near=state.fit)
         except JobError:
@@ -260,7 +260,7 @@ class _Search:
         self, state: ExplainedSession, found: tuple[FoundEffect, ...]
     ) -> ExplainedSession | None:
         """The model fitted with what was found; None where that runs away."""
-        model = _with(self.base, state.fit.model, _known(state.fit.model, found))
+        model = _with(self.base, state.fit.model, found)
         try:
             return self._fitted(model, found, state)
         except JobError:
@@ -329,13 +329,8 @@ def _loose(found: FoundEffect) -> FoundEffect:
     return replace(found, terms=terms)
 
 
-def _known(model: Model, found: Sequence[FoundEffect]) -> list[Term]:
-    """The terms of what was found, at the model's values where it holds them."""
-    known = {t.variant: t for t in model.terms}
-    return [known.get(t.variant, t) for f in found for t in f.terms]
-
-
-def _with(base: Model, now: Model, terms: Sequence[Term]) -> Model:
-    """The base model with further terms, the geometry started from the model as it is now."""
-    known = {t.key: t for t in now.terms}
+def _with(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:
+    """The base model with what was found, at the values of the model as it is now."""
+    known, alike = {t.key: t for t in now.terms}, {t.variant: t for t in now.terms}
+    terms = (alike.get(t.variant, t) for f in found for t in f.terms)
     return base.with_terms([*(known.get(t.key, t) for t in base.terms), *terms])

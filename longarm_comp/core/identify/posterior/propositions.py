@@ -48,7 +48,7 @@ def propositions(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Propositi
             for few in kinds:
                 tried = [h for h in few if not _geometric(h)]
                 weighed += _weighed(bank, marginal, tried)[:each]
-            weighed.sort(key=lambda found: -found[0])
+            weighed.sort(key=lambda one: -one[0])
             for worth, h in [*weighed, *_refined(bank, marginal, weighed[:REFINED])]:
                 known = best.get(h)
                 if known is None or worth > known[1]:
