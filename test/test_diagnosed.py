@@ -120,7 +120,7 @@ def test_an_arm_that_declares_no_weight_still_gives_way() -> None:
     assert "joint_compliance" in finding.names and "gear_eccentricity" not in finding.names
     assert "joint 2" in finding.where
     assert "declares no weight" in found.summary
-    calibrated, written = (found.rows[name].mean for name in ("calibrated", found.written))
+    calibrated, written = (found.proof.rows[name].mean for name in ("calibrated", found.written))
     assert written < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA < 0.6 * calibrated
     (held,) = (e for e in found.model.effects if e.through_others)
     assert held.name == "undeclared_weight" and held.tip + held.drives + held.guides > 0.0
@@ -133,7 +133,7 @@ def test_what_a_slide_moves_in_weighs_too() -> None:
     found = diagnose(WEIGHTLESS, of_truth(heavy(1e9, 5e-6), 200))
     (finding,) = found.findings
     assert "joint_compliance" in finding.names
-    assert found.rows[found.written].mean < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA
+    assert found.proof.rows[found.written].mean < 1.1 * np.sqrt(8.0 / np.pi) * SIGMA
     weight = next(e for e in found.model.effects if e.name == "undeclared_weight")
     assert weight.guides > 1.0
     # The columns of a compliance cancel with those of the weights at the model's own values only

@@ -212,14 +212,14 @@ def test_what_happens_once_is_told_with_its_pose(what: str) -> None:
     (jump,) = {shape for term in cause.terms for shape in term.of.factors}
     assert isinstance(jump, Switch)
     assert 80 < jump.threshold - jump.half <= 90 <= jump.threshold + jump.half < 100
-    assert found.verdict == "partly" and found.rows["with_functions"].mean < 4e-4
+    assert found.verdict == "partly" and found.proof.rows["with_functions"].mean < 4e-4
     model = found.fits["with_functions"].model
     (command,) = compensate(model, Model(SMALL).tip(SMALL.mid), frame="base")
     assert command.success and command.reason == ""
     after = np.linalg.norm(later.xyz - model.measured(later.q, later.context()), axis=1)
     assert after.mean() < 4e-4  # without a number: after all poses
     again = diagnose(SMALL, later, model=model)
-    assert again.verdict == "noise" and again.rows["nominal"].mean < 6e-4
+    assert again.verdict == "noise" and again.proof.rows["nominal"].mean < 6e-4
     hours = np.cumsum(np.random.default_rng(1).uniform(5.0, 60.0, 150))
     known = diagnose(SMALL, dataclasses.replace(rows, columns={"t_s": hours}))
     assert {name for c in known.causes for name in c.inputs} == {"t_s"}
@@ -246,7 +246,7 @@ def test_a_clock_that_counts_from_1970_will_do() -> None:
             ]  # fmt: skip
             assert camera_inputs(parts[0].xyz, parts[0]).by_name["t_s"].low == 0.0
             found.append(diagnose(SMALL, parts[0], test=parts[1]))
-        here, there = ((f.verdict, f.rows[f.written].mean) for f in found)
+        here, there = ((f.verdict, f.proof.rows[f.written].mean) for f in found)
         assert here[0] == there[0] != "noise" and here[1] == pytest.approx(there[1], rel=1e-3)
         assert here[1] < 4e-4
 

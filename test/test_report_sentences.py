@@ -46,10 +46,10 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     hours = fitted.session.columns["t_s"] / 3600
     assert made.tip_m == pytest.approx(hours * np.linalg.norm(rate), rel=1e-6, abs=1e-7)
     bare = dataclasses.replace(fitted.model, biases=())
-    again = fit(bare, found.train, sigma=fitted.sigma, rho=fitted.rho, weights=fitted.weights)
+    again = fit(bare, found.train, **fitted.judged)
     left = np.linalg.norm(errors(again.model, found.held_out), axis=1).mean()
     assert made.seen.before == pytest.approx(left, rel=0.02)
-    assert made.seen.after == pytest.approx(found.rows["with_effects"].mean)
+    assert made.seen.after == pytest.approx(found.proof.rows["with_effects"].mean)
     assert made.seen.before > 1.5 * made.seen.after
     assert made.commanded.before == pytest.approx(made.seen.before)
     assert made.commanded.after > 1.5 * made.seen.after

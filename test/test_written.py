@@ -99,7 +99,7 @@ def test_a_thermal_term_balanced_by_the_measuring_side_is_not_written() -> None:
     drift = np.outer(t / 3600.0, grown.mean(0) / (t.mean() / 3600.0))
     rows = dataclasses.replace(rows, xyz=rows.xyz + grown - drift)
     found = core.diagnose(ARM, rows, kinds=(ThermalGrowth, CameraDrift), seed=int(rng.integers(9)))
-    means = {k: np.linalg.norm(v, axis=1).mean() for k, v in found.commanded.items()}
+    means = {k: np.linalg.norm(v, axis=1).mean() for k, v in found.proof.commanded.items()}
     assert means[found.written] <= 1.02 * means["calibrated"]
     assert found.expected[found.written] == min(found.expected.values())
     assert found.model == found.models[found.written]
@@ -111,7 +111,7 @@ def test_what_no_command_is_told_does_not_shift_commands() -> None:
     train, test = (measured(ARM, shake, n, s) for n, s in ((ROWS, 3), (HELD_OUT, 103)))
     found = core.diagnose(ARM, train, test=test, kinds=(PrismaticPitch,))
     assert found.causes[0].inputs == ("pump_bar",)
-    means = {k: np.linalg.norm(v, axis=1).mean() for k, v in found.commanded.items()}
+    means = {k: np.linalg.norm(v, axis=1).mean() for k, v in found.proof.commanded.items()}
     assert means["with_functions"] < 1.1 * means["calibrated"]
     assert means[found.written] < 1.02 * means["calibrated"]
     assert found.left_out == (found.written != "with_functions")
@@ -137,7 +137,7 @@ def test_a_diagnosis_says_what_it_found_without_a_name(stopped: DiagnosisResult)
     assert cause.sentence in stopped.summary
     assert "behaves like a contact, a stop or a taut cable" in stopped.summary
     assert found.none_of_these == pytest.approx(1.0)
-    means = {k: np.linalg.norm(v, axis=1).mean() for k, v in found.errors.items()}
+    means = {k: np.linalg.norm(v, axis=1).mean() for k, v in found.proof.errors.items()}
     assert means["with_functions"] < 0.3 * means["calibrated"]
     assert means["with_effects"] == pytest.approx(means["calibrated"], rel=1e-6)
     checked(stopped.report())

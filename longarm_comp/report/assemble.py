@@ -27,7 +27,7 @@ KEY = Discovered.name
 
 
 def _cause(found: Cause, diagnosis: Diagnosis) -> dict[str, Any]:
-    before, after = (diagnosis.rows[k].rms for k in (WITH_EFFECTS, WITH_FUNCTIONS))
+    before, after = (diagnosis.proof.rows[k].rms for k in (WITH_EFFECTS, WITH_FUNCTIONS))
     at = [a.where.partition(", ") for a in found.amounts]
     kept = diagnosis.written == WITH_FUNCTIONS
     return {
@@ -110,7 +110,7 @@ def record_of(
                 "where": list(dict.fromkeys(t.where for t in f.terms)),
                 "probability": f.there,
             }
-            for f in diagnosis.doubtful
+            for f in diagnosis.search.doubtful
         ],
         "called": diagnosis.arm.called,
         "provenance": _provenance(diagnosis.seed, data_sha256, diagnosis.holdout_uses),
@@ -198,7 +198,8 @@ def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
 
 
 def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
-    rows = {n: _error_row(n, e, diagnosis.commanded[n]) for n, e in diagnosis.rows.items()}
+    proof = diagnosis.proof
+    rows = {n: _error_row(n, e, proof.commanded[n]) for n, e in proof.rows.items()}
     floor = None
     if sigma is not None:
         left = 1e3 * diagnosis.structure.size_m if diagnosis.structure.flag else 0.0

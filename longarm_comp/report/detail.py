@@ -131,13 +131,13 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
 def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     held = diagnosis.held_out.take(diagnosis.held_out.placed)
     predicted = diagnosis.model.measured(held.q, held.context())
-    near = predicted + diagnosis.errors[diagnosis.written]
+    near = predicted + diagnosis.proof.errors[diagnosis.written]
     seen = np.where(held.located[:, None], held.xyz, near)
     # So many arms are drawn in the scene
     shown = np.unique(np.linspace(0, len(held) - 1, min(6, len(held))).astype(int))
     context, model = held.context(), diagnosis.model
     arms = tuple(outline(model, held.q[k], context.take(int(k))) for k in shown)
-    return SeenRows(held.index, seen, diagnosis.errors, _inputs(held, units), arms)
+    return SeenRows(held.index, seen, diagnosis.proof.errors, _inputs(held, units), arms)
 
 
 def _inputs(session: Session, units: Sequence[str]) -> tuple[Input, ...]:

@@ -84,8 +84,8 @@ class DiagnosisResult:
     @property
     def held_out(self) -> ErrorTable:
         """Errors of every model on the hold-out."""
-        commanded = {name: Errors.of(e) for name, e in self.diagnosis.commanded.items()}
-        return ErrorTable(self.diagnosis.rows, commanded)
+        commanded = {name: Errors.of(e) for name, e in self.diagnosis.proof.commanded.items()}
+        return ErrorTable(self.diagnosis.proof.rows, commanded)
 
     def _repr_html_(self) -> str:
         return html_table(self.summary, self.held_out.rows)

@@ -251,11 +251,9 @@ class Arm(Declared):
         x, y, z = self.tip.position_m
         made = [(self.tip.frame, (x / 2, y / 2, z / 2), math.hypot(x, y, z))]
         for row, role, size in link_places(self.joints):
-            made.append(
-                (row - 1, (size / 2, 0.0, 0.0), abs(size))
-                if role == "a"
-                else (row, (0.0, 0.0, -size / 2), abs(size))
-            )
+            first = role == "a"  # along the x axis of the row before
+            at = (size / 2, 0.0, 0.0) if first else (0.0, 0.0, -size / 2)
+            made.append((row - 1 if first else row, at, abs(size)))
         return tuple(made)
 
     @cached_property

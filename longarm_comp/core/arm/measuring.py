@@ -98,10 +98,9 @@ class _PointTolerance(Declared):
     xyz_m: _Spread
 
 
-class _PoseTolerance(Declared):
+class _PoseTolerance(_PointTolerance):
     """How well a placement is known: standard deviations of position (m) and rotation (deg)."""
 
-    xyz_m: _Spread
     rpy_deg: _Spread
 
 

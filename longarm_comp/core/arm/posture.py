@@ -245,22 +245,18 @@ class Posture:
         beams before it.
         """
         loads: LineLoads = {}
-        for row in self.chain.rows:
-            for elements in (row.elements_a, row.elements_d):
-                self._spread(elements, loads)
+        for elements in (some for r in self.chain.rows for some in (r.elements_a, r.elements_d)):
+            for k, e in enumerate(elements):
+                length = spatial.absolute(self.lengths[e.station])
+                own = loads.setdefault(e.station, [])
+                if e.beam.mass_kg > 0 and e.beam.body_length_m is None:
+                    own.append((e.beam.mass_kg / float(e.beam.length_m), length))
+                for beam in (e.beam, *e.covers):
+                    if beam.mass_kg > 0 and beam.body_length_m is not None:
+                        reach = beam.body_length_m - self._beyond(elements, k, beam)
+                        reach = spatial.minimum(spatial.maximum(reach, 0.0), length)
+                        own.append((beam.mass_kg / beam.body_length_m, reach))
         return loads
-
-    def _spread(self, elements: tuple[Element, ...], loads: LineLoads) -> None:
-        for k, e in enumerate(elements):
-            length = spatial.absolute(self.lengths[e.station])
-            own = loads.setdefault(e.station, [])
-            if e.beam.mass_kg > 0 and e.beam.body_length_m is None:
-                own.append((e.beam.mass_kg / float(e.beam.length_m), length))
-            for beam in (e.beam, *e.covers):
-                if beam.mass_kg > 0 and beam.body_length_m is not None:
-                    reach = beam.body_length_m - self._beyond(elements, k, beam)
-                    reach = spatial.minimum(spatial.maximum(reach, 0.0), length)
-                    own.append((beam.mass_kg / beam.body_length_m, reach))
 
     def _overhangs(self) -> Iterator[Lumped]:
         """What of bodies reaches back behind their row's first beam."""

@@ -243,17 +243,14 @@ def turned(a: Frame, b: Frame) -> Vec:
     return scale(0.5, total)
 
 
-def add_twists(a: Twist, b: Twist) -> Twist:
-    return tuple([_plus(x, y) for x, y in zip(a, b, strict=True)])  # type: ignore[return-value]
-
-
 def summed(parts: Iterable[Mapping[int, Twist]]) -> dict[int, Twist]:
     """Sum of twists by station."""
     total: dict[int, Twist] = {}
     for part in parts:
         for station, twist in part.items():
             held = total.get(station)
-            total[station] = twist if held is None else add_twists(held, twist)
+            added = twist if held is None else [*map(_plus, held, twist)]
+            total[station] = tuple(added)  # type: ignore[assignment]
     return total
 
 

@@ -102,11 +102,6 @@ class Errors:
         )
 
 
-def errors_of(model: Model, session: Session) -> Errors:
-    """Errors of a model over the rows of a session, of positions and of orientations."""
-    return Errors.of(errors(model, session), turns(model, session), spread=spreads(model, session))
-
-
 @dataclass(frozen=True)
 class Rung:
     """One rung of the ladder: a name, its fit and its errors on train and held-out rows.
@@ -214,9 +209,12 @@ def ladder(
         raise InputError(train.source, "xyz", "no seen rows", "some to train and to hold out")
 
     def rung(name: str, model: Model, fitted: ModelFit | None) -> Rung:
-        there = errors_of(model, held_out)
+        fit_to, left_out = (
+            Errors.of(errors(model, rows), turns(model, rows), spread=spreads(model, rows))
+            for rows in (train, held_out)
+        )
         commanded = Errors.of(commanded_errors(model, held_out))
-        return Rung(name, model, fitted, errors_of(model, train), there, commanded)
+        return Rung(name, model, fitted, fit_to, left_out, commanded)
 
     base = declared_model(arm, deflection=deflection)
     rungs = [rung("nominal", standing(base, train)[0], None)]

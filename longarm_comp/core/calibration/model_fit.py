@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,11 @@ class ModelFit:
     def standard_errors(self) -> np.ndarray:
         """(p,) Laplace standard errors."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def judged(self) -> dict[str, Any]:
+        """Noise and weights of the rows, as arguments of another `fit` of them."""
+        return {"sigma": self.sigma, "rho": self.rho, "weights": self.weights}
 
     @property
     def outliers(self) -> np.ndarray:

@@ -188,17 +188,10 @@ def started(model: Model, session: Session) -> Model:
     Raises:
         InputError: fewer rows than an anchor's place has unknowns.
     """
-
-    def put(term: Bias) -> Bias:
-        if isinstance(term, AnchorPlace):
-            return _placed(term, model, session)
-        return _moved(term, model, session) if isinstance(term, SensorPlace) else term
-
-    model = dataclasses.replace(model, biases=tuple(put(term) for term in model.biases))
-    bodies = (
-        _turned(t, model, session) if isinstance(t, TipOrientation) else t for t in model.biases
-    )
-    model = dataclasses.replace(model, biases=tuple(bodies))
+    puts = ((AnchorPlace, _placed), (SensorPlace, _moved), (TipOrientation, _turned))
+    for kind, put in puts:
+        made = [put(t, model, session) if isinstance(t, kind) else t for t in model.biases]  # type: ignore[arg-type]
+        model = dataclasses.replace(model, biases=tuple(made))
     if not any(term.passing for term in model.biases):
         return model
     tips = model.tip(session.q, session.context())

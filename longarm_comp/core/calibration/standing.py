@@ -139,11 +139,7 @@ def _larger(model: Model, times: float) -> Model:
     for k, slot in enumerate(model.slots):
         if slot.owner.geometry and slot.parameter.unit == "m" and slot.parameter.name != "stretch":
             values[k] *= times
-    return dataclasses.replace(model.with_values(values), arm=_grown(model.arm, times))
-
-
-def _grown(arm: Arm, times: float) -> Arm:
-    joints = []
+    joints, arm = [], model.arm
     for joint in arm.joints:
         pose = joint.pose and joint.pose.model_copy(
             update={"xyz_m": scale(times, joint.pose.xyz_m)}
@@ -155,4 +151,5 @@ def _grown(arm: Arm, times: float) -> Arm:
         name: marker.model_copy(update={"position_m": scale(times, marker.position_m)})
         for name, marker in arm.markers.items()
     }
-    return arm.model_copy(update={"joints": tuple(joints), "tip": tip, "markers": markers})
+    arm = arm.model_copy(update={"joints": tuple(joints), "tip": tip, "markers": markers})
+    return dataclasses.replace(model.with_values(values), arm=arm)

@@ -174,14 +174,13 @@ def diagnose(
 
 def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
     """Calibration alone, with the effects that have a name, with functions: the same rows."""
-    whole, noise = found.fit, found.noise
-    bare = fit(start, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
+    whole = found.fit
+    bare = fit(start, whole.session, **whole.judged)
     more = found.found or found.tolerance.give
     made = {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
     functions = {t.key for f in found.found if f.unnamed for t in f.terms}
     if functions:
-        named = whole.model.without(functions)
-        less = fit(named, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
+        less = fit(whole.model.without(functions), whole.session, **whole.judged)
         made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
     return {name: folded(fitted) for name, fitted in made.items()}
 

@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.units import in_names
@@ -18,7 +17,6 @@ from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import EffectFinding, improvement, left_in_words, sentence
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
-from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import NETWORK, Proof
 from longarm_comp.core.identify.structure import Structure
@@ -89,19 +87,9 @@ class Diagnosis:
         return self.fit.model
 
     @property
-    def gives_way(self) -> bool:
-        """Whether what every arm gives way by is in the model to use."""
-        return self.search.tolerance.give and self.written != CALIBRATED
-
-    @property
     def left_out(self) -> bool:
         """Whether something was found that the model to use leaves out."""
         return self.written != list(self.fits)[-1]
-
-    @property
-    def doubtful(self) -> tuple[FoundEffect, ...]:
-        """What is more likely there than not, but less than 95 %; not in the model."""
-        return self.search.doubtful
 
     @cached_property
     def none_of_these(self) -> float:
@@ -120,21 +108,6 @@ class Diagnosis:
         return "set" if any(f.open for f in self.findings) else "named"
 
     @property
-    def errors(self) -> Mapping[str, np.ndarray]:
-        """Held-out errors (M, 3) as seen, m, by stage."""
-        return self.proof.errors
-
-    @property
-    def commanded(self) -> Mapping[str, np.ndarray]:
-        """The same as a command would have them (`core/data/commanded.py`)."""
-        return self.proof.commanded
-
-    @property
-    def rows(self) -> dict[str, Errors]:
-        """Figures of `errors` by stage."""
-        return self.proof.rows
-
-    @property
     def compared(self) -> tuple[str, str]:
         """The stages before and after what was added; the calibration where nothing was."""
         if self.network is not None:
@@ -144,12 +117,12 @@ class Diagnosis:
     @property
     def seen_gain(self) -> Gain:
         """Of the stages compared, as seen."""
-        return Gain.of(*(self.errors[stage] for stage in self.compared))
+        return Gain.of(*(self.proof.errors[stage] for stage in self.compared))
 
     @property
     def commanded_gain(self) -> Gain:
         """Of the stages compared, as a command would have it."""
-        return Gain.of(*(self.commanded[stage] for stage in self.compared))
+        return Gain.of(*(self.proof.commanded[stage] for stage in self.compared))
 
     def intervals_of(self, finding: EffectFinding) -> Mapping[tuple[str, str, str], Interval]:
         """Intervals of a finding's parameters, by effect, place and parameter; of what the model
@@ -170,7 +143,7 @@ class Diagnosis:
         gone = "; ".join(
             f"{f.name} at {', '.join(dict.fromkeys(t.where for t in f.terms))}"
             f" ({100 * f.there:.0f} % probable)"
-            for f in self.doubtful
+            for f in self.search.doubtful
         )
         text = _summary(self) + (f" In doubt, and not added: {gone}." if gone else "")
         return in_names(text, self.arm.called)
@@ -181,7 +154,7 @@ def _summary(found: Diagnosis) -> str:
     unnamed = f" {left} and has no name." if left else ""
     gain = f"Held-out mean error {_change(found)}"
     if found.verdict == "noise":
-        if found.gives_way:
+        if found.search.tolerance.give and found.written != CALIBRATED:
             text = "Every part of the arm is a little off; the model now holds this. "
             return f"{text}Beyond it only noise is left. {gain}."
         text = "After calibration only noise is left; no effect was added."
@@ -200,7 +173,7 @@ def _summary(found: Diagnosis) -> str:
 
 def _change(found: Diagnosis) -> str:
     """Before and after, also where only orientations were measured."""
-    before, after = (found.rows[stage] for stage in found.compared)
+    before, after = (found.proof.rows[stage] for stage in found.compared)
     if not before.n:
         return f"{before.said} -> {after.said}"
     return improvement(found.seen_gain, found.commanded_gain)

@@ -81,10 +81,8 @@ def findings(found: Sequence[FoundEffect]) -> tuple[EffectFinding, ...]:
     Single effects of one name at several places are one finding.  Its set holds the names that may
     stand for all of them; a name that may stand for some only is a partial alias.
     """
-    made = []
-    for name in dict.fromkeys(f.name for f in found if not f.unnamed):
-        parts = [f for f in found if f.name == name]
-        made.append(_finding(name, parts))
+    names = dict.fromkeys(f.name for f in found if not f.unnamed)
+    made = [_finding(name, [f for f in found if f.name == name]) for name in names]
     return tuple(sorted(made, key=lambda f: -f.log_bayes_factor))
 
 
@@ -149,7 +147,10 @@ def sentence(
         interval = intervals.get((*slot.owner.key, slot.parameter.name))
         if interval is None or interval.at_bound:
             continue
-        shown = value_in_words(interval, slot.parameter.unit)
+        times, unit = for_people(slot.parameter.unit)
+        ends = (interval.value, interval.low, interval.high)
+        value, low, high = (f"{times * v:.3g}" for v in ends)
+        shown = f"{value}{'' if unit == '°' else ' '}{unit} [{low}, {high}]"
         values.append(f"{slot.owner.where} {slot.parameter.name} {shown}")
     readings = dict.fromkeys(t.reading for t in finding.terms if t.reading)
     if not values:
@@ -167,13 +168,6 @@ def sentence(
     if finding.unnamed:
         remark += "; or a cause without a name"
     return f"{names}: {said}{other}{remark}"
-
-
-def value_in_words(interval: Interval, unit: str) -> str:
-    """A value with its interval, in the unit that people read: ``0.61° [0.6, 0.62]``."""
-    times, name = for_people(unit)
-    value, low, high = (f"{times * v:.3g}" for v in (interval.value, interval.low, interval.high))
-    return f"{value}{'' if name == '°' else ' '}{name} [{low}, {high}]"
 
 
 def improvement(seen: Gain, commanded: Gain) -> str:

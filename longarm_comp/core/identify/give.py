@@ -98,10 +98,8 @@ def with_give(fitted: ModelFit, library: Sequence[Candidate]) -> ModelFit:
 def _with(fitted: ModelFit, added: Mapping[tuple[str, str], Term]) -> ModelFit:
     model = fitted.model.plus(*added.values())
     small = tuple((s.identity, _size(s.owner)) for s in model.slots if s.owner.key in added)
-    return fit(
-        dataclasses.replace(model, beyond=(*model.beyond, *small)), fitted.session,
-        sigma=fitted.sigma, rho=fitted.rho, weights=fitted.weights, near=fitted,
-    )  # fmt: skip
+    model = dataclasses.replace(model, beyond=(*model.beyond, *small))
+    return fit(model, fitted.session, near=fitted, **fitted.judged)
 
 
 def _size(owner: Term) -> float:

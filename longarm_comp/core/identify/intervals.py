@@ -54,8 +54,14 @@ def intervals(
         candidates: the library.
     """
     wider = _wider(fit, found)
-    design = np.concatenate([fit.design * wider, _otherwise(fit, found, candidates)], axis=1)
-    parts = _block_rows(len(design), fit.width)
+    columns = FitColumns(fit)
+    otherwise = [columns.of(_dropped(fit, found, candidates))]
+    otherwise += _slopes(fit, columns, found, candidates)
+    white = fit.whitened(np.concatenate(otherwise, axis=-1))
+    design = np.concatenate([fit.design * wider, white], axis=1)
+    rows = len(design) // fit.width
+    cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * fit.width
+    parts = [slice(begin, end) for begin, end in pairwise(cuts)]
     gram = np.stack([design[s].T @ design[s] for s in parts])
     right = np.stack([design[s].T @ fit.data[s] for s in parts])
     one = np.eye(design.shape[1])
@@ -91,23 +97,9 @@ def _wider(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
     return np.maximum(1.0, LOOSE * np.array(sizes))
 
 
-def _block_rows(equations: int, width: int) -> list[slice]:
-    rows = equations // width
-    cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * width
-    return [slice(lo, hi) for lo, hi in pairwise(cuts)]
-
-
-def _otherwise(fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]) -> np.ndarray:
-    """(dM, k) whitened, prior-scaled columns."""
-    columns = FitColumns(fit)
-    made = [columns.of(tuple(_dropped(fit, found, candidates).values()))]
-    made += _slopes(fit, columns, found, candidates)
-    return fit.whitened(np.concatenate(made, axis=-1))
-
-
 def _dropped(
     fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]
-) -> dict[tuple[str, str], Term]:
+) -> tuple[Term, ...]:
     """A found effect's other places, in its form where there is one."""
     held = {t.key for t in fit.model.terms}
     missing: dict[tuple[str, str], Term] = {}
@@ -116,7 +108,7 @@ def _dropped(
         mine = [c for c in candidates if c.name == name]
         for candidate in sorted(mine, key=lambda c: c.form != form):
             missing = {t.key: t for t in candidate.terms if t.key not in held} | missing
-    return missing
+    return tuple(missing.values())
 
 
 def _slopes(

@@ -138,16 +138,15 @@ def expected_commanded(
     for f in found:
         if isinstance(f.terms[0], Bias):
             ours *= f.there * f.chance
-    return {name: _expected(fit, ours) for name, fit in fits.items()}
-
-
-def _expected(fit: ModelFit, measuring_side: float) -> float:
-    rows = fit.session.take(fit.weights > 0)
-    seen, told = errors(fit.model, rows), commanded_errors(fit.model, rows)
-    square = measuring_side * (seen**2).sum(1) + (1.0 - measuring_side) * (told**2).sum(1)
-    columns = fit.columns[fit.weights > 0] * fit.metres[:, None]
-    variance = np.einsum("nip,pq,niq->n", columns, fit.covariance, columns, optimize=True)
-    return float(np.sqrt(square.mean() + 2.0 * variance.mean()))
+    made = {}
+    for name, fit in fits.items():
+        rows = fit.session.take(fit.weights > 0)
+        seen, told = errors(fit.model, rows), commanded_errors(fit.model, rows)
+        square = ours * (seen**2).sum(1) + (1.0 - ours) * (told**2).sum(1)
+        columns = fit.columns[fit.weights > 0] * fit.metres[:, None]
+        variance = np.einsum("nip,pq,niq->n", columns, fit.covariance, columns, optimize=True)
+        made[name] = float(np.sqrt(square.mean() + 2.0 * variance.mean()))
+    return made
 
 
 def least(expected: Mapping[str, float]) -> str:

@@ -59,8 +59,7 @@ def scan(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, 
         gain = (projected * (marginal.y[:, None] - 0.5 * white)).sum(0)
         each = (white * marginal.py[:, None]).reshape(len(q), -1, len(counts)).sum(1)
         chance = 0.5 * each.sum(0) ** 2 / np.maximum((each**2).sum(0), 1e-300)
-        worth = np.minimum(gain, chance)
-        worth = worth - [term.price(arm) for term in terms]
+        worth = np.minimum(gain, chance) - [term.price(arm) for term in terms]
         best = int(np.argmax(worth))
         if worth[best] >= need:
             found.append(Candidate(kind.name, (terms[best],), scanned=True))

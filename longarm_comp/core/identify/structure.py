@@ -47,7 +47,6 @@ class Structure:
         size_m: RMS of the smooth part, m.
         share_explained: of the structure that was there, how much the named effects took
             (1 when nothing else is left).
-        groups: (what, standardised statistic) of every group tested.
         at: the joint that the strongest of them moves; empty where it is the tip.
         sign: where it shows, if another sign than this test tells it: ``shows in held-out poses``.
     """
@@ -57,7 +56,6 @@ class Structure:
     inputs: tuple[str, ...]
     size_m: float
     share_explained: float
-    groups: tuple[tuple[str, float], ...]
     at: str = ""
     sign: str = ""
 
@@ -98,12 +96,16 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
         chance = float(fdtrc(count, max(free - count, 1.0), score / count / rest))
         found.append((group, chance, (score / rest - count) / math.sqrt(2.0 * count), b))
     if not found:
-        return Structure(False, 1.0, (), 0.0, 1.0, ())
+        return Structure(False, 1.0, (), 0.0, 1.0)
     found.sort(key=lambda each: (each[1], -each[2]))
     p = min(1.0, len(found) * found[0][1])
     likely = [each for each in found if len(found) * each[1] < SIGNIFICANT]
     strong = [each for each in likely if each[2] > found[0][2] / 3]
-    sizes, rss_rich = _smooth(fit, marginal, [b for *_, b in strong])
+    sizes, rich = np.zeros(fit.width), residual
+    if strong:
+        b = np.concatenate([b for *_, b in strong], axis=1)
+        part = marginal.project(b) @ solved(*marginal.normal(b)).u
+        sizes, rich = np.sqrt((fit.lengths(part) ** 2).mean(0)), residual - part
     size, noise = float(np.linalg.norm(sizes)), fit.noise_m
     worth = size > WORTH * float(np.linalg.norm(noise))
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
@@ -112,7 +114,7 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
     rss_named = float(residual @ residual)
     white_base = fit.whitened(base.residual[..., None])[:, 0]
     rss_base = float(white_base @ white_base)
-    there = rss_base - rss_rich
+    there = rss_base - float(rich @ rich)
     share = 1.0 if there <= 0 else float(np.clip((rss_base - rss_named) / there, 0.0, 1.0))
     return Structure(
         flag,
@@ -120,7 +122,6 @@ def examine(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> 
         inputs if flag else (),
         size if flag else 0.0,
         share if flag else 1.0,
-        tuple((group.label, statistic) for group, _, statistic, _ in found),
         found[0][0].at if flag else "",
     )
 
@@ -129,17 +130,6 @@ def smallest(fit: ModelFit) -> float:
     """Size (m) below which structure does not matter."""
     xyz = fit.session.take(fit.session.located).xyz
     return min(SMALLEST_M, OF_SPREAD * median_spread(xyz) if len(xyz) > 1 else SMALLEST_M)
-
-
-def _smooth(fit: ModelFit, marginal: Marginal, bases: list[np.ndarray]) -> tuple[np.ndarray, float]:
-    """(d,) RMS (m) of the smooth part in the given features, and the whitened RSS they leave."""
-    residual = fit.whitened(fit.residual[..., None])[:, 0]
-    if not bases:
-        return np.zeros(fit.width), float(residual @ residual)
-    b = np.concatenate(bases, axis=1)
-    part = marginal.project(b) @ solved(*marginal.normal(b)).u
-    left = residual - part
-    return np.sqrt((fit.lengths(part) ** 2).mean(0)), float(left @ left)
 
 
 @dataclass(frozen=True)
@@ -156,11 +146,6 @@ class Group:
     at: str
     columns: np.ndarray
 
-    @property
-    def label(self) -> str:
-        """For people: ``q1 x q3 at joint 2``."""
-        return " x ".join(self.inputs) + (f" at {self.at}" if self.at else "")
-
 
 def groups(fit: ModelFit) -> list[Group]:
     """Everything that is tried: functions of each input, products of joints, seen or at a joint.
@@ -174,8 +159,9 @@ def groups(fit: ModelFit) -> list[Group]:
         if features.shape[1]:
             columns = _of_channels(features, fit)
             made.append(Group(inputs, "", columns))
-            if len(inputs) == 1:
-                made += [Group(inputs, "", own) for own in _alone(columns)]
+            if len(inputs) == 1 and fit.width > 1:  # what moves one axis only hides among three
+                each = np.split(columns, fit.width, axis=2)
+                made += [Group(inputs, "", own) for own in each if own.any()]
     for slot, column in zip(fit.slots, np.moveaxis(fit.columns, -1, 0), strict=True):
         if slot.owner.displaces_joint:
             for inputs, features in _of_a_joint(curves):
@@ -194,9 +180,7 @@ Features = Iterator[tuple[tuple[str, ...], np.ndarray]]
 
 def _of_the_tip(session: Session, curves: list[np.ndarray]) -> Features:
     """Functions of each joint, of pairs, of direction, way, temperature, time and payload."""
-    for j, curve in enumerate(curves):
-        yield (f"q{j + 1}",), curve
-    yield from _products(curves)
+    yield from _of_a_joint(curves)
     for j, curve in enumerate(curves):
         side = session.approach[:, j].astype(float)[:, None]
         bent = np.concatenate([side, side * curve[:, :2]], axis=1)
@@ -212,10 +196,6 @@ def _of_a_joint(curves: list[np.ndarray]) -> Features:
     """Functions of each joint, and products of two."""
     for j, curve in enumerate(curves):
         yield (f"q{j + 1}",), curve
-    yield from _products(curves)
-
-
-def _products(curves: list[np.ndarray]) -> Features:
     for k, j in combinations(range(len(curves)), 2):
         yield (f"q{k + 1}", f"q{j + 1}"), _standard(curves[j][:, :1] * curves[k][:, :1])
 
@@ -244,21 +224,9 @@ def _standard(features: np.ndarray) -> np.ndarray:
 
 def _of_channels(features: np.ndarray, fit: ModelFit) -> np.ndarray:
     """(N, m) features -> (N, d, dm) of one noise standard deviation in each channel."""
-    n, m = features.shape
-    made = np.zeros((n, fit.width, fit.width * m))
-    held = fit.session.measured
-    for channel, sigma in enumerate(fit.sigma):
-        if np.isfinite(sigma):
-            own = features * held[:, channel, None]
-            made[:, channel, channel * m : (channel + 1) * m] = own * sigma
-    return made
-
-
-def _alone(columns: np.ndarray) -> list[np.ndarray]:
-    """Columns (N, d, dm) of each channel alone: what moves one axis only hides among three."""
-    width = columns.shape[1]
-    parts = np.split(columns, width, axis=2)
-    return [part for part in parts if part.any()] if width > 1 else []
+    noise = np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.session.measured
+    each = features[:, None, None, :] * (noise[..., None] * np.eye(fit.width))[..., None]
+    return each.reshape(len(features), fit.width, -1)
 
 
 OFF = 0.5

@@ -137,25 +137,22 @@ class _Search:
                 self._repeat(step)
 
     def _repeat(self, step: newton.Repeat) -> None:
-        """Run until a number of the state is 0 everywhere."""
+        """Run until a number of the state is 0 everywhere; others go on without what is done."""
         while (todo := np.asarray(self.state[step.row][0], dtype=bool)).any():
-            if not todo.all():  # the others go on without the finished ones
-                self._repeat_some(step, todo)
-                return
-            self.run(step.body)
-
-    def _repeat_some(self, step: newton.Repeat, todo: np.ndarray) -> None:
-        taken = {
-            name: [v[todo] if np.ndim(v) else v for v in values]
-            for name, values in self.state.items()
-        }
-        some = _Search(self._model, self._context.take(todo), taken)
-        some._repeat(step)
-        for name, values in self.state.items():
-            whole = [np.array(np.broadcast_to(v, todo.shape)) for v in values]
-            for v, new in zip(whole, some.state[name], strict=True):
-                v[todo] = new
-            self.state[name] = whole
+            if todo.all():
+                self.run(step.body)
+                continue
+            taken = {
+                name: [v[todo] if np.ndim(v) else v for v in values]
+                for name, values in self.state.items()
+            }
+            some = _Search(self._model, self._context.take(todo), taken)
+            some._repeat(step)
+            for name, values in self.state.items():
+                whole = [np.array(np.broadcast_to(v, todo.shape)) for v in values]
+                for v, new in zip(whole, some.state[name], strict=True):
+                    v[todo] = new
+                self.state[name] = whole
 
     def rows(self, name: str, count: int) -> np.ndarray:
         """(count, k): a quantity of the state."""
@@ -248,7 +245,6 @@ def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
 
 
 def _compiled_kernel(model: Model, context: Context) -> Kernel | None:
-    """The model's kernel, if it is compiled."""
     layout = context.layout
     kernel = model.__dict__.get("_kernels", {}).get(layout) if layout.traceable else None
     return kernel if kernel is not None and is_compiled(kernel, Engine.AUTO) else None

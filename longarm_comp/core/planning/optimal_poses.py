@@ -247,7 +247,7 @@ class Choice:
         made, known = list(chosen), self.after(chosen)
         most = known.own.max()
         for _ in range(n):
-            made.append(known.best(made))
+            made.append(int(np.argmax(known.gains(made))))
             known = known.with_pose(made[-1])
             if known.own.max() < ANEW * most:
                 known = self.after(made)
@@ -261,7 +261,7 @@ class Choice:
             before, known = made.copy(), self.after(made)
             for k, old in enumerate(before):
                 without = known.with_pose(old, -1.0)
-                made[k] = without.best(made[:k] + made[k + 1 :])
+                made[k] = int(np.argmax(without.gains(made[:k] + made[k + 1 :])))
                 known = known if made[k] == old else without.with_pose(made[k])
             if made == before:
                 break
@@ -307,10 +307,6 @@ class _Known:
             self.error - error - error.T,
             self.left - cross - _turned(cross),
         )
-
-    def best(self, taken: Sequence[int]) -> int:
-        """The pose that would take off most."""
-        return int(np.argmax(self.gains(taken)))
 
     def gains(self, taken: Sequence[int]) -> np.ndarray:
         """(M,) what each further pose would take off; none for those that are taken."""

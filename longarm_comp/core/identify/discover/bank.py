@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -23,7 +23,6 @@ from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.effects.discovered import (
     CAMERA,
-    DISTANCE,
     Discovered,
     DiscoveredView,
     components,
@@ -85,7 +84,6 @@ class Bank:
         places: K components.
         units: (N, d, K) motion of the channels by a unit of each, m or rad.
         functions: G functions at the N rows.
-        axes: by commanded joint (0-based), the place that moves it along its own axis.
     """
 
     def __init__(
@@ -94,7 +92,6 @@ class Bank:
         places: Sequence[Spot],
         units: np.ndarray,
         functions: Functions,
-        axes: Sequence[Spot] = (),
     ) -> None:
         self.fit, self.places, self.units, self.functions = fit, tuple(places), units, functions
         self._number = {place: k for k, place in enumerate(self.places)}
@@ -102,16 +99,9 @@ class Bank:
         for k, place in enumerate(self.places):
             kinds.setdefault(place.kind, []).append(k)
         self._vectors = [ks for ks in kinds.values() if len(ks) == 3]
-        self._axes = [self._number[place] for place in axes]
+        self._axes = _axes(fit.model.arm, self._number)
         self._single = [g for g in functions.groups if len(g.functions) == 1]
         self._several = [g for g in functions.groups if len(g.functions) > 1]
-
-    def columns(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
-        """(N, d, r) columns per unit."""
-        made = [
-            self.units[:, :, self._number[p]] * self.functions.of(f)[:, None] for p, f in members
-        ]
-        return np.stack(made, axis=-1)
 
     def evidences(self, marginal: Marginal, listed: Sequence[Hypothesis]) -> np.ndarray:
         """(C,) log odds of candidates on top of a marginal, on all rows, with their priors."""
@@ -141,10 +131,12 @@ class Bank:
         return self._rms(self._white(hypothesis.members))
 
     def _white(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
-        """(dM, r) `columns` of the M inliers in units of the noise."""
-        inside = self.fit.weights > 0
-        columns = (self.columns(members) * weight(self.fit)[..., None])[inside]
-        return columns.reshape(-1, len(members))
+        """(dM, r) columns per unit of the M inliers, in units of the noise."""
+        made = [
+            self.units[:, :, self._number[p]] * self.functions.of(f)[:, None] for p, f in members
+        ]
+        columns = np.stack(made, axis=-1) * weight(self.fit)[..., None]
+        return columns[self.fit.weights > 0].reshape(-1, len(members))
 
     def _rms(self, white: np.ndarray) -> np.ndarray:
         rows = max(len(white) // self.fit.width, 1)
@@ -159,7 +151,8 @@ class Bank:
             kept: (p,) columns of the fit that no candidate may stand for.
             left: each (N, d), whitened: what a part of the fit, or all of it, leaves.
         """
-        rows = _some(np.flatnonzero(self.fit.weights > 0))
+        rows = np.flatnonzero(self.fit.weights > 0)
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).round().astype(int))]
         white = (self.units * weight(self.fit)[..., None])[rows].astype(np.float32)
         values = self.functions.values[rows]
         size = np.sqrt((values**2).mean(axis=0))
@@ -211,14 +204,12 @@ class Bank:
             for n, k in _top(np.stack(grouped)):
                 several.append(self._hypothesis([(k, f) for f in groups[n].functions], groups[n]))
         yield several
-        if self._vectors:
-            prior = [self._prior(g) for g in self._single]
-            vectors = np.stack([_together(worth[ks]) for ks in self._vectors])
-            best = _top(vectors[:, alone] + np.array(prior))
-            yield [
-                self._hypothesis([(k, alone[n]) for k in self._vectors[v]], self._single[n])
-                for v, n in best
-            ]
+        prior = [self._prior(g) for g in self._single]
+        vectors = np.array([_together(worth[ks]) for ks in self._vectors]).reshape(-1, len(worth.T))
+        yield [
+            self._hypothesis([(k, alone[n]) for k in self._vectors[v]], self._single[n])
+            for v, n in _top(vectors[:, alone] + np.array(prior))
+        ]
         every = self.functions.each_joint if self._axes else []
         at = ([(self._axes[j], f) for j, f in joints] for joints in every)
         seen = ([(k, f) for k, f in joints if np.isfinite(worth[k, f])] for joints in at)
@@ -294,13 +285,6 @@ def marginal_of(fit: ModelFit, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
     return marginal, left
 
 
-def _some(rows: np.ndarray) -> np.ndarray:
-    """At most `MOST_ROWS` of the rows, evenly spread."""
-    if len(rows) <= MOST_ROWS:
-        return rows
-    return rows[np.linspace(0, len(rows) - 1, MOST_ROWS).round().astype(int)]
-
-
 def _top(table: np.ndarray) -> list[tuple[int, int]]:
     """Places of the largest finite entries."""
     flat = table.ravel()
@@ -313,38 +297,23 @@ def _top(table: np.ndarray) -> list[tuple[int, int]]:
 def banks(fit: ModelFit) -> tuple[Bank, ...]:
     """Candidates of the arm's side and, where positions are seen, of the camera's."""
     arm, rows = fit.model.arm, fit.session
-    (spots, units), *seen_sides = sides(fit)
-    functions = Functions(arm_inputs(arm, fit.posture, rows))
-    made = [Bank(fit, spots, units, functions, _axes(arm, spots))]
-    for spots, units in seen_sides:
-        points = fit.model.measured_at(fit.posture)
-        free = all(spot.component == DISTANCE for spot in spots)
-        seen = Functions(camera_inputs(points, rows), None if free else SeenCoordinate)
-        made.append(Bank(fit, spots, units, seen))
+    spots = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
+    spots, units = _moving(fit, spots)
+    made = [Bank(fit, spots, units, Functions(arm_inputs(arm, fit.posture, rows)))]
+    if rows.plain:
+        points, ways = fit.model.measured_at(fit.posture), views(arm)
+        for some, of in ((AXES, SeenCoordinate), ([w for w in ways if w not in AXES], None)):
+            if some:
+                seen = Functions(camera_inputs(points, rows), of)
+                made.append(Bank(fit, *_moving(fit, [Spot(CAMERA, way) for way in some]), seen))
     return tuple(made)
 
 
-def sides(fit: ModelFit) -> Iterator[tuple[list[Spot], np.ndarray]]:
-    """Components of the arm and, where positions are seen, of the camera; (N, d, K) by a unit."""
-    arm = fit.model.arm
-    spots = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
-    units, moving = _units(fit, [term_of(p, "1", "", 1e-3) for p in spots])
-    yield [p for p, moves in zip(spots, moving, strict=True) if moves], units
-    if fit.session.plain:
-        ways = views(arm)
-        for some in (AXES, [way for way in ways if way not in AXES]):
-            seen = [Spot(CAMERA, way) for way in some]
-            if seen:
-                yield seen, _units(fit, [term_of(p, "1", "", 1e-3) for p in seen])[0]
-
-
-def term_of(
-    place: Spot, function: str, domain: str, scale: float, amount: float = 0.0
-) -> Effect | Bias:
+def term_of(place: Spot, function: str, domain: str, scale: float) -> Effect | Bias:
     """The term of a model that a place and a function stand for."""
     if place.at == CAMERA:
-        return DiscoveredView(place.component, function, domain, scale, amount)
-    return Discovered(place.at, place.component, function, domain, scale, amount)
+        return DiscoveredView(place.component, function, domain, scale)
+    return Discovered(place.at, place.component, function, domain, scale)
 
 
 def _distinct(arm: Arm) -> list[str]:
@@ -355,21 +324,17 @@ def _distinct(arm: Arm) -> list[str]:
     return [name for name in stations(arm) if name not in same]
 
 
-def _units(fit: ModelFit, terms: list[Effect | Bias]) -> tuple[np.ndarray, np.ndarray]:
-    """(N, d, K) motion by a unit of each term that moves anything, and which do, (K,)."""
-    slots = slots_of(fit.model.arm, terms)
+def _moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarray]:
+    """The K places where something moves a channel, and (N, d, K) motion by a unit of each."""
+    slots = slots_of(fit.model.arm, [term_of(spot, "1", "", 1e-3) for spot in spots])
     columns = equations(fit.model, fit.session, fit.posture, slots).columns
     largest = np.abs(columns).max(axis=(0, 1))
     moving = largest > np.finfo(float).eps * largest.max(initial=0.0)
-    return columns[..., moving], moving
+    return [spot for spot, moves in zip(spots, moving, strict=True) if moves], columns[..., moving]
 
 
-def _axes(arm: Arm, places: list[Spot]) -> list[Spot]:
-    """By commanded joint, the place that moves it along its own axis."""
-    made = []
-    for row in arm.commanded:
-        word = "move" if arm.joints[row - 1].type == "prismatic" else "turn"
-        place = Spot(f"joint {row}", f"{word} z")
-        if place in places:
-            made.append(place)
-    return made if len(made) == arm.n else []
+def _axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
+    """By commanded joint, the component that moves it along its own axis; where all have one."""
+    slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)
+    own = [Spot(f"joint {row}", "move z" if slide else "turn z") for row, slide in slides]
+    return [number[spot] for spot in own] if number.keys() >= set(own) else []

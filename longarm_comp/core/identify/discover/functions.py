@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -34,10 +34,12 @@ ORDERS = 5
 """Legendre orders of a smooth function of one input."""
 TOTAL = 3
 """Highest sum of orders of a smooth function of two."""
-THRESHOLDS = 7
-"""Thresholds tried between the ends of an input; dense ones only for the best."""
-HARMONICS = 4
-"""Periods per turn of an angle, at most; half periods over the range of a column: twice these."""
+LOOKS = 7
+"""Values of a threshold, or of a scale of a form, that are looked at side by side.  Waves are as
+fine: half a period is no less than what lies between two of these."""
+DENSE = LOOKS**2
+"""Values that are looked at around the best; of a form at once, where rows were set aside that may
+want any."""
 
 
 class FunctionFamily(Enum):
@@ -125,9 +127,6 @@ class Functions:
             self._values.append(self.of(made))
         return self._numbers[made]
 
-    def _usable(self, made: Function) -> bool:
-        return self._of is None or any(isinstance(q, self._of) for q in made.quantities)
-
     def of(self, made: Function) -> np.ndarray:
         """(N,) values of any function of the inputs."""
         values = np.ones(len(self.inputs.all[0].values)) if self.inputs.all else np.ones(0)
@@ -141,14 +140,13 @@ class Functions:
         return self._shapes[shape]
 
     def _group(self, family: FunctionFamily, *numbers: int, decay: Sequence[float] = ()) -> None:
-        kept = [k for k, n in enumerate(numbers) if self._usable(self.listed[n])]
-        if not kept:
-            return
-        numbers, decay = tuple(numbers[k] for k in kept), [decay[k] for k in kept] if decay else ()
-        used = {q for n in numbers for q in self.listed[n].quantities}
-        rare = sum(not q.plain for q in used)
-        decays = tuple(decay) or (1.0,) * len(numbers)
-        self.groups.append(FunctionGroup(family, numbers, decays, rare))
+        of = {n: self.listed[n].quantities for n in numbers}
+        kept = dict(zip(numbers, decay or [1.0] * len(numbers), strict=True))
+        if self._of is not None:
+            kept = {n: d for n, d in kept.items() if any(isinstance(q, self._of) for q in of[n])}
+        if kept:
+            rare = sum(not q.plain for q in {q for n in kept for q in of[n]})
+            self.groups.append(FunctionGroup(family, tuple(kept), tuple(kept.values()), rare))
 
     def _make(self) -> None:
         inputs = self.inputs.all
@@ -160,30 +158,25 @@ class Functions:
                 continue
             for kind in (Square, SignedSquare):
                 if (kind is Square and not one.far) or one.low < 0 < one.high:
-                    self._group(
-                        FunctionFamily.SQUARE, self.number(kind(one.name, one.low, one.high))
-                    )
+                    self._group(FunctionFamily.SQUARE, self.number(kind(*one.domain)))
             for order in orders(one):
-                pair = [self.number(k(one.name, one.low, one.high, order)) for k in (Cosine, Sine)]
+                pair = [self.number(kind(*one.domain, order)) for kind in (Cosine, Sine)]
                 self._group(FunctionFamily.WAVE, *pair)
-            self._smooth(one)
+            top = min(ORDERS, one.levels - 2)
+            if top > 1:
+                some = [self.number(Legendre(*one.domain, n)) for n in range(1, top + 1)]
+                decay = [1.0 / n for n in range(1, top + 1)]
+                self._group(FunctionFamily.SMOOTH, *some, decay=decay)
             for threshold in thresholds(one):
                 self._group(FunctionFamily.SWITCH, self.number(switch(one, threshold)))
                 for side in (Above, Below):
-                    made = side(one.name, one.low, one.high, threshold)
-                    self._group(FunctionFamily.CONTACT, self.number(made))
+                    self._group(FunctionFamily.CONTACT, self.number(side(*one.domain, threshold)))
         for a, b in combinations(inputs, 2):
             self._group(FunctionFamily.PRODUCT, self.number(_linear(a), _linear(b)))
-        for a, b in self._pairs():
+        plain = (i for i in inputs if i.name.startswith("q") or i.name in self.inputs.shared)
+        for a, b in combinations([i for i in plain if i.levels > 1], 2):
             self._smooth_pair(a, b)
         self._each_joint()
-
-    def _smooth(self, one: Argument) -> None:
-        top = min(ORDERS, one.levels - 2)
-        if top < 2:
-            return
-        made = [self.number(legendre(one, n)) for n in range(1, top + 1)]
-        self._group(FunctionFamily.SMOOTH, *made, decay=[1.0 / n for n in range(1, top + 1)])
 
     def _each_joint(self) -> None:
         """One function for every joint: of its own, times what all joints share."""
@@ -196,13 +189,8 @@ class Functions:
                 if len(made) > 1:
                     self.each_joint.append(tuple(made))
 
-    def _pairs(self) -> Iterator[tuple[Argument, Argument]]:
-        """Pairs of joint positions, and of these with what all joints share."""
-        shared = set(self.inputs.shared)
-        plain = [i for i in self.inputs.all if i.name.startswith("q") or i.name in shared]
-        yield from ((a, b) for a, b in combinations(plain, 2) if a.levels > 1 and b.levels > 1)
-
     def _smooth_pair(self, a: Argument, b: Argument) -> None:
+        """Of joint positions, and of these with what all joints share."""
         numbers, decay = [], []
         for i in range(TOTAL + 1):
             for j in range(TOTAL + 1 - i):
@@ -210,7 +198,7 @@ class Functions:
                     continue
                 if (i > 1 and not a.curves) or (j > 1 and not b.curves):
                     continue
-                factors = [legendre(one, n) for one, n in ((a, i), (b, j)) if n]
+                factors = [Legendre(*one.domain, n) for one, n in ((a, i), (b, j)) if n]
                 numbers.append(self.number(*factors))
                 decay.append(1.0 / (i + j))
         if len(numbers) > 3:
@@ -222,12 +210,7 @@ def _linear(one: Argument) -> Shape:
 
     So is one that no command is told: what a command leaves out is then nothing on average.
     """
-    return legendre(one, 1) if one.far or not one.told else Linear(one.name, one.low, one.high)
-
-
-def legendre(one: Argument, order: int) -> Legendre:
-    """Legendre polynomial of an input over its range."""
-    return Legendre(one.name, one.low, one.high, order)
+    return Legendre(*one.domain, 1) if one.far or not one.told else Linear(*one.domain)
 
 
 def switch(one: Argument, threshold: float) -> Switch:
@@ -236,7 +219,7 @@ def switch(one: Argument, threshold: float) -> Switch:
     above = one.values[one.values >= threshold]
     half = 0.5 * float(above.min() - below.max()) if len(below) and len(above) else 0.0
     middle = 0.5 * float(above.min() + below.max()) if len(below) and len(above) else threshold
-    return Switch(one.name, one.low, one.high, middle, max(half, 1e-4 * (one.high - one.low)))
+    return Switch(*one.domain, middle, max(half, 1e-4 * (one.high - one.low)))
 
 
 def orders(one: Argument) -> list[float]:
@@ -244,38 +227,37 @@ def orders(one: Argument) -> list[float]:
     if one.smooth:
         return []
     if one.circular:
-        return [float(n) for n in range(1, HARMONICS + 1)]
+        return [float(n) for n in range(1, (LOOKS + 1) // 2 + 1)]
     span = one.high - one.low
-    return [n * math.pi / span for n in range(2, 2 * HARMONICS + 1)]
+    return [n * math.pi / span for n in range(2, LOOKS + 2)]
 
 
 def thresholds(one: Argument) -> list[float]:
     """Thresholds that are tried of an input: its quantiles, off the levels."""
     if one.smooth:
         return []
-    shares = np.arange(1, THRESHOLDS + 1) / (THRESHOLDS + 1)
+    shares = np.arange(1, LOOKS + 1) / (LOOKS + 1)
     return [float(v) for v in np.unique(np.quantile(one.values, shares))[1:-1]]
 
 
-def nearby(shape: Shape, one: Argument, width: float, count: int = 30) -> list[Shape]:
-    """The same shape with other thresholds or orders around it.
+def nearby(shape: Shape, one: Argument, width: float) -> list[Shape]:
+    """The same shape with `DENSE` other thresholds or orders around it.
 
     Args:
         shape: with a threshold or an order; nothing is near any other.
         one: its input.
         width: how far around, in steps between those that were tried.
-        count: of looks.
     """
     if isinstance(shape, Threshold):
         place = float((one.values < shape.threshold).mean())
-        step = 1.3 * width / (THRESHOLDS + 1)
-        shares = np.clip(np.linspace(place - step, place + step, count), 0.02, 0.98)
+        step = 1.3 * width / (LOOKS + 1)
+        shares = np.clip(np.linspace(place - step, place + step, DENSE), 0.02, 0.98)
         made = np.unique(np.quantile(one.values, shares))
         if isinstance(shape, Switch):
             return [switch(one, float(v)) for v in made]
-        return [type(shape)(one.name, one.low, one.high, float(v)) for v in made]
+        return [type(shape)(*one.domain, float(v)) for v in made]
     if isinstance(shape, Wave) and not one.circular:
         step = width * math.pi / (one.high - one.low)
-        made = np.linspace(shape.order - step, shape.order + step, count)
-        return [type(shape)(one.name, one.low, one.high, float(v)) for v in made if v > 0]
+        made = np.linspace(shape.order - step, shape.order + step, DENSE)
+        return [type(shape)(*one.domain, float(v)) for v in made if v > 0]
     return []

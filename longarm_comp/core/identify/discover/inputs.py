@@ -69,6 +69,11 @@ class Argument:
         return float(self.values.max())
 
     @property
+    def domain(self) -> tuple[str, float, float]:
+        """Its name and range: what every shape of it begins with."""
+        return self.name, self.low, self.high
+
+    @property
     def far(self) -> bool:
         """Whether it is far from zero for its range, as the time of day in seconds is."""
         return abs(self.low + self.high) > 2 * _FAR * (self.high - self.low)
@@ -171,12 +176,11 @@ def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -
         against = other.values - other.values.mean()
         if abs(float(centred @ against)) > ALIKE * size * float(np.linalg.norm(against)):
             return
-    levels = levels_of(values)
     found = quantity(name)
-    circular = arm is not None and found is not None and name.startswith("q")
-    circular = circular and found is not None and arm is not None and found.unit(arm) == "rad"
+    circular = arm is not None and isinstance(found, JointPosition) and found.unit(arm) == "rad"
     smooth = name.startswith(SEEN)
     told = not is_column(name) or is_told(name)
+    levels = levels_of(values)
     made.append(Argument(name, np.ascontiguousarray(values), levels, circular, smooth, told))
 
 

@@ -101,8 +101,8 @@ def explain_session(
     Raises:
         InputError, JobError: as `fit`.
     """
-    search = _Search(base, session, list(candidates), known_noise, stepped)
-    return search.run(functions, progress or (lambda _: None))
+    say = progress or (lambda _: None)
+    return _Search(base, session, list(candidates), known_noise, stepped, say).run(functions)
 
 
 @dataclass
@@ -114,16 +114,17 @@ class _Search:
     candidates: list[Candidate]
     known: NoiseEstimate | None
     stepped: Sequence[type[Effect]]
+    say: Callable[[str], None]
     propositions: tuple[Proposition, ...] = ()
 
-    def run(self, functions: bool, say: Callable[[str], None]) -> ExplainedSession:
-        say("geometry")
-        state = self._repeated(self._fitted(self.base, (), None), say)
+    def run(self, functions: bool) -> ExplainedSession:
+        self.say("geometry")
+        state = self._repeated(self._fitted(self.base, (), None))
         if functions:
-            state = self._repeated(state, say, functions=True)
+            state = self._repeated(state, functions=True)
         state, doubtful, changed = self._compared(state)
         if changed:
-            state = self._repeated(state, say)
+            state = self._repeated(state)
             state, again, _ = self._compared(state)
             held = {t.key for f in (*state.found, *again) for t in f.terms}
             left = (f for f in doubtful if held.isdisjoint(t.key for t in f.terms))
@@ -137,9 +138,7 @@ class _Search:
             fitted, tuple(found), state.noise, tuple(left), tuple(self.candidates), slack
         )
 
-    def _repeated(
-        self, state: ExplainedSession, say: Callable[[str], None], functions: bool = False
-    ) -> ExplainedSession:
+    def _repeated(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
         """Explain and fit while a better explanation is found, by new functions or the last."""
         for _ in range(ROUNDS):
             self._scan(state)
@@ -149,11 +148,11 @@ class _Search:
             if explained is None:
                 break
             for f in explained.found:
-                say(Candidate(f.name, f.terms).label)
+                self.say(Candidate(f.name, f.terms).label)
             taken = self._taken(state, tuple(map(_loose, explained.found)))
             if taken is None:
                 break
-            taken = self._reformed(taken, say)
+            taken = self._reformed(taken)
             if not self._rose(state, taken):
                 break
             state = taken
@@ -175,16 +174,10 @@ class _Search:
         what gives way, one seems to do what only both can.  Each counts as it is, with what it
         does not need: else an explanation could not take the place of the same one with more.
         """
-        again = self._begun(before.fit.model, now.fit, begun=before.fit)
-        was = self._whole(again, before.found, near=now.fit)
-        return self._whole(now.fit, now.found) > was + BETTER
-
-    def _begun(self, model: Model, noise_of: ModelFit, **start: ModelFit) -> ModelFit:
-        """A model fitted so far that the next step would be small, with the noise of a fit."""
-        return fit(
-            model, self.session, sigma=noise_of.sigma, rho=noise_of.rho, weights=noise_of.weights,
-            close=NEAR, **start,  # type: ignore[arg-type]
-        )  # fmt: skip
+        was = before.fit
+        again = fit(was.model, self.session, close=NEAR, begun=was, **now.fit.judged)
+        least = self._whole(again, before.found, near=now.fit) + BETTER
+        return self._whole(now.fit, now.found) > least
 
     def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Slack]:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
@@ -208,10 +201,7 @@ class _Search:
         that all else must be explained anew.
         """
         was = state.fit
-        fitted = fit(
-            was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights, begun=was
-        )
-        state = replace(state, fit=fitted)
+        state = replace(state, fit=fit(was.model, self.session, begun=was, **was.judged))
         banks = self._offered(state.fit, state.found)
         found, doubtful = max(banks, key=lambda b: b.standing).judged(state.found, banks)
         sure = tuple(f for f in found if f.there >= CREDIBLE)
@@ -237,12 +227,12 @@ class _Search:
 
     def _refitted(self, state: ExplainedSession, found: tuple[FoundEffect, ...]) -> float:
         """Log evidence of other effects than those of a state, fitted to the same noise."""
-        terms = _known(state.fit.model, found)
-        if len({t.key for t in terms}) < len(terms):
+        places = [t.key for f in found for t in f.terms]
+        if len(set(places)) < len(places):
             return -math.inf
         try:
-            model = _with(self.base, state.fit.model, terms)
-            begun = self._begun(model, state.fit, near=state.fit)
+            model = _with(self.base, state.fit.model, found)
+            begun = fit(model, self.session, close=NEAR, near=state.fit, **state.fit.judged)
             return self._whole(begun, found, near=state.fit)
         except JobError:
             return -math.inf
@@ -270,7 +260,7 @@ class _Search:
         self, state: ExplainedSession, found: tuple[FoundEffect, ...]
     ) -> ExplainedSession | None:
         """The model fitted with what was found; None where that runs away."""
-        model = _with(self.base, state.fit.model, _known(state.fit.model, found))
+        model = _with(self.base, state.fit.model, found)
         try:
             return self._fitted(model, found, state)
         except JobError:
@@ -294,30 +284,29 @@ class _Search:
         )  # fmt: skip
         return ExplainedSession(fitted, found, noise)
 
-    def _reformed(self, state: ExplainedSession, say: Callable[[str], None]) -> ExplainedSession:
+    def _reformed(self, state: ExplainedSession) -> ExplainedSession:
         """Forms on a scale moved to where the evidence is highest, each with the rest as it is."""
         for _ in range(ROUNDS):
             terms = {t.key: t for f in state.found for t in f.terms}
-            moved = {key: self._better_form(state, term) for key, term in terms.items()}
-            if all(moved[key].variant == term.variant for key, term in terms.items()):
+            fitted = {t.key: t for t in state.fit.model.terms}
+            moved = {
+                key: refined(state.fit, fitted[key], self.candidates)
+                for key, term in terms.items()
+                if term.scales()
+            }
+            moved = {key: t for key, t in moved.items() if t.variant != terms[key].variant}
+            if not moved:
                 break
-            for key, term in terms.items():
-                if moved[key].variant != term.variant:
-                    say(Candidate(term.name, (moved[key],)).label)
+            for term in moved.values():
+                self.say(Candidate(term.name, (term,)).label)
             found = tuple(
-                replace(f, terms=tuple(moved[t.key] for t in f.terms)) for f in state.found
+                replace(f, terms=tuple(moved.get(t.key, t) for t in f.terms)) for f in state.found
             )
             taken = self._taken(state, found)
             if taken is None:
                 break
             state = taken
         return state
-
-    def _better_form(self, state: ExplainedSession, term: Term) -> Term:
-        if not term.scales():
-            return term
-        fitted = next(t for t in state.fit.model.terms if t.key == term.key)
-        return refined(state.fit, fitted, self.candidates)
 
 
 def _plain(fitted: ModelFit) -> ModelFit:
@@ -326,10 +315,7 @@ def _plain(fitted: ModelFit) -> ModelFit:
     idle = {e.key for e in model.effects if e.through_others}
     if not idle or any(e.loaded for e in model.effects if e.key not in idle):
         return fitted
-    return fit(
-        model.without(idle), fitted.session, sigma=fitted.sigma, rho=fitted.rho,
-        weights=fitted.weights, near=fitted,
-    )  # fmt: skip
+    return fit(model.without(idle), fitted.session, near=fitted, **fitted.judged)
 
 
 def _loose(found: FoundEffect) -> FoundEffect:
@@ -343,13 +329,8 @@ def _loose(found: FoundEffect) -> FoundEffect:
     return replace(found, terms=terms)
 
 
-def _known(model: Model, found: Sequence[FoundEffect]) -> list[Term]:
-    """The terms of what was found, at the model's values where it holds them."""
-    known = {t.variant: t for t in model.terms}
-    return [known.get(t.variant, t) for f in found for t in f.terms]
-
-
-def _with(base: Model, now: Model, terms: Sequence[Term]) -> Model:
-    """The base model with further terms, the geometry started from the model as it is now."""
-    known = {t.key: t for t in now.terms}
+def _with(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:
+    """The base model with what was found, at the values of the model as it is now."""
+    known, alike = {t.key: t for t in now.terms}, {t.variant: t for t in now.terms}
+    terms = (alike.get(t.variant, t) for f in found for t in f.terms)
     return base.with_terms([*(known.get(t.key, t) for t in base.terms), *terms])

@@ -18,14 +18,9 @@ from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.linear import OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.identify.discover.functions import DENSE, LOOKS
 from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
-
-LOOKS = 7
-"""Values looked at side by side; then as many again around the best of them, and so on.  Where rows
-were set aside that may want any value, all of two such looks are looked at first."""
-CLOSER = 4
-"""Times: the last values are a thousandth of the range apart."""
 
 
 def refined(fit: ModelFit, term: Term, candidates: Sequence[Candidate]) -> Term:
@@ -48,7 +43,7 @@ def refined(fit: ModelFit, term: Term, candidates: Sequence[Candidate]) -> Term:
     scales = term.scales()
     if (fit.weights == 0).any():
         ends = [(float(getattr(term, field)), low) for field, (low, _) in scales.items()]
-        lines = [np.linspace(low, high, LOOKS**2).tolist() for low, high in scales.values()]
+        lines = [np.linspace(low, high, DENSE).tolist() for low, high in scales.values()]
         crosses = [
             [*centre[:k], value, *centre[k + 1 :]]
             for centre in zip(*ends, strict=True)
@@ -65,19 +60,21 @@ def refined(fit: ModelFit, term: Term, candidates: Sequence[Candidate]) -> Term:
 def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.ndarray]) -> Term:
     """The form of the highest worth, first of some (M, s) values of the scales, then between them.
 
-    The term where none is better.
+    Closer and closer, while that is better.  The term where none is better.
     """
     fields = list(term.scales())
     least = float(worth([term])[0]) + BETTER
     best, here = -np.inf, term
-    for _ in range(CLOSER + 1):
+    closer = True
+    while closer:
         found = worth([_at(term, fields, point) for point in grid])
         chances = np.exp(found - found.max())
         centre = chances @ grid / chances.sum()
         looked = [_at(term, fields, point) for point in (centre, grid[int(np.argmax(found))])]
+        closer = False
         for moved, now in zip(looked, worth(looked).tolist(), strict=True):
             if now > best + BETTER:
-                best, here = now, moved
+                best, here, closer = now, moved, True
         reach = (
             _beside(float(getattr(here, f)), np.unique(v))
             for f, v in zip(fields, grid.T, strict=True)

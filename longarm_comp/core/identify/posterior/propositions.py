@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -21,17 +22,12 @@ from longarm_comp.core.identify.discover.bank import (
     marginal_of,
     term_of,
 )
-from longarm_comp.core.identify.discover.functions import nearby
+from longarm_comp.core.identify.discover.functions import DENSE, nearby
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
 
-SCREENED = 12
-"""Candidates of each kind on offer at most, or those that are nearly alike crowd out all others."""
 REFINED = 4
-"""Candidates of a bank that are tried with other thresholds and frequencies."""
-WIDTHS = (1.0, 0.08)
-"""Reach of these looks, in steps between the values tried first."""
-LOOKS = np.log(4.0)
-"""Log odds paid for them."""
+"""Candidates of a bank that are tried with other thresholds and frequencies; each of these pays for
+the choice among as many."""
 
 
 def propositions(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Proposition, ...]:
@@ -48,11 +44,11 @@ def propositions(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Propositi
     for bank in banks(fit):
         listed = bank.shortlisted(kept, [left for _, left in tops])
         for (marginal, _), kinds in zip(tops, listed, strict=True):
-            weighed = []
+            weighed, each = [], SHORTLIST // len(kinds)  # or what is nearly alike crowds out others
             for few in kinds:
                 tried = [h for h in few if not _geometric(h)]
-                weighed += _weighed(bank, marginal, tried)[:SCREENED]
-            weighed.sort(key=lambda each: -each[0])
+                weighed += _weighed(bank, marginal, tried)[:each]
+            weighed.sort(key=lambda one: -one[0])
             for worth, h in [*weighed, *_refined(bank, marginal, weighed[:REFINED])]:
                 known = best.get(h)
                 if known is None or worth > known[1]:
@@ -92,8 +88,8 @@ def _refined(
 ) -> Iterator[tuple[float, Hypothesis]]:
     """Candidates with other thresholds or frequencies, closer and closer to the best."""
     for best in first:
-        prior = best[1].log_prior - LOOKS
-        for width in WIDTHS:
+        prior = best[1].log_prior - math.log(REFINED)
+        for width in (1.0, 2.0 / (DENSE - 1)):  # then between the neighbours of the best
             tried = (dataclasses.replace(h, log_prior=prior) for h in _around(bank, best[1], width))
             best = max((best, *_weighed(bank, marginal, list(tried))), key=lambda each: each[0])
         yield best

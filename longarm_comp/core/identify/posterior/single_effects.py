@@ -126,7 +126,10 @@ class OfferBank:
         names = np.array([offer.name for offer in offers])
         self._of_name = {name: names == name for name in dict.fromkeys(names.tolist())}
         self.again = math.log(max(0.5 * len(self._of_name), 1.0))
-        self._beside: dict[frozenset[Hashable], _Beside] = {}
+        # what is left of the offers where others hold some places: which they take from, and how
+        self._beside: dict[
+            frozenset[Hashable], tuple[list[int], dict[int, Offer], list[_Stack]]
+        ] = {}
 
     @cached_property
     def _stacks(self) -> list[_Stack]:
@@ -148,12 +151,15 @@ class OfferBank:
             names: names of other effects.
         """
         if held not in self._beside:
-            self._beside[held] = _Beside.of(self, held)
-        beside = self._beside[held]
+            gone = [n for n, o in enumerate(self.offers) if not held.isdisjoint(o.keys)]
+            left = {n: self.offers[n].beside(held) for n in gone}
+            changed = {n: offer for n, offer in left.items() if offer is not None}
+            self._beside[held] = gone, changed, _stacks(self, changed, whole=False)
+        taken, changed, stacks = self._beside[held]
         scores = np.full(len(self.offers), -np.inf)
         scored = [(stack, stack.score(along, scores)) for stack in self._stacks]
-        scores[beside.taken] = -np.inf
-        scored += [(stack, stack.score(along, scores)) for stack in beside.stacks]
+        scores[taken] = -np.inf
+        scored += [(stack, stack.score(along, scores)) for stack in stacks]
         scores[list(closed)] = -np.inf
         for name in names:
             scores[self._of_name[name]] += self.again
@@ -162,11 +168,11 @@ class OfferBank:
         q = weights / (weights.sum() + math.exp(-top))
         mean = np.zeros(len(self.along))
         untouched = q.copy()
-        untouched[beside.taken] = 0.0
+        untouched[taken] = 0.0
         for stack, found in scored:
             share = (untouched if stack.whole else q)[stack.numbers]
             np.add.at(mean, stack.columns, share[:, None] * stack.means(found))
-        return SingleEffect(q, mean, beside.changed)
+        return SingleEffect(q, mean, changed)
 
     @property
     def scores(self) -> np.ndarray:
@@ -198,13 +204,12 @@ class OfferBank:
     def joint(self, chosen: Sequence[Offer]) -> tuple[float, list[np.ndarray]]:
         """`evidence`, and the coefficients of each offer at the posterior mode."""
         total, (mean,) = self._joint([chosen])
-        values, start = [], 0
-        for offer in chosen:
-            count = 0 if offer.fixed else len(offer.places)
-            own = np.ones(len(offer.places)) if offer.fixed else mean[start : start + count]
-            values.append(own)
-            start += count
-        return float(total[0]), values
+        free = [0 if offer.fixed else len(offer.places) for offer in chosen]
+        parts = np.split(mean, np.cumsum(free, dtype=int))
+        fixed = (np.ones(len(offer.places)) for offer in chosen)
+        return float(total[0]), [
+            part if count else ones for part, count, ones in zip(parts, free, fixed, strict=False)
+        ]
 
     def _joint(self, sets: Sequence[Sequence[Offer]]) -> tuple[np.ndarray, list[np.ndarray]]:
         """(C,) evidence of sets of offers, and the free coefficients of each, offer by offer."""
@@ -230,39 +235,22 @@ class OfferBank:
             s = self.gram[places[:, :, None], places[:, None, :]]
             t = np.take_along_axis(along[ns], places, axis=1)
             lower, upper, like = self.lower[places], self.upper[places], self.like[places]
-            found = [
-                _marginal(s, t, sizes, chances, begun, lower, upper, like)
-                for begun in (sizes.min(-1), sizes.max(-1))
-            ]
-            first = found[0][0] >= found[1][0]
-            totals[ns] += np.where(first, found[0][0], found[1][0])
-            mode = np.where(first[:, None], found[0][1], found[1][1])
+            root, found = root_of(like), []
+            # Sizes are chosen at the coefficients that the smallest, or the largest, would give:
+            # where the data hardly tell two apart, the largest lets them grow against each other.
+            for begun in (sizes.min(-1), sizes.max(-1)):
+                first = _solved(s, t, begun[..., None] * root)[0]
+                scale, chance = sized(first, sizes, chances, like)
+                mean, sd, factor = _solved(s, t, scale[..., None] * root)
+                inside = log_mass((lower - mean) / sd, (upper - mean) / sd).sum(-1)
+                inside = inside - log_prior_mass(lower / scale, upper / scale, like)
+                found.append((factor + chance + inside, mean))
+            (small, by_small), (large, by_large) = found
+            totals[ns] += np.where(small >= large, small, large)
+            mode = np.where((small >= large)[:, None], by_small, by_large)
             for n, mean in zip(ns, np.clip(mode, lower, upper), strict=True):
                 means[n] = mean
         return totals, means
-
-
-def _marginal(
-    s: np.ndarray,
-    t: np.ndarray,
-    sizes: np.ndarray,
-    chances: np.ndarray,
-    begun: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    like: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(C,) log evidence and (C, k) modes of coefficients, of the sizes that they have so.
-
-    Sizes (C, k, A) are chosen at the coefficients that the smallest, or the largest, would give:
-    where the data hardly tell two apart, the largest lets them grow against each other.
-    """
-    root = root_of(like)
-    scale, chance = sized(_solved(s, t, begun[..., None] * root)[0], sizes, chances, like)
-    mean, sd, factor = _solved(s, t, scale[..., None] * root)
-    inside = log_mass((lower - mean) / sd, (upper - mean) / sd).sum(-1)
-    inside = inside - log_prior_mass(lower / scale, upper / scale, like)
-    return factor + chance + inside, mean
 
 
 def _solved(
@@ -341,22 +329,6 @@ class _Stack:
 
 
 Scored = tuple[np.ndarray, np.ndarray] | None
-
-
-@dataclass(frozen=True)
-class _Beside:
-    """What is left of the offers where others hold some places."""
-
-    taken: list[int]
-    changed: dict[int, Offer]
-    stacks: list[_Stack]
-
-    @classmethod
-    def of(cls, bank: OfferBank, held: frozenset[Hashable]) -> _Beside:
-        taken = [n for n, o in enumerate(bank.offers) if not held.isdisjoint(o.keys)]
-        left = {n: bank.offers[n].beside(held) for n in taken}
-        changed = {n: offer for n, offer in left.items() if offer is not None}
-        return cls(taken, changed, _stacks(bank, changed, whole=False))
 
 
 def _stacks(bank: OfferBank, offers: dict[int, Offer], whole: bool = True) -> list[_Stack]:

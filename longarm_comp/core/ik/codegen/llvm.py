@@ -130,14 +130,6 @@ class _Writer:
                 f"%c{node} = fcmp {_CHOICE[op]} {kind} {a[1]}, {a[0]}",
                 f"{v} = select {flag} %c{node}, {kind} {a[1]}, {kind} {a[0]}",
             ]
-        if op == "sign":
-            return [
-                f"%c{node} = fcmp ogt {kind} {a[0]}, zeroinitializer",
-                f"%d{node} = fcmp olt {kind} {a[0]}, zeroinitializer",
-                f"%e{node} = uitofp {flag} %c{node} to {kind}",
-                f"%g{node} = uitofp {flag} %d{node} to {kind}",
-                f"{v} = fsub {kind} %e{node}, %g{node}",
-            ]
         given = ", ".join(f"{kind} {x}" for x in a)
         called = f"llvm.{op}.v{self.width}f64" if op in _INTRINSIC else f"lanes_{op}"
         return [f"{v} = call {kind} @{called}({given})"]

@@ -23,7 +23,7 @@ _FOLD: dict[str, Callable[..., float]] = {
     "mul": lambda a, b: a * b,
     "div": lambda a, b: a / b,
 }
-_ALIKE = ("tan", "tanh", "exp", "log", "sqrt", "floor", "sign", "minimum", "maximum")
+_ALIKE = ("tan", "tanh", "exp", "log", "sqrt", "floor", "minimum", "maximum")
 _UFUNCS = {
     **{getattr(np, name): name for name in _ALIKE},
     np.add: "add",
@@ -39,6 +39,7 @@ _UFUNCS = {
 }
 _IN_ARITHMETIC: dict[Any, Callable[..., Any]] = {
     np.sin: sine, np.cos: cosine, np.arctan2: arc_tangent2,
+    np.sign: lambda x: (x > 0.0) - (x < 0.0),
 }  # fmt: skip
 """Recorded as arithmetic, which works on all lanes at once."""
 
