@@ -62,8 +62,8 @@ def test_what_is_held_out_selects_nothing() -> None:
     assert unfair.structure.sign == "shows in the held-out poses"  # it is said, and no more
     assert [f.name for f in unfair.findings] == ["joint_gain"]
     assert fair.holdout_uses == unfair.holdout_uses
-    assert fair.rows["with_effects"].mean < 0.8 * fair.rows["calibrated"].mean
-    assert unfair.rows["with_effects"].mean > 0.03
+    assert fair.proof.rows["with_effects"].mean < 0.8 * fair.proof.rows["calibrated"].mean
+    assert unfair.proof.rows["with_effects"].mean > 0.03
 
 
 def test_a_gain_is_as_sure_as_its_blocks(rng: np.random.Generator) -> None:
