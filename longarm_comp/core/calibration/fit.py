@@ -38,8 +38,8 @@ WORSE = 0.1
 """Rise of the cost, as a share of it, from which a step is shortened.  Columns leave out how loads
 follow a change, so that close to the solution a good step may raise the cost a little."""
 AMISS = 1.0
-"""Cost beyond what the design said of a step, from which the design no longer holds: the weight of
-one row."""
+"""Cost beyond what the design said of a step, from which the design no longer holds: a standard
+error, squared, for the cost is in units of the noise.  Less hides in what the rows do not tell."""
 
 
 def fit(

@@ -24,7 +24,8 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 
 AHEAD = 0.1
-"""Share of a step over which its second derivative is taken."""
+"""Share of a step over which its second derivative is taken (Transtrum and Sethna): the third order
+adds a tenth of itself, and rounding nothing."""
 
 
 class SessionProblem:
