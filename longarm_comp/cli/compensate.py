@@ -150,8 +150,8 @@ def _joints(text: str, arm: options.Arm) -> np.ndarray:
 
 def _place(joint: str, arm: options.Arm) -> int:
     """Place in q of a joint told by its name or the number of its DH row."""
-    rows = {str(row): k for k, row in enumerate(arm.commanded)}
-    places = rows | {name: k for k, name in enumerate(arm.joint_names)}
+    rows = map(str, arm.commanded)
+    places = {word: k for words in (rows, arm.joint_names) for k, word in enumerate(words)}
     if joint not in places:
         raise InputError("compensate", "--lock", joint, f"a commanded joint: {', '.join(places)}")
     return places[joint]
