@@ -34,12 +34,9 @@ GAUSS_NEWTON_STEPS = 25
 `STALLED`."""
 GAIN = 0.1
 """Fall of the cost (minus twice the log posterior) that is a gain."""
-WORSE = 0.1
-"""Rise of the cost, as a share of it, from which a step is shortened.  Columns leave out how loads
-follow a change, so that close to the solution a good step may raise the cost a little."""
 AMISS = 1.0
-"""Cost beyond what the design said of a step, from which the design no longer holds: a standard
-error, squared, for the cost is in units of the noise.  Less hides in what the rows do not tell."""
+"""Cost beyond what the design said of a step, from which the design no longer holds, and rise from
+which a step is shortened: a standard error, squared, for the cost is in units of the noise."""
 
 
 def fit(
@@ -217,14 +214,13 @@ def _stepped(
             part.moved(values[part.mine], near)
 
     before, failed = cost(now), None
-    most = (1.0 + WORSE) * before + AMISS
     share, aside = 1.0, None
     while share > SHORTEST:
         values = now + share * (goal - now) + (0.0 if aside is None else share**2 * aside)
         try:
             move(values)
             after = cost(values)
-            if after <= most:
+            if after <= before + AMISS:
                 return values, after
             if aside is None:
                 move(now)
