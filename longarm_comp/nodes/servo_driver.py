@@ -133,6 +133,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self._arm = ServoArm(self._config, self._keeps_out, self._shapes, self.p["trim"])
         except LongarmError as error:
             return self._failed(error)
+        for said in self._arm.said:
+            self.get_logger().warning(said)
         self._fault = ""
         return super().on_configure(state)
 
