@@ -52,6 +52,16 @@ def folder(shell: Shell, model: str, to: Path | str = "mine") -> Path:
     return shell.folder / "mine"
 
 
+def direct(shell: Shell, model: str) -> Path:
+    """A folder of two joints on their servos' horns, which turn once."""
+    rows = [word for row in ROWS[:2] for word in ("--joint", row)]
+    words = ("--tip-at", 0.1, 0, 0, "--servos", model, "--hobby")
+    assert shell("init", "mine", *rows, *words) == 0, shell.err
+    file = shell.folder / "mine" / "servo_driver.yaml"
+    file.write_text(file.read_text().replace("reply_timeout_s: 0.02", "reply_timeout_s: 0.2"))
+    return shell.folder / "mine"
+
+
 @contextmanager
 def bus(protocol: str) -> Iterator[FaultyBus]:
     """The true servos, in the pose."""

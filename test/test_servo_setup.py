@@ -210,6 +210,12 @@ class Terminal:
                 with contextlib.suppress(OSError):
                     self._text += os.read(self._master, 4096).decode(errors="replace")
 
+    def kill(self) -> None:
+        """SIGKILL: nothing is put right."""
+        self.process.kill()
+        self.process.wait()
+        os.close(self._master)
+
     def stop(self) -> int:
         """SIGTERM until it ends: one that comes just before a read of the terminal waits for it."""
         ends = time.monotonic() + 300.0

@@ -21,7 +21,7 @@ from longarm_comp.devices.servo_bus.state import (
 from longarm_comp.devices.servo_check import check_memory, check_placed, check_reach
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import Accepted, KeepsOut, Shapes, Step, TrajectoryFollower
-from longarm_comp.devices.setup_journal import SetupJournal, turned
+from longarm_comp.devices.setup_journal import SetupJournal
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class ServoArm:
                 "the arm and cut their power once", ids=driven,
             )  # fmt: skip
         bus.store_turns({i: wanted for i, (_, wanted) in others.items()})
-        self.said += [turned(i, many[i], change) for i, change in others.items()]
+        self.said += bus.told_turns(many, others)
         journal = SetupJournal(bus.port)
         left = journal.read(bus.protocol).keys() & many.keys()
         if left:

@@ -24,7 +24,7 @@ def check_memory(name: str, joint: JointConfig, kept: ServoMemory) -> None:
         fastest = f"max_velocity up to {most * joint.si_per_tick:.4g} {joint.unit}/s"
         raise JobError(
             f"{_who(name, joint)} does not go as fast as its joint may; allowed: {fastest}, or "
-            f"another limit in its memory ({kept.told})", max_velocity=joint.max_velocity,
+            f"another limit in its memory ({kept.shown})", max_velocity=joint.max_velocity,
         )  # fmt: skip
     if joint.multi_turn and _narrower(joint, kept):
         raise JobError(

@@ -14,7 +14,7 @@ from longarm_comp.devices.servo_bus.memory import ServoMemory
 from longarm_comp.devices.servo_bus.state import ServoBusError
 from longarm_comp.devices.servo_check import check_memory
 from longarm_comp.devices.servo_joint import JointConfig
-from longarm_comp.devices.setup_journal import SetupJournal, turned
+from longarm_comp.devices.setup_journal import SetupJournal
 
 _PERIOD_S = 0.02
 """Between two readings."""
@@ -104,7 +104,7 @@ class ServoSetup:
         if others:
             self._journal.begin(self._bus.protocol, others)
             self._bus.store_turns({i: wanted for i, (_, wanted) in others.items()})
-        self.said = [turned(i, many[i], change) for i, change in others.items()]
+        self.said = self._bus.told_turns(many, others)
         kept = self._bus.memory(self._ids)
         self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
 

@@ -9,22 +9,9 @@ from collections.abc import Collection, Mapping
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.files import write_text
-from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.bus import Change, SerialServoBus
 from longarm_comp.devices.servo_bus.state import IncompleteReply
 from longarm_comp.devices.state_folder import state_folder
-
-Change = tuple[bytes, bytes]
-"""What was stored, and what was written instead."""
-
-
-def turned(servo_id: int, many: bool, change: Change) -> str:
-    """What was changed in a servo, in words."""
-    had, new = change
-    turns = "many turns" if many else "one turn"
-    return (
-        f"servo {servo_id} is set for {turns}, as the servo file says: its memory had "
-        f"{had.hex()} and has {new.hex()}"
-    )
 
 
 class SetupJournal:

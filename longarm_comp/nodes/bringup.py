@@ -203,12 +203,14 @@ class BringUp:
         trimmed = {"trimmed": True} if driver.get("trim") else {}
         shaped = {"shaped": True} if self.shaping else {}
         shaping = {"shaping": True} | model if self.shaping else {}
+        # Emulated servos have nothing stored: they are as from the factory
+        stored = {name: 0 for name in driver if self.sim and ".stored." in name}
         wire = bus if self.sim else self.port
         port = {"bus.port": wire} if wire else {}
         values: dict[str, Any] = {
             "kinematics": arm | servos | model | effects | trimmed | shaped,
             "error_predictor": arm | model | _path("predictor", self.predictor),
-            "servo_driver": arm | shaping | port | (_PATIENT if self.sim else {}),
+            "servo_driver": arm | shaping | port | stored | (_PATIENT if self.sim else {}),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
             PATHS: arm | model | effects,
             "simulated_arm": arm | servos | {"port": bus},

@@ -17,6 +17,9 @@ from longarm_comp.devices.servo_bus.state import (
     ServoState,
 )
 
+Change = tuple[bytes, bytes]
+"""What is stored, and what is to be."""
+
 
 @dataclass(slots=True)
 class _BusCounters:
@@ -158,13 +161,21 @@ class SerialServoBus:
         """What each servo keeps about its turns, as it is stored. Raises IncompleteReply."""
         return {i: r.data for i, r in self._fetch(ids, self._dialect.turns).items()}
 
-    def other_turns(self, many: Mapping[int, bool]) -> dict[int, tuple[bytes, bytes]]:
+    def other_turns(self, many: Mapping[int, bool]) -> dict[int, Change]:
         """What is stored, and what would have to be, of servos that are set for other turns."""
         return {
             i: (stored, self._dialect.turns_bytes(many[i]))
             for i, stored in self.turns(list(many)).items()
             if self._dialect.turns_of(stored) != many[i]
         }
+
+    def told_turns(self, many: Mapping[int, bool], others: Mapping[int, Change]) -> list[str]:
+        """What `other_turns` found, and was stored instead, in words."""
+        return [
+            f"servo {i} is set for {'many turns' if many[i] else 'one turn'}, as the servo file "
+            f"says: {self._dialect.turns_said(new)} instead of {self._dialect.turns_said(had)}"
+            for i, (had, new) in others.items()
+        ]
 
     def set_turns(self, many: Mapping[int, bool]) -> list[int]:
         """Allow servos more than one turn, or not. The servos store it permanently.

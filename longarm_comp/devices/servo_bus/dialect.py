@@ -137,6 +137,16 @@ class Dialect(ABC):
         """Whether ``turns`` says many turns; None: the servo is set for something else."""
         return {self.turns_bytes(True): True, self.turns_bytes(False): False}.get(data)
 
+    def turns_said(self, data: bytes) -> str:
+        """The registers of ``turns`` with their values."""
+        first, end = self.turns.address, self.turns.address + self.turns.length
+        said = [
+            f"{r.name} = {r.value(data[r.address - first :][: r.length])}"
+            for r in self.registers
+            if first <= r.address < end
+        ]
+        return ", ".join(said) or data.hex()
+
     @property
     def memory(self) -> Block:
         """The block that holds every register and ``turns``."""
