@@ -26,6 +26,7 @@ from longarm_comp.devices.servo_bus.state import ServoFault
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_setup import ServoSetup
 from longarm_comp.devices.setup_journal import SetupJournal
+from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 from longarm_comp.sim.servo_emulator.wire import Device
@@ -299,6 +300,10 @@ def test_zeros_hold_with_an_offset_and_the_driver_knows_it(
     store(emulator, 2, *OFFSETS[emulator.protocol])
     store(emulator, 1, *OFFSETS[emulator.protocol])
     assert f"servo 2 of joint2: homing_offset = {offset}" in refuses(config)
+    simulated = BringUp(arm=mine / "arm.yaml", sim=True).parameters("servo_driver", "bus")
+    assert simulated["joints.joint1.stored.homing_offset"] == 0  # emulated servos have none
+    real = BringUp(arm=mine / "arm.yaml").parameters("servo_driver", "")
+    assert not any("stored" in name for name in real)
     assert shell("check", mine) in (0, 3), shell.err
 
 
