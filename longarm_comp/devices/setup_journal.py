@@ -24,21 +24,19 @@ class SetupJournal:
     def read(self, protocol: str) -> dict[int, Change]:
         """What is still to be written back, by servo id. Raises JobError: the file is damaged."""
         try:
-            text = self.path.read_text("utf-8")
-        except FileNotFoundError:
-            return {}
-        try:
-            data = json.loads(text)
+            data = json.loads(self.path.read_text("utf-8"))
             changes = {
                 int(i): (bytes.fromhex(had), bytes.fromhex(new))
                 for i, (had, new) in data["turns"].items()
             }
             return changes if data["protocol"] == protocol else {}  # of other servos on this port
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise JobError(
                 f"{self.path} is damaged: it holds what servos had stored before a setup changed "
-                "it; look at the servos with `longarm servo scan`, then delete it"
-            ) from error
+                "it; look at the servos with `longarm servo scan`, then delete it", why=str(error),
+            ) from error  # fmt: skip
 
     def begin(self, protocol: str, changes: Mapping[int, Change]) -> None:
         """Note what is about to be changed; what is noted already stays."""
@@ -49,7 +47,10 @@ class SetupJournal:
     def end(self, protocol: str, ids: Collection[int]) -> None:
         """Nothing of these servos is to be written back any more."""
         left = {i: change for i, change in self.read(protocol).items() if i not in ids}
-        self.path.unlink(missing_ok=True)
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError as error:
+            raise JobError(f"{self.path} cannot be removed: {error.strerror}") from error
         if left:
             self.begin(protocol, left)
 
