@@ -211,6 +211,30 @@ def test_a_register_that_is_changed_while_the_driver_runs_is_found_at_torque_on(
             assert not arm.powered and not any(emulator.torques_on().values())
 
 
+def test_torque_off_also_reaches_servos_that_are_refused(
+    shell: Shell, emulator: ServoEmulator, tmp_path: Path
+) -> None:
+    mine, link = direct(shell, MODELS[emulator.protocol]), tmp_path / "bus"
+    emulator.unplug()
+    emulator._link = link
+    emulator.start()
+    config = configured(mine, emulator)
+    arm = ServoArm(ServoConfig.parse(
+        config.model_dump() | {"bus": config.bus.model_dump() | {"port": str(link)}}, "here"
+    ))  # fmt: skip
+    with closing(arm):
+        arm.power(True)
+        emulator.unplug()
+        assert "unplugged" in arm.cycle(0.0).trouble or arm.bus is None
+        with pytest.raises(JobError):
+            arm.power(False)
+        store(emulator, 2, *OFFSETS[emulator.protocol])
+        emulator.start()
+        assert all(emulator.torques_on().values())
+        assert "homing_offset" in arm.cycle(10.0).trouble
+        assert not any(emulator.torques_on().values())
+
+
 def test_limits_of_a_servo_are_kept_and_named(shell: Shell, emulator: ServoEmulator) -> None:
     """They are within one turn, and leave or do not leave the joint its own."""
     mine = direct(shell, MODELS[emulator.protocol])

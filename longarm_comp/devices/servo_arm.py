@@ -91,6 +91,9 @@ class ServoArm:
             self._check(bus, turned=False)
             self._set_turns(bus)
         except BaseException:
+            if self._owing_off:  # also to servos that are refused
+                with contextlib.suppress(ServoBusError):
+                    bus.torque(self._ids, on=False)
             bus.close()
             raise
         return bus

@@ -61,8 +61,8 @@ class ServoSetup:
     def safely(self) -> Iterator[ServoSetup]:
         """Torque off at the end, whatever happens; the servos have one or many turns as declared.
 
-        What an earlier setup left is written back first. At the end, what the servos had stored is
-        written back, unless `keep` was called.
+        What the servos had stored, also before an earlier setup that was killed, is written back at
+        the end, unless `keep` was called.
 
         Raises:
             ServoBusError: torque off was not confirmed at the start.
@@ -71,7 +71,6 @@ class ServoSetup:
         """
         try:
             self._bus.torque(self._ids, on=False)
-            self._journal.write_back(self._bus)
             self._check()
             self._set_turns()
             yield self
