@@ -37,6 +37,7 @@ LONGEST = (
     *("test_nodes_predictor", "test_readings", "test_nodes_away", "test_study_real"),
     *("test_touch_graph", "test_diagnose", "test_at_work_graph", "test_belonging"),
     *("test_nodes_kinematics", "test_bench", "test_servo_setup", "test_realisable_arm"),
+    *("test_servo_written_back", "test_servo_memory"),
     *("test_nodes_driver_link", "test_study_touch", "test_demo", "test_study_table1"),
     *("test_collect_run", "test_slides", "test_nodes_ready", "test_report_sentences"),
     *("test_nodes_paths", "test_strict_files", "test_nodes_graph", "test_report_browser"),

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from cli_shell import Shell
 from faulty_bus import FaultyBus
-from servo_bench import POSE, POSE_FLAGS, TRUE, bus, folder, off_by
+from servo_bench import MODELS, POSE, POSE_FLAGS, TRUE, bus, folder, off_by
 
 from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.measured import read_measured
@@ -26,7 +26,6 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_setup import ServoSetup
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 
-MODELS = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
 RIGHT = ("--direction", "joint1=-", "--direction", "joint2=+", "--direction", "joint3=-",
          "--yes", "--ids", "1-3")  # fmt: skip
 

@@ -134,7 +134,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         except LongarmError as error:
             return self._failed(error)
         for said in self._arm.said:
-            self.get_logger().warning(said)
+            self.get_logger().info(said)
         self._fault = ""
         return super().on_configure(state)
 
