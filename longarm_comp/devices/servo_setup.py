@@ -132,7 +132,7 @@ class ServoSetup:
                 raise JobError(f"{name} moves: hold the arm still", ticks=max(ticks) - min(ticks))
             at[name] = float(median(ticks))
             if why := self.memory[name].beyond(at[name]):
-                raise JobError(f"servo {joint.servo_id} of {name}: {why}")
+                raise JobError(f"servo {joint.servo_id} of {name} {why}")
         return at
 
     @contextmanager

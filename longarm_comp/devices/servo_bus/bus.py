@@ -145,7 +145,7 @@ class SerialServoBus:
             goals = {i: s.position_ticks for i, s in self.read(ids).items()}
             for servo_id, kept in self.memory(ids).items():
                 if why := kept.beyond(goals[servo_id]):
-                    raise ServoFault(why, id=servo_id)
+                    raise ServoFault(f"servo {servo_id} {why}")
             self.write_goal(goals)
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
 

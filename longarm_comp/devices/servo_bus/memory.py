@@ -61,11 +61,11 @@ class ServoMemory:
     speed_ticks_s: float | None
 
     def beyond(self, ticks: float) -> str:
-        """Why a servo at ``ticks`` would jump when it is driven; empty where it would not."""
+        """What a servo at ``ticks`` would jump for when it is driven; empty where it would not."""
         if self.goals is None or self.goals[0] <= ticks <= self.goals[1]:
             return ""
         return (
-            f"a servo stands at {ticks:.0f}, beyond its own limits {self.goals[0]} to "
+            f"stands at {ticks:.0f}, beyond its own limits {self.goals[0]} to "
             f"{self.goals[1]}, and would move there: turn it back by hand ({self.told})"
         )
 
