@@ -301,18 +301,18 @@ class _ServoDriver(ArmNode, LifecycleNode):
         """State as in `DriverState`, and why."""
         unready = "" if self.arm else self._fault or self._waiting or "not configured"
         follower = self.arm.follower.state if self.arm else None
+        held, (stopped, why) = self._stops.standing, self._stops.state
         if self._ended:
             return DriverState.UNCONFIGURED, "the driver has ended"
-        state, why = self._stops.state
-        fault = self.active and follower is FollowerState.FAULT
-        if self._stops.standing and (state == DriverState.ESTOP or not fault):
-            return state, "; ".join(filter(None, (why, unready)))
+        if self.active and follower is FollowerState.FAULT:
+            cure = f"{self._trouble}; call ~/reset once cured"
+            return DriverState.FAULT, f"{cure}; {held}" if held else cure
+        if held:
+            return stopped, f"{why}; {unready}" if unready else why
         if unready:
             return DriverState.UNCONFIGURED, unready
         if not self.active:
             return DriverState.INACTIVE, self._fault or "not active: torque is off"
-        if fault:
-            return DriverState.FAULT, f"{self._trouble}; call ~/reset once cured"
         moving = follower is FollowerState.TRACKING
         return (DriverState.MOVING if moving else DriverState.READY), ""
 
