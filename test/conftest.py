@@ -31,10 +31,10 @@ ROS_DOMAINS = range(1, 102)
 
 LONGEST = (
     *("test_readings_on_the_graph", "test_explain", "test_loop_graph", "test_hidden_effect"),
-    *("test_nodes_servo_driver", "test_functions", "test_package", "test_diagnosed"),
-    *("test_collect", "test_fuzz", "test_arm_folder_graph", "test_open_catalogue"),
-    *("test_view", "test_python_api", "test_tip_on_the_graph", "test_fleet"),
-    *("test_nodes_predictor", "test_readings", "test_nodes_away", "test_study_real"),
+    *("test_nodes_servo_driver", "test_nodes_stops", "test_functions", "test_package"),
+    *("test_diagnosed", "test_collect", "test_fuzz", "test_arm_folder_graph"),
+    *("test_open_catalogue", "test_view", "test_python_api", "test_tip_on_the_graph"),
+    *("test_fleet", "test_nodes_predictor", "test_readings", "test_nodes_away", "test_study_real"),
     *("test_touch_graph", "test_diagnose", "test_at_work_graph", "test_belonging"),
     *("test_nodes_kinematics", "test_bench", "test_servo_setup", "test_realisable_arm"),
     *("test_nodes_driver_link", "test_study_touch", "test_demo", "test_study_table1"),

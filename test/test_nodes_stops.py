@@ -200,7 +200,8 @@ def test_no_motion_until_reset(fresh: Rig, state: str, stop: str, event: str) ->
     if stop == "estop":
         rig.stage.spin(rig.free)
     else:
-        assert rig.driving() == (on and event != "restarted")  # it neither drops nor is armed
+        let_go = event == "restarted" and state != "waiting"  # an end that reaches the servos
+        assert rig.driving() == (on and not let_go)  # it neither drops nor is armed
     assert rig.joints() == pytest.approx(stood, abs=1e-3)
 
     assert rig.call(graph.RESET, Trigger.Request()).success
@@ -255,6 +256,20 @@ def test_a_hold_alone_switches_no_torque_on_until_it_ends(fresh: Rig) -> None:
     rig.goes(shoulder=0.25)
 
 
+def test_an_arm_that_is_only_held_is_driven_on_as_it_is(fresh: Rig) -> None:
+    """A load has pushed it off its goal: that must not become the new goal, or it sinks."""
+    rig = fresh
+    with rig.emulator.motor(1) as motor:
+        motor.blocked, goal = True, motor.goal
+        motor.turn(8.0)
+    assert rig.call(graph.HOLD, SetBool.Request(data=True)).success
+    rig.is_in(DriverState.HOLDING)
+    assert rig.call(graph.RESET, Trigger.Request()).message == "ready"
+    rig.is_in(DriverState.READY)
+    with rig.emulator.motor(1) as motor:
+        assert (motor.goal, motor.torque_on) == (goal, True)
+
+
 def test_a_reset_that_fails_leaves_the_stop_in_force(fresh: Rig) -> None:
     rig = fresh
     rig.emulator.unplug()
@@ -296,6 +311,11 @@ def test_where_no_stop_can_be_kept_the_arm_is_held_and_it_is_said(
     rig.is_in(DriverState.ESTOP)
     assert rig.call(graph.RESET, Trigger.Request()).success
     rig.is_in(DriverState.READY)
+    second = rig.stage.python(
+        [*("-m", "longarm_comp.nodes.servo_driver", "--ros-args"),
+         *("--params-file", str(rig.file), "-p", "state:=beside/me")]
+    )  # fmt: skip
+    assert second.wait(timeout=300) == 2 and "an absolute path" in rig.stage.output(second)
 
 
 def test_a_simulated_graph_stays_stopped_when_it_dies_and_when_it_is_started_anew(

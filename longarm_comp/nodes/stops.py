@@ -10,14 +10,14 @@ from typing import Any, Protocol
 
 from rclpy.node import Node
 
-from longarm_comp.core.errors import LongarmError
+from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.devices.servo_arm import ServoArm
-from longarm_comp.devices.servo_follower import EventKind
+from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.devices.stop_latch import Stop, StopLatch, state_folder
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.messages import driver_words
-from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.params import Param, where
 from longarm_interfaces.msg import DriverState
 
 PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empty: the user's"),)
@@ -42,6 +42,8 @@ class Stops:
 
     def __init__(self, node: Node, site: Stoppable, folder: str, arm: str, port: str) -> None:
         kept = Path(folder) if folder else state_folder()
+        if not kept.is_absolute():  # another working folder would not know of a stop
+            raise InputError(where(node), "state", folder, "an absolute path")
         self._site, self._latch = site, StopLatch(kept, node.get_namespace(), arm, port)
         if self.standing:
             node.get_logger().warning(self._latch.words)
@@ -50,7 +52,7 @@ class Stops:
             node, graph.ESTOP, lambda asked: self._estop() if asked.data else self._end(Stop.ESTOP)
         )
         _offer(node, graph.HOLD, lambda asked: self._hold() if asked.data else self._go_on())
-        _offer(node, graph.RESET, lambda asked: self._end(*Stop))
+        _offer(node, graph.RESET, lambda asked: self._reset())
 
     @property
     def standing(self) -> str:
@@ -107,6 +109,13 @@ class Stops:
             if arm is not None and self._site.active and not (self.standing or arm.powered):
                 arm.power(True)
         return self._now()
+
+    def _reset(self) -> str:
+        """End what stops the arm. An arm that is only held is driven on as it is."""
+        arm = self._site.arm
+        well = arm is None or arm.follower.state not in (FollowerState.FAULT, FollowerState.ESTOP)
+        only_held = set(self._latch.standing) == {Stop.HOLD}
+        return self._go_on() if well and only_held else self._end(*Stop)
 
     def _end(self, *ends: Stop) -> str:
         """End stops, and a fault; torque on where the driver is active."""
