@@ -228,6 +228,9 @@ def test_reset_switches_no_torque_on_unless_the_driver_is_active(fresh: Rig) -> 
     assert rig.change(Transition.TRANSITION_ACTIVATE)
     rig.is_in(DriverState.ESTOP)
     assert rig.free()
+    for on in (False, True):
+        assert "emergency stop" in rig.call(graph.HOLD, SetBool.Request(data=on)).message
+        assert rig.free()
     assert "held" in rig.call(graph.ESTOP, SetBool.Request(data=False)).message
     assert rig.driving()  # it holds the arm, as asked before
     is_refused(rig, "~/hold")
@@ -246,8 +249,13 @@ def test_reset_switches_no_torque_on_unless_the_driver_is_active(fresh: Rig) -> 
 def test_a_hold_alone_switches_no_torque_on_until_it_ends(fresh: Rig) -> None:
     rig = fresh
     inactive(rig)
-    answer = rig.call(graph.HOLD, SetBool.Request(data=True))
-    assert answer.success and "no torque" in answer.message
+    ends = {graph.HOLD: SetBool.Request(data=False), graph.RESET: Trigger.Request()}
+    for service, ending in ends.items():
+        answer = rig.call(graph.HOLD, SetBool.Request(data=True))
+        assert answer.success and "no torque" in answer.message
+        assert "not active" in rig.call(service, ending).message
+        assert rig.free()
+    assert rig.call(graph.HOLD, SetBool.Request(data=True)).success
     assert rig.change(Transition.TRANSITION_ACTIVATE)
     rig.is_in(DriverState.HOLDING)
     assert rig.free()
