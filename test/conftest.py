@@ -31,10 +31,10 @@ ROS_DOMAINS = range(1, 102)
 
 LONGEST = (
     *("test_readings_on_the_graph", "test_explain", "test_loop_graph", "test_hidden_effect"),
-    *("test_nodes_servo_driver", "test_functions", "test_package", "test_diagnosed"),
-    *("test_collect", "test_fuzz", "test_arm_folder_graph", "test_open_catalogue"),
-    *("test_view", "test_python_api", "test_tip_on_the_graph", "test_fleet"),
-    *("test_nodes_predictor", "test_readings", "test_nodes_away", "test_study_real"),
+    *("test_nodes_servo_driver", "test_nodes_stops", "test_functions", "test_package"),
+    *("test_diagnosed", "test_collect", "test_fuzz", "test_arm_folder_graph"),
+    *("test_open_catalogue", "test_view", "test_python_api", "test_tip_on_the_graph"),
+    *("test_fleet", "test_nodes_predictor", "test_readings", "test_nodes_away", "test_study_real"),
     *("test_touch_graph", "test_diagnose", "test_at_work_graph", "test_belonging"),
     *("test_nodes_kinematics", "test_bench", "test_servo_setup", "test_realisable_arm"),
     *("test_servo_written_back", "test_servo_memory"),
@@ -55,18 +55,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 Once = Callable[[str, Callable[[Path], object]], Path]
 
 
+@pytest.fixture(scope="session", autouse=True)
+def state_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The folder of stops and setups: none of another run is here, none of these elsewhere."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = tmp_path_factory.mktemp("state")
+        patch.setenv("XDG_STATE_HOME", str(folder))
+        yield folder
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The folder of real and simulated measurements; the test is skipped where it is absent."""
     if not DATA.is_dir():
         pytest.skip(f"no measurements in {DATA}: set LONGARM_DATA to the folder that holds them")
     return DATA
-
-
-@pytest.fixture(scope="session", autouse=True)
-def own_state(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """What outlasts a process stays among the tests' files."""
-    os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
 
 
 @pytest.fixture(scope="session")

@@ -21,6 +21,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import read_yaml
 from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import GUARD, SIMULATED, BringUp
 from longarm_comp.nodes.params import Param
@@ -114,6 +115,7 @@ def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path
     scaled = fast.parameters("servo_driver", "/tmp/bus")
     assert scaled["joints.joint1.max_velocity"] == pytest.approx(1.6)
     assert scaled["bus.port"] == "/tmp/bus"
+    assert Path(scaled["state"]).parent == state_folder() / "simulated"  # not the real arm's stops
     assert scaled["follower.lost_error_ticks"] == pytest.approx(1600.0)
     assert scaled["follower.max_step_s"] == pytest.approx(0.04)  # two cycles
     (tmp_path / "servo_driver.yaml").write_text("joints: {}\n")

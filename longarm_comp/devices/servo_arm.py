@@ -70,9 +70,9 @@ class ServoArm:
         self._speeds: dict[int, float] = {}
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
-        self._owing_off = False  # torque off is still to be sent to an unplugged bus
+        self.owing_off = False  # torque off was not confirmed yet
         self._cycles = 0
-        self._next_open = 0.0
+        self._next_try = 0.0
         self._closed = f"{config.bus.port} is unplugged"
         self.bus: SerialServoBus | None = self._open()
 
@@ -91,7 +91,7 @@ class ServoArm:
             self._check(bus, turned=False)
             self._set_turns(bus)
         except BaseException:
-            if self._owing_off:  # also to servos that are refused
+            if self.owing_off:  # also to servos that are refused
                 with contextlib.suppress(ServoBusError):
                     bus.torque(self._ids, on=False)
             bus.close()
@@ -137,7 +137,7 @@ class ServoArm:
             )
 
     def power(self, on: bool) -> None:
-        """Switch the torque. With an unplugged bus, off is sent when the bus comes back.
+        """Switch the torque. Where off is not confirmed, `cycle` sends it again until it is.
 
         Where not every servo can be switched on, none of them is left so that was off before.
 
@@ -147,7 +147,7 @@ class ServoArm:
         """
         before = self.powered
         self.powered = self.powered and on
-        self._owing_off = not on
+        self.owing_off = self.owing_off or not on
         if self.bus is None:
             raise BusUnplugged(port=self.config.bus.port, why="the port is gone")
         try:
@@ -159,7 +159,7 @@ class ServoArm:
                 with contextlib.suppress(ServoBusError):
                     self.power(False)
             raise
-        self.powered, self._owing_off = on, False
+        self.powered, self.owing_off = on, False
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         if not self.powered:
@@ -193,9 +193,9 @@ class ServoArm:
         """Read all servos, step the follower, send goals. Bus errors are not raised."""
         self._cycles += 1
         trouble, states, driven = "", {}, {}
-        if self.bus is None and now >= self._next_open:
-            self._next_open = now + 0.5
-            self._reopen()
+        if (self.bus is None or self.owing_off) and now >= self._next_try:
+            self._next_try = now + 0.5
+            self._mend()
         bus = self.bus
         if bus is None:
             trouble = self._closed
@@ -246,15 +246,16 @@ class ServoArm:
             self.bus = None
         return str(error)
 
-    def _reopen(self) -> None:
-        """Reopen a lost port. The servos kept their torque unless it was to be switched off."""
+    def _mend(self) -> None:
+        """Reopen a lost port, and switch off what is to be off. Else servos kept their torque."""
         try:
-            self.bus = self._open()
-            if self._owing_off:
+            self.bus = self.bus or self._open()
+            if self.owing_off:
                 self.power(False)
-        except JobError as error:
-            unplugged = isinstance(error, BusUnplugged)
-            self._closed = f"{self.config.bus.port} is unplugged" if unplugged else str(error)
-            if self.bus is not None:
-                self.bus.close()
-            self.bus = None
+        except ServoBusError as error:
+            self._lose(error)
+            if self.bus is None:
+                unplugged = isinstance(error, BusUnplugged)
+                self._closed = f"{self.config.bus.port} is unplugged" if unplugged else str(error)
+        except JobError as error:  # what answers there is refused
+            self._closed = str(error)

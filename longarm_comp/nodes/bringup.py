@@ -31,6 +31,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.nodes import GUARD
 from longarm_comp.share import PACKAGE, folder
 from longarm_comp.sim.servo_emulator.joints import read_arm
@@ -210,7 +211,9 @@ class BringUp:
         values: dict[str, Any] = {
             "kinematics": arm | servos | model | effects | trimmed | shaped,
             "error_predictor": arm | model | _path("predictor", self.predictor),
-            "servo_driver": arm | shaping | port | stored | (_PATIENT if self.sim else {}),
+            "servo_driver": (
+                arm | shaping | port | stored | (_PATIENT | _apart() if self.sim else {})
+            ),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
             PATHS: arm | model | effects,
             "simulated_arm": arm | servos | {"port": bus},
@@ -260,6 +263,12 @@ class BringUp:
             for file in self.files(name, bus, scratch):
                 made[name] += ["--params-file", str(file)]
         return made
+
+
+def _apart() -> dict[str, str]:
+    """Where stops of a simulated arm are kept: no reset there is one of the real arm."""
+    domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    return {"state": str(state_folder() / "simulated" / domain)}
 
 
 def _path(name: str, *paths: Path | None) -> dict[str, Any]:

@@ -326,7 +326,7 @@ _DRIVER_STATES = {
     DriverState.INACTIVE: "inactive: torque off",
     DriverState.READY: "ready",
     DriverState.MOVING: "moving",
-    DriverState.HOLDING: "held: torque on, trajectories refused",
+    DriverState.HOLDING: "held: trajectories refused",
     DriverState.FAULT: "in fault: torque on, trajectories refused",
     DriverState.ESTOP: "stopped: torque off, trajectories refused",
 }
