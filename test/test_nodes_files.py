@@ -126,9 +126,10 @@ def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path
 def test_files_with_effects_reach_the_node_that_loads_models() -> None:
     files = (ROOT / "examples" / "custom_effect.py", Path("mine.py"))
     graph = BringUp(arm=folder("config") / "arm_demo.yaml", effects=files)
-    given = graph.parameters("kinematics", "")["effects"]
-    assert given.split(os.pathsep) == [str(files[0]), str(Path.cwd() / "mine.py")]
-    assert "effects" not in graph.parameters("error_predictor", "")
+    words = ["--effects", str(files[0]), "--effects", str(Path.cwd() / "mine.py")]
+    assert graph.arguments("kinematics") == graph.arguments("trajectory_compensator") == words
+    assert graph.arguments("error_predictor") == []
+    assert "effects" not in graph.parameters("kinematics", "")
 
 
 def test_the_calibration_of_a_folder_reaches_real_cameras_only(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import csv
 import gc
 import hashlib
 import json
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -200,6 +201,8 @@ def _worked(
     if jobs == 1:
         yield from (look(*one) for one in left)
         return
+    # Processes must not look for modules in the folder where the program was started
+    os.environ.setdefault("PYTHONSAFEPATH", "1")
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         begun = {pool.submit(look, *one) for one in left}
         for done in as_completed(begun):
