@@ -1,4 +1,4 @@
-"""No file of data names code: whatever lies in a folder, nothing of it is executed (SECURITY.md)."""
+"""No file of data names code: nothing that lies in a folder is executed (SECURITY.md)."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def test_a_network_holds_no_pickle(trap: Path) -> None:
 
 
 def test_what_matplotlib_reads_of_the_folder(trap: Path) -> None:
-    backend = f"backend: module://evil\naxes.prop_cycle: __import__('evil')\n"
+    backend = "backend: module://evil\naxes.prop_cycle: __import__('evil')\n"
     trap.with_name("matplotlibrc").write_text(backend)
     code, said = program(trap.parent, "stereo", "marker", "--board", "7x5", "-o", "board.pdf")
     assert (code, executed(trap)) == (0, False), said

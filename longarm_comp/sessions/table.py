@@ -22,6 +22,16 @@ FARTHEST = RANGES["_m"][1]
 """Largest joint (rad, m) and coordinate (m)."""
 
 
+MOST_CELLS = 20_000_000
+"""Of a table: as text these take some 2 GB."""
+
+
+def check_cells(path: str | Path, cells: int) -> None:
+    """Refuse a table of more than `MOST_CELLS`."""
+    if cells > MOST_CELLS:
+        raise InputError(path, "cells", f"more than {MOST_CELLS}", "a smaller table: split it")
+
+
 @dataclass(frozen=True)
 class Table:
     """Cells of a CSV file as text, by column; `lines`: number of every row in the file."""
@@ -108,17 +118,22 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read a comma-separated file with a header."""
+    """Read a comma-separated file with a header, up to `MOST_CELLS`."""
     where = str(path)
     check_regular(path)
+    rows, count = [], 0
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file, strict=True)
-            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+            for row in reader:
+                count += len(row) + 1
+                check_cells(path, count)
+                rows.append((reader.line_num, [cell.strip() for cell in row]))
     except OSError as error:
         raise InputError(where, "file", error.strerror or str(error), "a readable file") from error
     except UnicodeDecodeError as error:
-        kind = "a workbook" if Path(path).read_bytes()[:2] == b"PK" else "no UTF-8"
+        with open(path, "rb") as raw:
+            kind = "a workbook" if raw.read(2) == b"PK" else "no UTF-8"
         allowed = f"comma-separated text in UTF-8; to convert it: longarm import-data {where}"
         raise InputError(where, "file", kind, f"{allowed} -o samples.csv") from error
     except csv.Error as error:
@@ -145,7 +160,13 @@ WriteTable = Callable[[str | Path, Sequence[str], Iterable[Sequence[Any]]], None
 
 def write_table(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a CSV file, whole or not at all. Floats keep every digit; NaN and None are blank."""
-    with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+    with atomic_path(path) as partial:
+        fill_table(partial, header, rows)
+
+
+def fill_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write what `write_table` writes, into a file that is made whole by others."""
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         writer.writerows([_text(value) for value in row] for row in rows)
