@@ -218,21 +218,26 @@ def _conversion(where: str, header: Sequence[str]) -> str:
 def check_unknown(where: str, names: Collection[str], known: Collection[str]) -> None:
     """Raise `InputError` for an unknown name that comes close to a known one.
 
-    Close: the same but for case, blanks and punctuation; without its unit (`temperature`); one
-    letter wrong, or two of eight or more.  A column with any other name is kept as context.
+    Close: the same but for case, blanks and punctuation; without its unit or with another
+    (`temperature`, `x_mm`); one letter wrong, or two of eight or more.  A column with any other
+    name is kept as context.
     """
     for name in names:
         meant = None if name in known else nearest(name, known)
         if meant is not None:
             value, allowed = f"unknown, close to {meant}", f"{meant}, or another name"
+            if split_name(name)[1] is not None:
+                allowed += f"; other units: longarm import-data {where} -o samples.csv"
             raise InputError(where, f"column {name}", value, allowed)
 
 
 def nearest(name: str, known: Collection[str]) -> str | None:
     """The known name that `name` most likely means, or None."""
     plain = _plain(name)
+    stems = {plain, _plain(split_name(name)[0])}
     for candidate in known:
-        if plain in (_plain(candidate), _plain(re.sub(r"_(c|kg|s|id|m|rad)$", "", candidate))):
+        without = re.sub(r"_id$", "", split_name(candidate)[0])
+        if stems & {_plain(candidate), _plain(without)}:
             return candidate
     wrong = 2 if len(plain) >= 8 else 1
     spelt = {_plain(candidate): candidate for candidate in known}

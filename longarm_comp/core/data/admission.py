@@ -22,6 +22,7 @@ from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import check_touches
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.math.points import robust_kabsch
 
@@ -147,6 +148,23 @@ def _plausible_context(case: _Case) -> None:
         check_circumstance(case.arm, name, values, case.session.source)
 
 
+def _bearable(case: _Case) -> None:
+    """Refuse loads under which the declared beams would bend by more than the arm's own reach."""
+    rows = np.unique(np.linspace(0, len(case.session) - 1, 100).astype(int))
+    if not case.arm.links:
+        return
+    declared = case.arm.payload.mass_kg if case.arm.payload else 0.0
+    loads = case.session.columns.get("payload_kg", np.full(len(case.session), declared))
+    some = case.session.take(np.union1d(rows, [np.argmax(loads)]))
+    rigid = Model(case.arm).tip(some.q, some.context())
+    with np.errstate(all="ignore"):
+        sag = np.linalg.norm(declared_model(case.arm).tip(some.q, some.context()) - rigid, axis=1)
+    reach = np.linalg.norm(rigid - np.array(case.arm.base.xyz_m), axis=1).max()
+    if not (sag <= reach).all():
+        allowed = "a load that the beams of arm.yaml carry: look at E_pa, sections and masses"
+        raise case.refuse("payload_kg", float(loads.max()), allowed)
+
+
 def _order(case: _Case) -> None:
     session = case.session
     groups = session.labels.get("group", np.full(len(session), ""))
@@ -217,6 +235,9 @@ def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
     field = ", ".join(c for kind in case.session.kinds for c in kind.cells or (kind.label,))
     if lost == len(case.session):
         raise case.refuse(field, f"blank in all {lost} rows", "measured tip positions (m)")
+    blank = np.isnan(case.session.xyz).all(axis=0)
+    for axis in np.array(["x", "y", "z"])[blank] if not blank.all() else ():
+        yield AdmissionFinding("blanks", str(axis), "measured in no row")
     if not case.session.placed.any():
         text = "no row measures the tip: tip and base stay as declared"
         yield AdmissionFinding("blanks", "x, y, z", text)
@@ -367,6 +388,6 @@ def _base(arm: Arm, turn: np.ndarray, offset: np.ndarray) -> str:
 
 
 _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
-    *(_same_arm, _inclinometers, _plausible_context, _joint_units, _order, _touches),
+    *(_same_arm, _inclinometers, _plausible_context, _joint_units, _bearable, _order, _touches),
     *(_measured_at_all, _constant, _copies),
 )

@@ -41,8 +41,8 @@ class _Header(Declared):
     joints: int = Field(ge=1, le=10_000)
     context: tuple[Literal["approach", "temperature_c", "payload_kg"], ...]
     hidden: int = Field(ge=1, le=10_000)
-    scale: float = Field(gt=0)
-    variance_limit: float = Field(gt=0)
+    scale: float = Field(gt=0, le=_LARGEST)
+    variance_limit: float = Field(gt=0, le=_LARGEST**2)
     input_names: tuple[str, ...]
 
 
