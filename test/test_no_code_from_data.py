@@ -13,6 +13,7 @@ import yaml
 from cli_shell import Shell
 from small_arm import ARM, measured
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.devices.servo_config import ServoConfig
@@ -186,3 +187,31 @@ def test_what_matplotlib_reads_of_the_folder(trap: Path) -> None:
     trap.with_name("matplotlibrc").write_text(backend)
     code, said = program(trap.parent, "stereo", "marker", "--board", "7x5", "-o", "board.pdf")
     assert (code, executed(trap)) == (0, False), said
+
+
+@pytest.mark.usefixtures("catalogue_of_ours")
+def test_a_graph_that_is_given_the_file_knows_its_effects(tmp_path: Path) -> None:
+    """The words with which `longarm up --effects` starts its nodes."""
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+    from nodes_bench import ROOT, bench, own_graph
+    from std_srvs.srv import Trigger
+
+    from longarm_comp.core.effects.catalogue import load_file
+    from longarm_comp.core.model.model import Model
+    from longarm_comp.core.model.model_file import save_model, store
+    from longarm_comp.nodes import interfaces as graph
+    from longarm_comp.nodes.bringup import BringUp
+
+    example = ROOT / "examples" / "custom_effect.py"
+    (coupling,) = load_file(example)
+    file, model = folder("config") / "arm_demo.yaml", tmp_path / "model.yaml"
+    arm = Arm.load(file)
+    save_model(model, store(Model(arm, (coupling(joint=5, driver=2, gain=0.03),))))
+    with own_graph(tmp_path), bench() as stage:
+        for space, effects in (("with", (example,)), ("without", ())):
+            made = BringUp(arm=file, model=model, effects=effects, namespace=space)
+            stage.python(made.commands(tmp_path / space)["kinematics"][1:])
+            client = graph.RELOAD.client(stage.node, of=f"/{space}/kinematics")
+            answer = stage.call(client, Trigger.Request())
+            assert answer.success == bool(effects), answer.message
+    assert "cable_coupling" in answer.message and "--effects" in answer.message

@@ -9,6 +9,7 @@ from longarm_comp.core.calibration.standing import misplaced
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.model import Model
 
@@ -96,8 +97,7 @@ def _lost(model: Model, session: Session) -> float:
     if not len(rows):
         return 0.0
     left = median_distance(errors(model, rows))
-    tips = Model(model.arm).tip(rows.q, rows.context()) - np.array(model.arm.base.xyz_m)
-    return left if not left <= LOST * float(np.linalg.norm(tips, axis=1).max()) else 0.0
+    return left if not left <= LOST * reach(model.arm) else 0.0
 
 
 def _off(model: Model, session: Session) -> float:

@@ -21,6 +21,7 @@ from longarm_comp.core.data.belonging import MOST_STRAYS, believe, mistakes
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import check_touches
+from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -159,8 +160,7 @@ def _bearable(case: _Case) -> None:
     rigid = Model(case.arm).tip(some.q, some.context())
     with np.errstate(all="ignore"):
         sag = np.linalg.norm(declared_model(case.arm).tip(some.q, some.context()) - rigid, axis=1)
-    reach = np.linalg.norm(rigid - np.array(case.arm.base.xyz_m), axis=1).max()
-    if not (sag <= reach).all():
+    if not (sag <= reach(case.arm)).all():
         allowed = "a load that the beams of arm.yaml carry: look at E_pa, sections and masses"
         raise case.refuse("payload_kg", float(loads.max()), allowed)
 

@@ -18,6 +18,7 @@ from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.lifted_base import EXACT
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside, TouchPlace
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -96,21 +97,20 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
             yield "touch_distances", f"{other if one in points else one} was not touched"
 
 
-_OFF_SHARE = 0.25
+_OFF_SHARE = 0.1
 """Share of its reach by which no arm as declared misses a distance that it touches the ends of."""
 
 
 def _check_distances(session: Session, arm: Arm) -> None:
     """Refuse known distances that the arm as declared does not touch by far."""
     tips = Model(arm).tip(session.q, session.context())
-    reach = float(np.linalg.norm(tips - np.array(arm.base.xyz_m), axis=1).max())
     touched = session.labels.get("touch", np.zeros(0, dtype=str))
     for one, other, length, _ in (*known_distances(arm.touch_distances), *session.touch_distances):
         ends = [tips[touched == name] for name in (one, other)]
         if not all(map(len, ends)):
             continue
         apart = float(np.linalg.norm(np.subtract(*(np.median(end, axis=0) for end in ends))))
-        if abs(length - apart) > _OFF_SHARE * reach:
+        if abs(length - apart) > _OFF_SHARE * reach(arm):
             hint = " (this looks like millimetres)" if 500 < length / (apart or 1) < 2000 else ""
             allowed = f"metres, about {apart:.3g}, as the arm touched them{hint}"
             raise InputError(session.source, f"touch_distances: {one}, {other}", length, allowed)
