@@ -27,7 +27,7 @@ from longarm_comp.nodes.params import Param
 from longarm_comp.share import folder
 
 ROOT = Path(__file__).parents[1]
-GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "effects", "servos", "port", "hidden"}
+GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "servos", "port", "hidden"}
 
 
 def table(node: str) -> dict[str, Param]:
@@ -174,7 +174,8 @@ def test_a_launch_starts_every_node_with_what_it_takes(monkeypatch: pytest.Monke
     module = launched(ROOT / "launch" / "longarm.launch.py", monkeypatch)
     arguments = {name: default or "" for name, default, _ in module.ARGUMENTS}
     arm = str(folder("config") / "arm_demo.yaml")
-    given = {**arguments, "arm": arm, "sim": "true", "rviz": "true"}
+    mine = "mine.py"
+    given = {**arguments, "arm": arm, "sim": "true", "rviz": "true", "effects": mine}
     module.LaunchConfiguration = lambda name: types.SimpleNamespace(
         perform=lambda context: given[name]
     )
@@ -189,6 +190,8 @@ def test_a_launch_starts_every_node_with_what_it_takes(monkeypatch: pytest.Monke
     passed = {}
     for call in calls:
         assert call["name"] == call["executable"]
+        told = ["--effects", str(Path.cwd() / mine)] if call["name"] == "kinematics" else []
+        assert call["arguments"] == told
         assert call["additional_env"] == {GUARD: str(os.getpid())}  # it ends when launch was killed
         *listed, written = call["parameters"]
         for file, (node, values) in zip(listed, read_yaml(Path(written)).items(), strict=True):

@@ -18,6 +18,7 @@ from diagnosis_folders import at_work, writer
 from small_arm import ARM, measured
 
 from longarm_comp.arm_folder.parameter_file import own_text
+from longarm_comp.core import files
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import atomic_paths, write_text, write_texts
 from longarm_comp.core.model.file_versions import previous
@@ -225,8 +226,6 @@ def test_a_fleet_reads_no_pipe_and_no_endless_header(tmp_path: Path) -> None:
 
 
 def test_tables_have_bounds(tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    from longarm_comp.sessions.foreign import cells
-
     path = tmp_path / "t.csv"
     path.write_text("q1,x,y,z\n" + "0.1,1,2,3\n" * 50)
     (tmp_path / "arm.yaml").write_text(
@@ -238,8 +237,9 @@ def test_tables_have_bounds(tmp_path: Path, shell: Shell, monkeypatch: pytest.Mo
     assert said in shell.refused("calibrate", "arm.yaml", "t.csv")
     assert said in shell.refused("import-data", "t.csv", "--units", "m,rad", "-o", "s.csv")
     monkeypatch.setattr(table, "MOST_CELLS", 10**6)
-    monkeypatch.setattr(cells, "MOST_BYTES", 100)
-    assert "more than 100 bytes" in shell.refused("import-data", "t.csv", "-o", "s.csv")
+    monkeypatch.setattr(files, "MOST_BYTES", 100)
+    for words in (("import-data", "t.csv", "-o", "s.csv"), ("calibrate", "arm.yaml", "t.csv")):
+        assert "allowed: at most 100 bytes: split it" in shell.refused(*words)
 
 
 @pytest.mark.parametrize("far", ["XFD1048576", "S1048570", "A1048576"])

@@ -29,6 +29,18 @@ def check_regular(path: str | os.PathLike[str]) -> None:
         raise InputError(path, "file", "a pipe, a socket or a device", "a regular file")
 
 
+MOST_BYTES = 500_000_000
+"""Of a table: more than 20 million numbers of 20 characters."""
+
+
+def check_size(path: str | os.PathLike[str]) -> None:
+    """Refuse a table of more than `MOST_BYTES`, before it is read: it may be a single line."""
+    with suppress(OSError):  # who opens it says so
+        if (size := os.stat(path).st_size) > MOST_BYTES:
+            allowed = f"at most {MOST_BYTES} bytes: split it"
+            raise InputError(path, "file", f"{size} bytes", allowed)
+
+
 def check_unpacked(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> None:
     """Refuse what would unpack to more than `MOST_UNPACKED`, before anything is unpacked."""
     size = sum(entry.file_size for entry in archive.infolist())

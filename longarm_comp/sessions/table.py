@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path, check_regular
+from longarm_comp.core.files import atomic_path, check_regular, check_size
 from longarm_comp.core.yaml_file import RANGES
 from longarm_comp.sessions.foreign.units import split_name
 
@@ -121,6 +121,7 @@ def read_table(path: str | Path) -> Table:
     """Read a comma-separated file with a header, up to `MOST_CELLS`."""
     where = str(path)
     check_regular(path)
+    check_size(path)
     rows, count = [], 0
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:

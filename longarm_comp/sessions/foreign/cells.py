@@ -17,12 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import check_unpacked
+from longarm_comp.core.files import check_size, check_unpacked
 from longarm_comp.sessions.foreign.units import split_name, unit_of
 from longarm_comp.sessions.table import check_cells
 
-MOST_BYTES = 500_000_000
-"""Of a text file, which is looked at whole: more than `MOST_CELLS` numbers of 20 characters."""
 WORKBOOK = (".xlsx", ".xlsm")
 _SEPARATORS = (r"\t", ";", ",", r"\|", r"\s{2,}|\t", r"\s+")
 _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
@@ -106,13 +104,11 @@ def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None)
 
 
 def _text(path: Path) -> str:
+    check_size(path)
     try:
-        with path.open("rb") as file:
-            raw = file.read(MOST_BYTES + 1)
+        raw = path.read_bytes()
     except OSError as error:
         raise InputError(path, "file", error.strerror or str(error), "a readable file") from error
-    if len(raw) > MOST_BYTES:
-        raise InputError(path, "file", f"more than {MOST_BYTES} bytes", "a smaller file: split it")
     wide = raw[:2] in (b"\xff\xfe", b"\xfe\xff")
     for coding in ("utf-16",) if wide else ("utf-8-sig", "cp1252"):
         try:
