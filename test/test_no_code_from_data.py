@@ -215,3 +215,19 @@ def test_a_graph_that_is_given_the_file_knows_its_effects(tmp_path: Path) -> Non
             answer = stage.call(client, Trigger.Request())
             assert answer.success == bool(effects), answer.message
     assert "cable_coupling" in answer.message and "--effects" in answer.message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<?xml version="1.0" encoding="evil"?><robot name="a"/>',
+        '<!DOCTYPE r [<!ENTITY e SYSTEM "evil.py">]><robot name="&e;"/>',
+        '<robot name="a" xmlns:xacro="x"><xacro:property name="p" value="${evil}"/></robot>',
+    ],
+)
+def test_a_urdf_names_no_code_and_no_file(trap: Path, text: str) -> None:
+    trap.with_name("arm.urdf").write_text(text)
+    words = ("import-urdf", "arm.urdf", "--base", "a", "--tip", "b", "-o", "out.yaml")
+    code, said = program(trap.parent, *words)
+    assert (code, executed(trap), len(said.splitlines())) == (2, False, 1), said
+    assert "touch" not in said
