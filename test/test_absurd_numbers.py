@@ -14,12 +14,10 @@ from test_strict_files import arm_data
 from test_touch import ARM as TOUCHED
 from test_touch import DISTANCES, HIDDEN, touching
 
-import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.plausible import check_fits
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
@@ -87,16 +85,3 @@ def test_a_known_distance_that_the_arm_did_not_touch(
     said = shell.refused("calibrate", "arm.yaml", "s.csv", "-o", "m.yaml")
     assert words in said
     assert not (shell.folder / "m.yaml").exists()
-
-
-def test_a_fit_that_leaves_a_tenth_of_the_reach_is_refused() -> None:
-    rows = touching(HIDDEN, 60)
-    found = la.calibrate(TOUCHED, rows).model
-    check_fits(found, rows)
-    far = [t for t in found.biases if hasattr(t, "touch")]
-    terms = [
-        dataclasses.replace(t, x=t.x + 0.5) if t in far and hasattr(t, "x") else t
-        for t in found.terms
-    ]
-    with pytest.raises(JobError, match=r"5\d\d mm is left after calibration"):
-        check_fits(found.with_terms(terms), rows)

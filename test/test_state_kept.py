@@ -242,7 +242,7 @@ def test_tables_have_bounds(tmp_path: Path, shell: Shell, monkeypatch: pytest.Mo
         assert "allowed: at most 100 bytes: split it" in shell.refused(*words)
 
 
-@pytest.mark.parametrize("far", ["XFD1048576", "S1048570", "A1048576"])
+@pytest.mark.parametrize("far", ["XFD60000", "S60000"])
 def test_a_sheet_with_a_far_cell_takes_no_memory(far: str, shell: Shell) -> None:
     import tracemalloc
 
@@ -252,11 +252,13 @@ def test_a_sheet_with_a_far_cell_takes_no_memory(far: str, shell: Shell) -> None
         sheet.append(row)
     sheet[far] = "far"
     book.save(shell.folder / "t.xlsx")
+    words = ("import-data", "t.xlsx", "--units", "m,rad", "-o", "s.csv")
+    shell.refused(*words)  # everything is imported
     tracemalloc.start()
     try:
-        code = shell("import-data", "t.xlsx", "--units", "m,rad", "-o", "s.csv")
+        said = shell.refused(*words)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert "Traceback" not in shell.err and code in (0, 2)
-    assert peak < 200e6
+    assert "t.xlsx: line 60000, q1: " in said  # it is read, and is no number
+    assert peak < 20e6

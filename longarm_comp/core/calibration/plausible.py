@@ -9,7 +9,6 @@ from longarm_comp.core.calibration.standing import misplaced
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.model import Model
 
@@ -19,8 +18,6 @@ RISES = 4.0
 """Held-out error, in that of the fitted rows, from which the fit does not carry over."""
 NO_NOISE = 0.05
 """Noise, as a share of the sightings' spread, that no instrument has."""
-LOST = 0.1
-"""Error, as a share of its reach, that no calibrated arm has left."""
 INCREDIBLE = 15.0
 """Size of an effect, in its prior standard deviations, that no arm has."""
 
@@ -83,21 +80,12 @@ def displaced(model: Model, session: Session) -> str:
 
 def check_fits(model: Model, session: Session) -> None:
     """A fitted arm must be where its rows see it, whatever they measure: else `JobError`."""
-    if off := _off(model, session) or _lost(model, session):
+    if off := _off(model, session):
         raise JobError(
             f"{1e3 * off:.3g} mm is left after calibration, so the rows are not of this arm: "
             "check their order, the units and the names of joints and anchors",
             session=session.source,
         )
-
-
-def _lost(model: Model, session: Session) -> float:
-    """Median error that is more than `LOST` of the arm's reach, m; 0 of a smaller one."""
-    rows = session.take(session.placed)
-    if not len(rows):
-        return 0.0
-    left = median_distance(errors(model, rows))
-    return left if not left <= LOST * reach(model.arm) else 0.0
 
 
 def _off(model: Model, session: Session) -> float:
