@@ -103,11 +103,25 @@ def test_python_writes_the_bytes_that_the_command_wrote(work: Path) -> None:
     """The same seed gives the same, too."""
     arm = Arm.load(work / "arm.yaml")
     rows, held_out = (la.read_session(work / name, arm) for name in ("samples.csv", "test.csv"))
-    la.diagnose(arm, rows, test=held_out, network=False).save(work / "python")
+    made = la.diagnose(arm, rows, test=held_out, network=False)
+    made.save(work / "python")
     files = sorted(p.relative_to(work / "python") for p in (work / "python").rglob("*.*"))
     assert {"model.yaml", "report.html", "report.json"} <= set(map(str, files))
     for file in files:
         assert (work / "python" / file).read_bytes() == (work / "out" / file).read_bytes(), file
+
+    mine = {name: work / "mine" / name for name in ("predictor.npz", "plots/mine.svg", "a.txt")}
+    for path in mine.values():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("mine")
+    words = (work / "arm.yaml", work / "samples.csv", "--no-network", "-o", work / "mine")
+    assert diagnosed(*words) == 2  # a network is there that no diagnosis wrote
+    made.save(work / "mine")
+    assert all(path.read_text() == "mine" for path in mine.values())
+    (work / "mine" / "next_poses.csv").write_text("of an earlier diagnosis")
+    made.save(work / "mine")  # now the folder is a diagnosis'
+    assert not mine["predictor.npz"].exists() and mine["plots/mine.svg"].exists()
+    assert "earlier" not in "".join(p.read_text() for p in (work / "mine").glob("next_poses.csv"))
 
 
 def test_a_second_diagnosis_adds_nothing_and_undo_restores_every_byte(work: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable
 
@@ -15,7 +14,6 @@ from trajectory_msgs.msg import JointTrajectory
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.online import JointTrust, Readings, StaleContext
-from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
@@ -40,7 +38,6 @@ from longarm_interfaces.msg import DriverState, Motion
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm"),
     Param("model", "", "model.yaml: the calibrated model; empty: the arm as declared"),
-    Param("effects", "", "Python files that define further effects, executed; : between paths"),
     Param("joints_max_age_s", 5.0, "joint_states older than this are not used", 0.1, 1e6),
     Param("joints_max_rate", 5.0, "faster motion is not believed; ranges a second", 0.1, 1e6),
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are not used", 0.1, 1e6),
@@ -66,8 +63,6 @@ class ArmState:
 
     def __init__(self, node: ArmNode, capacity: int, *, trimmed: bool = False) -> None:
         self.node, self.p, p = node, node.p, node.p
-        for path in filter(None, p["effects"].split(os.pathsep)):
-            load_file(path)
         self.files = ModelFiles(p["arm"], p["model"], trimmed=trimmed)
         self.arm = self.files.arm
         self.base_frame = prefix_of(node) + p.get("base_frame", "base")

@@ -75,9 +75,9 @@ class _StoredUncertainty(Declared):
 
 
 class StoredModel(Declared):
-    """The whole file. All keys are required, so that a truncated file is detected."""
+    """The whole file. All keys are required, and the last is a whole word, so that a truncated file
+    is detected."""
 
-    schema_: Literal["longarm/model/1"] = Field(alias="schema")
     version: int = Field(ge=0)
     arm: _ArmReference
     passes: int = Field(ge=1, le=50)  # more change no digit and take minutes
@@ -86,13 +86,13 @@ class StoredModel(Declared):
     effects: list[_StoredTerm]
     camera: list[_StoredTerm]
     provenance: dict[str, str | int | float]
-    arrivals: tuple[tuple[int, int], ...] = ()
+    arrivals: tuple[tuple[int, int], ...]
     placement: dict[str, Pose] = Field(
-        default_factory=dict,
         description="where bases stand in the frame of the measurements: for people and other "
         "programs; `geometry` is what counts",
     )
-    uncertainty: _StoredUncertainty | None = None
+    uncertainty: _StoredUncertainty | None
+    schema_: Literal["longarm/model/1"] = Field(alias="schema")
 
 
 def store(
