@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import Arrival, compensate_apart, compensate_move
@@ -301,6 +302,8 @@ def goals_of(
             xyz if np.isnan(turn[0]) else quaternion.pose(xyz, turn)
             for xyz, turn in zip(targets.xyz, targets.quaternion, strict=True)
         ]
+        for name, values in targets.columns.items():
+            check_circumstance(model.arm, name, values, targets.source)
         return goals, targets.context(model.arm.n), targets.index
     try:
         given = np.asarray(targets, dtype=float)

@@ -364,8 +364,9 @@ class Arm(Declared):
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of what a model depends on: the contents but for `damping`, not the layout."""
-        held = self.model_dump(mode="json", exclude_defaults=True, exclude={"damping"})
+        """SHA-256 of what a model depends on, not the layout."""
+        beside: Any = {"damping": True, "payload": {"most_kg"}}
+        held = self.model_dump(mode="json", exclude_defaults=True, exclude=beside)
         text = json.dumps(held, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.data.belonging import MOST_STRAYS, believe, mistakes
@@ -142,10 +143,8 @@ def _inclinometers(case: _Case) -> None:
 
 
 def _plausible_context(case: _Case) -> None:
-    for name, lowest in (("temperature_c", -273.15), ("payload_kg", 0.0)):
-        values = case.session.columns.get(name)
-        if values is not None and (values < lowest).any():
-            raise case.refuse(name, float(values.min()), f"{lowest} or more")
+    for name, values in case.session.columns.items():
+        check_circumstance(case.arm, name, values, case.session.source)
 
 
 def _order(case: _Case) -> None:
