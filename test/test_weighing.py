@@ -143,7 +143,7 @@ def test_the_latest_word_on_the_payload_counts(arm: Arm) -> None:
     assert weighed_later.context(model, 25.0, 60.0).columns["payload_kg"] == 0.5
     assert weighed_later.context(model, 75.0, 60.0).columns["payload_kg"] == 0.5, "one is fresh"
     silent = weighed_later.told("payload", {"payload_kg": 0.3}, 21.0).told("load", {}, 21.0)
-    assert silent.context(model, 25.0, 60.0).columns == {"t_s": 25.0, "payload_kg": 0.3}
+    assert silent.context(model, 25.0, 60.0).columns == {"payload_kg": 0.3}
 
 
 def test_what_servos_tell_is_read_from_the_drivers_file(arm: Arm, tmp_path: Path) -> None:

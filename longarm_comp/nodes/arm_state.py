@@ -78,7 +78,7 @@ class ArmState:
         self.moved: Callable[[np.ndarray, float], None] = lambda q, at_s: None
         self._max_age_s = p["joints_max_age_s"]
         self._trust = JointTrust(self.arm, p["joints_max_rate"])
-        self.readings = Readings(started_s=time.monotonic())
+        self.readings = Readings()
         self._joints: tuple[np.ndarray, float] | None = None
         self.effort = np.full(self.arm.n, np.nan)
         graph.JOINT_STATES.subscription(node, self._on_joints)

@@ -72,8 +72,10 @@ class DiagnosisResult:
     @cached_property
     def model(self) -> Model:
         """The model to use from now on, with the record of how good it is."""
-        known = uncertainty(self.diagnosis.fit)
-        return replace(self.diagnosis.model, uncertainty=known)
+        found = self.diagnosis
+        ends = [e for rows in (found.train, found.held_out) if (e := rows.ended_s) is not None]
+        known = uncertainty(found.fit)
+        return replace(found.model, uncertainty=known, ended_s=max(ends, default=None))
 
     @property
     def predictor(self) -> Predictor | None:

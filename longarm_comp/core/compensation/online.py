@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import CLOCK, Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.unknown import NO_END
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 
@@ -32,7 +33,6 @@ class Readings:
     """The last reading of every source (temperature, payload, inclination of a frame)."""
 
     readings: Mapping[str, _Reading] = field(default_factory=dict)
-    started_s: float = 0.0
 
     def told(self, source: str, columns: Mapping[str, float], at_s: float) -> Readings:
         """With a new reading."""
@@ -54,14 +54,15 @@ class Readings:
             StaleContext: an effect of the model, or the load, needs what is older than
                 ``max_age_s`` or was never told.
         """
-        columns = {"t_s": now_s - self.started_s}
+        columns: dict[str, float] = {}
         ages: dict[str, float] = {}
         for reading in sorted(self.readings.values(), key=lambda reading: reading.at_s):
             age = now_s - reading.at_s
             ages.update(dict.fromkeys(reading.columns, age))
             columns.update(reading.columns if age <= max_age_s else {})
         old = {name: age for name, age in ages.items() if age > max_age_s}
-        context = Context(**({} if history is None else history.fields()), columns=columns)
+        told = Context(**({} if history is None else history.fields()), columns=columns)
+        context = told.as_left(model.ended_s)
         if "payload_kg" in old and model.arm.payload is not None:
             raise _stale("payload_kg", old)
         for effect in model.effects:
@@ -71,6 +72,8 @@ class Readings:
 
 
 def _stale(column: str, old: Mapping[str, float]) -> StaleContext:
+    if column == CLOCK:
+        return StaleContext(NO_END)
     if column in old:
         return StaleContext(f"{column} is {old[column]:.1f} s old", column=column)
     return StaleContext(f"{column} was never published, and the model needs it", column=column)
