@@ -330,6 +330,13 @@ class Arm(Declared):
                 offset[joint.id - 1] += mimic.offset
         return matrix, offset
 
+    @cached_property
+    def circular(self) -> np.ndarray:
+        """(n,) joints that stand the same after a whole turn: those of turning rows, ungeared."""
+        turning = np.array([joint.type == "revolute" for joint in self.joints])
+        moved = self.mixing[0]
+        return np.asarray(((moved == 0) | (turning[:, None] & (moved % 1 == 0))).all(axis=0))
+
     def anchor(self, name: str) -> Vec3:
         """Declared place of an anchor (m); the origin if it is to be solved."""
         held = self.anchors.get(name)
