@@ -103,7 +103,7 @@ def test_turns_add_up_either_way_and_end_at_the_limits() -> None:
     joints = np.outer(goes, [1, -1, 0, 0, 0, 0])
     for start in (None, joints[0]):
         np.testing.assert_allclose(unwrapped(wide, wrapped(joints), start), joints, atol=1e-9)
-    for way in (joints, -joints, joints[:, :1] * [1, 0, 0, 0, 0, 0]):
+    for way in (joints, *(joints[:, :1] * [side, 0, 0, 0, 0, 0] for side in (1, -1))):
         with pytest.raises(PathRefused) as refused:
             unwrapped(arm(360.0), wrapped(way), None)
         assert refused.value.row == np.argmax(goes > 2 * np.pi)
