@@ -212,7 +212,10 @@ def test_a_part_that_fails_silences_no_other_and_a_worker_that_fails_moves_nothi
     assert moving.ask().status == STATUS.SUCCESS, "computed only"
     moving.says("worker", "no motion: ", level=ERROR)
     fails.clear()
+    other.clear()
     inside._arm.worker.submit(weigh)
+    inside._arm.worker.submit(other.set)
+    assert other.wait(60.0) and not inside._arm.worker.failing
     moving.until("", STATUS.SUCCESS)
     moving.says("worker", "every job was done")
     fails.append(True)
@@ -275,6 +278,8 @@ def test_who_publishes_joints_is_told_by_the_numbers_of_the_messages(arm: Arm) -
     assert "two publishers" in tell(86, np.zeros(arm.n)), "the cause is said, not the jump"
     now_s += 0.2
     assert [bool(tell(k)) for k in range(87, 92)] == [True] * 3 + [False] * 2
+    now_s += 99.0
+    assert tell(91) == "joint_states come from another publisher than before", "at the same number"
 
 
 def test_where_no_message_has_a_number_a_jump_is_another_publisher(arm: Arm) -> None:

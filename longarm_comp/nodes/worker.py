@@ -248,7 +248,8 @@ class Worker:
                     job = self._jobs.popleft()
                     doing = _name_of(job)
                     job()
-                    self._failed.pop(doing, None)
+                    if doing in self._failed:  # replaced whole: other threads read it
+                        self._failed = {k: v for k, v in self._failed.items() if k != doing}
                 elif not self.idle():
                     self.wait()
             except Exception as error:  # reported; the worker goes on with the next job
