@@ -210,10 +210,14 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
     assert "halted" in planner.ends(goal, GoalStatus.STATUS_CANCELED).error_string
 
 
-def test_a_plan_through_pi_goes_on_live_or_is_refused(stage: Bench, tmp_path: Path) -> None:
+@pytest.mark.parametrize("endless", [False, True])
+def test_a_plan_through_pi_goes_on_live_or_is_refused(
+    stage: Bench, tmp_path: Path, endless: bool
+) -> None:
     """A planner wraps angles into -pi..pi; the controller gets them as the joint goes on."""
     file = tmp_path / "arm.yaml"
-    file.write_text(yaml.safe_dump(declared(360.0)))
+    on_and_on = {1: {"endless": True, "limits_deg": None}}
+    file.write_text(yaml.safe_dump(declared(180.0, on_and_on) if endless else declared(360.0)))
     made, (goes, said) = Arm.load(file), through_pi()
     controller = Controller(stage, made)
     controller.q = goes[0]
@@ -230,7 +234,13 @@ def test_a_plan_through_pi_goes_on_live_or_is_refused(stage: Bench, tmp_path: Pa
     assert sent[-1].time_from_start == duration(2.0)
     far = goes[-1] + np.outer(np.linspace(0.0, 1.0, 21), [4.0, 0, 0, 0, 0, 0])
     stage.spin(lambda: controller.q[0] > 3.2)
-    result = planner.ends(planner.send(names, wrapped(far), 20.0), GoalStatus.STATUS_ABORTED)
+    goal = planner.send(names, wrapped(far), 20.0)
+    if endless:
+        planner.ends(goal, GoalStatus.STATUS_SUCCEEDED)
+        sent = controller.got[-1].trajectory.points
+        np.testing.assert_allclose([p.positions for p in sent], far, atol=1e-6)
+        return
+    result = planner.ends(goal, GoalStatus.STATUS_ABORTED)
     assert "way-point 16: bad_target: joint1 from" in result.error_string
     assert len(controller.got) == 1
 

@@ -59,6 +59,11 @@ class Joint(Declared):
     theta_offset_deg: float = 0.0
     limits_deg: tuple[float, float] | None = None
     limits_m: tuple[float, float] | None = None
+    endless: bool = Field(
+        default=False,
+        description="a revolute joint that turns on and on: poses are planned within limits_deg, "
+        "+-180 by default, and paths may leave them",
+    )
     step_deg: Positive | None = Field(
         default=None, description="the servo's step, at a revolute joint; absent: continuous"
     )
@@ -96,6 +101,8 @@ class Joint(Declared):
         if self.pose is not None and self.type != "fixed":
             allowed = "in fixed rows only; use a_m, alpha_deg, d_m, theta_offset_deg"
             raise Misdeclared("pose", f"given in a {self.type} row", allowed)
+        if self.endless and (self.cylinder or self.type != "revolute" or not self.commanded):
+            raise Misdeclared("endless", True, "at commanded revolute joints without a cylinder")
         for name, limits in given.items():
             if limits is None:
                 continue
@@ -104,7 +111,7 @@ class Joint(Declared):
                 raise Misdeclared(name, list(limits), allowed)
             if not limits[0] < limits[1]:
                 raise Misdeclared(name, list(limits), "[lower, upper] with lower < upper")
-        if key is not None and not self.mimic and given[key] is None:
+        if key is not None and not self.mimic and given[key] is None and not self.endless:
             raise Misdeclared(key, "missing", f"[lower, upper] of a commanded {self.type} joint")
         self._check_step(key)
         self._check_cylinder()
@@ -148,6 +155,8 @@ class Joint(Declared):
         """Lower and upper limit in rad or m."""
         if self.limits_deg is not None:
             return math.radians(self.limits_deg[0]), math.radians(self.limits_deg[1])
+        if self.endless:
+            return -math.pi, math.pi
         return self.limits_m if self.limits_m is not None else (-math.inf, math.inf)
 
     @property
@@ -214,6 +223,10 @@ class Arm(Declared):
                 ):
                     allowed = f"a commanded joint: {list(self.commanded)}, {list(self.joint_names)}"
                     raise Misdeclared(f"joints.{joint.id - 1}.mimic.joint", mimic.joint, allowed)
+        for number, whole in zip(self.commanded, self.circular, strict=True):
+            if self.joints[number - 1].endless and not whole:
+                allowed = "where the rows that mimic it turn, by whole turns"
+                raise Misdeclared(f"joints.{number - 1}.endless", True, allowed)
         self._check_beams()
         return self
 
@@ -303,6 +316,19 @@ class Arm(Declared):
     def upper(self) -> np.ndarray:
         """Upper joint limits, (n,), rad or m."""
         return np.array([self.joints[i - 1].limits[1] for i in self.commanded])
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest joints (n,) that the arm can be at, rad or m; infinite if endless."""
+        endless = np.array([self.joints[i - 1].endless for i in self.commanded])
+        return np.where(endless, -np.inf, self.lower), np.where(endless, np.inf, self.upper)
+
+    def box_about(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Limits (..., n) for what begins at joints q (..., n): half a turn to either side of an
+        endless one."""
+        endless = np.isinf(self.bounds[1])
+        low = np.where(endless, q - np.pi, self.lower)
+        return low, np.where(endless, q + np.pi, self.upper)
 
     @cached_property
     def steps(self) -> np.ndarray:

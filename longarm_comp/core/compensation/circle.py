@@ -25,7 +25,7 @@ def unwrapped(arm: Arm, joints: np.ndarray, start: np.ndarray | None) -> np.ndar
     steps = _steps(joints, start)
     turns = np.where(arm.circular, -np.round(steps / math.tau), 0.0)
     made = joints + math.tau * np.cumsum(turns, axis=0)
-    out = (made < arm.lower - _ROUNDING) | (made > arm.upper + _ROUNDING)
+    out = (made < arm.bounds[0] - _ROUNDING) | (made > arm.bounds[1] + _ROUNDING)
     if len(beyond := np.argwhere(out & (made != joints))):
         row, k = beyond[0]
         way = f"from {joints[row, k] - steps[row, k]:.4g} to {joints[row, k]:.4g} rad"

@@ -91,7 +91,8 @@ def check_inside(q: np.ndarray, arm: Arm, where: str) -> None:
     """Refuse joints (n,) outside the limits by more than 2 % of their range (rad, m)."""
     # Share of a joint's range by which a reading may lie outside its limits
     slack = 0.02 * (arm.upper - arm.lower)
-    for k in np.flatnonzero(~((q >= arm.lower - slack) & (q <= arm.upper + slack))):
+    low, high = arm.bounds
+    for k in np.flatnonzero(~((q >= low - slack) & (q <= high + slack))):
         allowed = f"{arm.lower[k]:g} to {arm.upper[k]:g}"
         raise InputError(where, arm.joint_names[k], float(q[k]), allowed)
 
@@ -141,7 +142,9 @@ class JointTrust:
             return False
         if before is not None:
             range_, dt = self._arm.upper - self._arm.lower, max(at_s - before[1], 0.0)
-            share = np.abs(q - before[0]) / np.where(range_ > 0, range_, math.inf)
+            step = q - before[0]
+            step -= np.where(np.isinf(self._arm.bounds[1]), math.tau * np.round(step / math.tau), 0)
+            share = np.abs(step) / np.where(range_ > 0, range_, math.inf)
             k = int(np.argmax(share))
             # Share of a joint's range that two readings may differ by, however soon they follow
             if share[k] > 0.1 + self._rate * dt:

@@ -274,7 +274,7 @@ class _Way:
         first = np.diff((way if plan.joints is None else plan.joints)[:2], axis=0).sum(axis=0)
         begins = np.diff(begun, axis=0).sum(axis=0) - first
         second = min(1, len(way) - 1)
-        box = arm.lower, arm.upper
+        box = arm.bounds
 
         def commands(times: np.ndarray) -> CubicPath:
             stands, beyond = taken_up(way, off, lag, turns, times)
@@ -302,7 +302,7 @@ class _Way:
         """(k, n) joints to start from: as planned, or each from those of the one before."""
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
-            return self._standing(np.clip(plan.joints, arm.lower, arm.upper))
+            return self._standing(np.clip(plan.joints, *arm.bounds))
         each, physics = self._context(self.history).each(len(plan.targets)), self.physics
         made: list[np.ndarray] = []
         first = self.start if seed is None else seed
