@@ -60,6 +60,9 @@ def test_a_path_goes_on_for_turns() -> None:
     found = follow(model, wrapped(goes), goes[0])
     np.testing.assert_allclose(found.timed.joints, goes, atol=1e-7)
     np.testing.assert_allclose(found.timed.times, TIMES)
+    sways = at(0.0) + np.outer(np.sin(5.0 * TIMES), [0.8, 0, 0, 0, 0, 0])
+    near, far = (follow(model, q, q[0]).timed for q in (sways, sways + at(12.0) - at(0.0)))
+    np.testing.assert_allclose(far.velocities, near.velocities, atol=1e-7)
 
 
 @pytest.mark.parametrize("engine", list(Engine))
@@ -124,6 +127,11 @@ def test_a_urdf_keeps_it_and_only_a_range_takes_it_away(tmp_path: Path) -> None:
     (tmp_path / "again.urdf").write_text(export_urdf(declared_model(made)))
     again = UrdfRobot(tmp_path / "again.urdf")
     assert {name for name, joint in again.joints.items() if joint.type == "continuous"} == turns
+    geared = CHAIN.replace('name="ja" type="prismatic"', 'name="ja" type="continuous"')
+    path.write_text(geared.replace('name="jb" type="prismatic"', 'name="jb" type="revolute"'))
+    assert not any(row.get("endless") for row in import_urdf(path, "base", "c")["joints"])
+    path.write_text(path.read_text().replace('multiplier="1.5"', 'multiplier="2"'))
+    assert Arm.parse(import_urdf(path, "base", "c"), "lift").bounds[1][0] == np.inf
     less = Arm.parse(narrowed(data, 45.0, {})[0], "lift")
     assert np.isfinite(less.bounds[1]).all()
     assert np.ptp([less.lower, less.upper], axis=0).max() == pytest.approx(np.radians(45.0))
