@@ -113,6 +113,11 @@ def test_a_base_that_turned_once_is_commanded_as_it_stands_since(tmp_path: Path)
     rows = dataclasses.replace(rows, xyz=xyz, columns={"t_s": t_s})
     found = DiagnosisResult(core.diagnose(ARM, rows, kinds=(BaseSettling,)), rows.hash, {})
     assert found.model.ended_s == 278.0, "rows that were held out are of the session too"
+    later = dataclasses.replace(rows, columns={"t_s": t_s + 86400.0}, source="later").take(
+        t_s > 139
+    )
+    proven = dataclasses.replace(found.diagnosis, held_out=later)
+    assert DiagnosisResult(proven, "", {}).model.ended_s == found.diagnosis.train.ended_s
     kept = tmp_path / "model.yaml"
     save_model(kept, store(found.model))
     made = load_model(kept, ARM)

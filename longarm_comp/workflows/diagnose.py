@@ -73,7 +73,8 @@ class DiagnosisResult:
     def model(self) -> Model:
         """The model to use from now on, with the record of how good it is."""
         found = self.diagnosis
-        ends = [e for rows in (found.train, found.held_out) if (e := rows.ended_s) is not None]
+        of_it = [r for r in (found.train, found.held_out) if r.source == found.train.source]
+        ends = [ended for rows in of_it if (ended := rows.ended_s) is not None]
         known = uncertainty(found.fit)
         return replace(found.model, uncertainty=known, ended_s=max(ends, default=None))
 
