@@ -22,7 +22,7 @@ from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.nodes import EFFECTS, GUARD
 from longarm_comp.nodes.clock import steady_timer
-from longarm_comp.nodes.health import PERIOD, Health, Tally
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, Health, Report, Tally
 from longarm_comp.nodes.interfaces import Service
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.worker import Worker
@@ -59,7 +59,12 @@ class ArmNode(Node):
     def worker(self, capacity: int) -> Worker:
         """A worker thread, which ends with the node."""
         self._workers.append(Worker(self, self._made_for, capacity, self.health.fault))
+        self.health.parts["worker"] = self._worker_report
         return self._workers[-1]
+
+    def _worker_report(self) -> Report:
+        why = next((worker.failing for worker in self._workers if worker.failing), "")
+        return Report(ERROR, f"no motion: {why}") if why else Report(OK, "every job was done")
 
     def close(self) -> bool:
         """Stop what the node started, and say whether all of it has ended; must not raise."""

@@ -72,8 +72,11 @@ class DiagnosisResult:
     @cached_property
     def model(self) -> Model:
         """The model to use from now on, with the record of how good it is."""
-        known = uncertainty(self.diagnosis.fit)
-        return replace(self.diagnosis.model, uncertainty=known)
+        found = self.diagnosis
+        of_it = [r for r in (found.train, found.held_out) if r.source == found.train.source]
+        ends = [ended for rows in of_it if (ended := rows.ended_s) is not None]
+        known = uncertainty(found.fit)
+        return replace(found.model, uncertainty=known, ended_s=max(ends, default=None))
 
     @property
     def predictor(self) -> Predictor | None:
