@@ -70,7 +70,7 @@ def panda_7() -> Diagnosis:
 
 
 def justin(data: Path) -> Diagnosis:
-    right, _ = real_sessions.justin(data / "real")
+    right, _ = real_sessions.justin(data)
     return diagnose(right.arm, right.train.take(np.arange(120)))
 
 
