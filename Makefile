@@ -14,7 +14,7 @@ STAMPS := $(VENV)/stamps
 # Where this is set, every process would compile anew all that it imports: a second and more each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup test long fuzz soak lint demo docs pictures bench figures format system colcon clean
+.PHONY: setup browser test long fuzz soak lint demo docs pictures bench figures format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -56,11 +56,18 @@ $(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins
 	$(INSTALL) --no-build-isolation --editable '.[dev]'
 	@touch $@
 
-test: setup
+# What tests look at pages with is installed where that asks for no password; else they are skipped.
+browser:
+	@for name in chromium chromium-browser google-chrome; do command -v $$name >/dev/null && exit 0; done; \
+	case $$(id -u) in 0) may=;; *) may='sudo -n';; esac; \
+	$$may $(MAKE) -s system PACKAGES=chromium >/dev/null 2>&1 || \
+	  echo 'No browser, and none may be installed: tests of pages are skipped. To run them: sudo make system'
+
+test: setup browser
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 # Every test: those that take a minute, and those that ask the same in another form, too.
-long: setup
+long: setup browser
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 # Damaged files given to every command that reads one; `make test` runs a few.
@@ -110,11 +117,11 @@ FIGURES_ARGS ?=
 figures: $(STAMPS)/bench
 	$(BIN)/python docs/made_by/figures.py $(FIGURES_ARGS)
 
-# Debian packages: a compiler for the ROS interfaces, a browser for the test of the report's page.
+# Debian packages: a compiler for the ROS interfaces, a browser for the tests of pages.
+PACKAGES := build-essential python3-venv chromium
 system:
 	apt-get update -qq
-	DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
-	  build-essential python3-venv chromium
+	DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(PACKAGES)
 
 # A colcon workspace of both packages beside the sources, against the ROS of .venv.
 colcon: setup

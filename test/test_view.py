@@ -164,6 +164,7 @@ class Stand:
 
 @pytest.fixture
 def stand(tmp_path: Path, demo_arm_path: Path) -> Iterator[Stand]:
+    seen_by = browser()
     with own_graph(tmp_path), bench() as stage, sync_playwright() as play:
         quick = {"arm": demo_arm_path, "markers.period_s": 0.2, "diagnostics_period_s": 0.3}
         stage.start("kinematics", quick | {"monitor.settle_s": 0.1}, NAMESPACE)
@@ -172,7 +173,7 @@ def stand(tmp_path: Path, demo_arm_path: Path) -> Iterator[Stand]:
         node = Node("servo_driver", context=stage.context, namespace=NAMESPACE)
         stage.executor.add_node(node)
         flags = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader"]
-        chromium = play.chromium.launch(executable_path=browser(), args=flags)
+        chromium = play.chromium.launch(executable_path=seen_by, args=flags)
         page = chromium.new_page(viewport=WIDE)
         page.add_init_script(FEW_FRAMES)
         page.set_default_timeout(1e3 * PATIENCE_S)
