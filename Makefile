@@ -1,8 +1,10 @@
 # Everything runs from .venv, which `make setup` builds from nothing out of the package registry.
 PYTHON ?= python3
-# Four on two cores: tests of graphs wait for each other's nodes while others compute.
+# Four on two cores: tests of graphs wait for each other's nodes while others compute. A worker that
+# dies ends the run with its name and test: pytest-xdist gives a new one the same test, and hangs.
 WORKERS ?= 4
-PYTEST_ARGS ?= -m 'not long' -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+SPREAD := -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+PYTEST_ARGS ?= -m 'not long' $(SPREAD)
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -68,7 +70,7 @@ test: setup browser
 
 # Every test: those that take a minute, and those that ask the same in another form, too.
 long: setup browser
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest $(SPREAD)
 
 # Damaged files given to every command that reads one; `make test` runs a few.
 fuzz: setup

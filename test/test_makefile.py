@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -84,6 +86,23 @@ def test_a_registry_out_of_reach_is_no_failure(machine: Machine) -> None:
     machine.has("apt-get", "echo no network >&2; exit 100")
     said, _ = machine.make_browser()
     assert said.count("\n") == 1 and "skipped" in said
+
+
+def test_a_worker_that_dies_ends_the_run_with_its_name(tmp_path: Path) -> None:
+    """As the garbage collector died in one once, and the others waited for ever."""
+    asks = "include Makefile\nshown: ; @printf '%s' '$(SPREAD)'"
+    words = ["make", "-s", "-f", "-", "shown", "WORKERS=2"]
+    options = subprocess.run(
+        words, cwd=ROOT, input=asks, capture_output=True, text=True, check=True
+    ).stdout
+    for name in ("a", "b", "c"):
+        (tmp_path / f"test_{name}.py").write_text("def test_one(): pass\ndef test_two(): pass\n")
+    dies = "def test_dies():\n    import os\n    os.abort()\n"
+    (tmp_path / "test_a.py").write_text(dies + (tmp_path / "test_b.py").read_text())
+    run = [sys.executable, "-m", "pytest", *shlex.split(options), "-p", "no:cacheprovider"]
+    ended = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 1, ended.stdout + ended.stderr
+    assert "crashed while running 'test_a.py::test_dies'" in ended.stdout
 
 
 def test_without_a_browser_a_page_is_skipped_or_fails_as_asked(
