@@ -121,7 +121,7 @@ def _row(robot: UrdfRobot, joint: UrdfJoint, number: int) -> dict[str, Any]:
     if joint.limits is None:
         raise robot.error(f"joint {joint.name} limit", "missing", "lower and upper")
     if row["type"] == "revolute":
-        return {**row, "limits_deg": [_tidy(math.degrees(v)) for v in joint.limits]}
+        return {**row, "limits_deg": [round(math.degrees(v), 9) + 0.0 for v in joint.limits]}
     return {**row, "limits_m": list(joint.limits)}
 
 
