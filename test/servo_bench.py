@@ -56,7 +56,8 @@ def folder(shell: Shell, model: str, to: Path | str = "mine") -> Path:
 def bus(protocol: str) -> Iterator[FaultyBus]:
     """The true servos, in the pose."""
     start = {TRUE[name].servo_id: TRUE[name].ticks(POSE[name]) for name in TRUE}
-    with FaultyBus(protocol, start) as emulator:
+    emulator = FaultyBus(protocol, start)
+    with emulator:
         yield emulator
 
 
