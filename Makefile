@@ -16,7 +16,7 @@ STAMPS := $(VENV)/stamps
 # Where this is set, every process would compile anew all that it imports: a second and more each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup browser test long fuzz soak lint demo docs pictures bench figures format system colcon clean
+.PHONY: setup browser test long fuzz soak lint demo docs pictures bench figures release format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -106,6 +106,11 @@ pictures: setup build/demo/report.html
 build/demo/report.html: | $(STAMPS)/package
 	$(BIN)/longarm demo --out build/demo
 
+# Version and changelog, written where other tools look for them (CONTRIBUTING.md), and what is released: dist/.
+release: setup
+	$(BIN)/python docs/made_by/release.py
+	rm -rf dist && $(BIN)/python -m build --no-isolation -o dist .
+
 # What benchmarks compare with; the tests run without.
 $(STAMPS)/bench: $(STAMPS)/dev
 	$(INSTALL) --no-build-isolation --editable '.[bench]'
@@ -130,4 +135,4 @@ colcon: setup
 	. $(BIN)/activate && colcon build
 
 clean:
-	rm -rf $(VENV) build install log
+	rm -rf $(VENV) build dist install log
