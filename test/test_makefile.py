@@ -100,7 +100,7 @@ def test_a_worker_that_dies_ends_the_run_with_its_name(tmp_path: Path) -> None:
     dies = "def test_dies():\n    import os\n    os.abort()\n"
     (tmp_path / "test_a.py").write_text(dies + (tmp_path / "test_b.py").read_text())
     run = [sys.executable, "-m", "pytest", *shlex.split(options), "-p", "no:cacheprovider"]
-    ended = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    ended = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert ended.returncode == 1, ended.stdout + ended.stderr
     assert "crashed while running 'test_a.py::test_dies'" in ended.stdout
 
