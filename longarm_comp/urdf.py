@@ -124,7 +124,7 @@ def _row(robot: UrdfRobot, joint: UrdfJoint, number: int) -> dict[str, Any]:
     if joint.type == "continuous" and not geared:
         row["endless"] = True
     if row["type"] == "revolute":
-        return {**row, "limits_deg": [_tidy(math.degrees(v)) for v in joint.limits]}
+        return {**row, "limits_deg": [round(math.degrees(v), 9) + 0.0 for v in joint.limits]}
     return {**row, "limits_m": list(joint.limits)}
 
 

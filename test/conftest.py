@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from driver_rig import Rig
 
 ROOT = Path(__file__).resolve().parents[1]
-DATA = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data"))
+DATA = Path(__file__).parent / "data"
+NOT_SHIPPED = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data")) / "real"
 
 # Above 101 the ports of a domain fall among those that Linux hands out to other programs.
 ROS_DOMAINS = range(1, 102)
@@ -66,10 +67,27 @@ def state_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """The folder of real and simulated measurements; the test is skipped where it is absent."""
-    if not DATA.is_dir():
-        pytest.skip(f"no measurements in {DATA}: set LONGARM_DATA to the folder that holds them")
+    """The folder of real and simulated measurements (`test/data/README.md`)."""
     return DATA
+
+
+def not_shipped(name: str) -> Path:
+    """Folder of measurements that have no licence to be shipped; skips where it is absent."""
+    if not (NOT_SHIPPED / name).is_dir():
+        pytest.skip(f"no {NOT_SHIPPED / name}: its owners state no licence, so it is not shipped")
+    return NOT_SHIPPED / name
+
+
+@pytest.fixture(scope="session")
+def justin_data() -> Path:
+    """The folder that holds `dlr_justin`."""
+    return not_shipped("dlr_justin").parent
+
+
+@pytest.fixture(scope="session")
+def photographs() -> Path:
+    """25 stereo pairs of a chessboard."""
+    return not_shipped("stereo_chessboard")
 
 
 @pytest.fixture(scope="session")

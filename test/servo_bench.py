@@ -72,7 +72,8 @@ def direct(shell: Shell, model: str) -> Path:
 def bus(protocol: str) -> Iterator[FaultyBus]:
     """The true servos, in the pose."""
     start = {TRUE[name].servo_id: TRUE[name].ticks(POSE[name]) for name in TRUE}
-    with FaultyBus(protocol, start) as emulator:
+    emulator = FaultyBus(protocol, start)
+    with emulator:
         yield emulator
 
 

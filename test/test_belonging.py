@@ -123,7 +123,7 @@ def test_nothing_is_written_for_rows_that_do_not_belong(
 
 @pytest.mark.parametrize("name", ["wam", "ur5"])
 def test_real_rows_are_told_from_spoilt_ones(data_dir: Path, name: str) -> None:
-    (part,) = laser_tracked(data_dir / "real", name)
+    (part,) = laser_tracked(data_dir, name)
     arm, rows = wide(part.arm), part.train
     admit(rows, arm)
     admit(part.test, arm)
@@ -144,7 +144,7 @@ def test_a_sign_that_does_not_move_the_tip_is_said_to_be_untold(
     data_dir: Path, name: str, last: str
 ) -> None:
     """Negated, the last joint of either arm calibrates as well on unseen rows."""
-    (part,) = laser_tracked(data_dir / "real", name)
+    (part,) = laser_tracked(data_dir, name)
     said = [f for f in admit(part.train, part.arm).findings if f.check == "sign"]
     assert [f.field for f in said] == [last] and "does not show" in said[0].message
     negated = joint(part.arm.n - 1, np.negative)

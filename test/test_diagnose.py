@@ -222,9 +222,9 @@ def test_the_mixed_twin_is_traced(data_dir: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_gravity_compliance_of_a_real_arm(data_dir: Path) -> None:
+def test_gravity_compliance_of_a_real_arm(justin_data: Path) -> None:
     """DLR Justin, right arm: torsion and lateral compliance, and nothing else."""
-    part = justin(data_dir / "real")[0]
+    part = justin(justin_data)[0]
     rigid = declared_model(part.arm, deflection=False)
     half = part.train.take(np.arange(0, len(part.train), 2))
     found = diagnose(part.arm, half, test=part.test, model=rigid)
@@ -242,7 +242,7 @@ def test_gravity_compliance_of_a_real_arm(data_dir: Path) -> None:
 @pytest.mark.long
 def test_a_stiff_real_arm_is_not_said_to_be_understood(data_dir: Path) -> None:
     """UR5: a tenth of a millimetre; what is named gains on the hold-out, and never is all of it."""
-    part = laser_tracked(data_dir / "real", "ur5")[0]
+    part = laser_tracked(data_dir, "ur5")[0]
     rigid = declared_model(part.arm, deflection=False)
     found = diagnose(part.arm, part.train, test=part.test, model=rigid)
     assert found.verdict not in ("named", "set")

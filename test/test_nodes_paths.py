@@ -24,6 +24,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from test_circle import declared, through_pi, wrapped
 from test_nodes_driver_link import ARM
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from walking import Walk
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
@@ -51,12 +52,12 @@ def stage(ros_domain: int) -> Iterator[Bench]:
 
 
 class Controller:
-    """A joint trajectory controller that is where it is sent to, and ends as it is told to."""
+    """A joint trajectory controller that goes where it is sent to, and ends as it is told to."""
 
     def __init__(self, stage: Bench, arm: Arm) -> None:
-        self.arm, self.got, self.q = arm, [], arm.mid.copy()
+        self.arm, self.got, self.walk = arm, [], Walk(arm)
         self.ends, self.waits = GoalStatus.STATUS_SUCCEEDED, False
-        self.ticks = Ticks(stage.node, 0.02)
+        self.node, self.ticks = stage.node, Ticks(stage.node, 0.02)
         self.joints = graph.JOINT_STATES.publisher(stage.node)
         self.timer = stage.node.create_timer(0.05, self.tell)
         self.server = ActionServer(
@@ -65,17 +66,20 @@ class Controller:
         )  # fmt: skip
 
     def tell(self) -> None:
-        self.joints.publish(joints_message(self.arm, self.q))
+        self.walk.step()
+        now = self.node.get_clock().now().to_msg()
+        self.joints.publish(joints_message(self.arm, self.walk.q, now))
 
     async def serve(self, goal: Any) -> Any:
         self.got.append(goal.request)
         goal.publish_feedback(TYPE.Feedback(joint_names=["fed back"]))
-        while self.waits and not goal.is_cancel_requested:
+        self.walk.go(point.positions for point in goal.request.trajectory.points)
+        while (self.waits or self.walk.ahead) and not goal.is_cancel_requested:
             await self.ticks.next()
         if goal.is_cancel_requested:
+            self.walk.ahead.clear()
             goal.canceled()
             return TYPE.Result(error_string="halted by the controller")
-        self.q = np.array(goal.request.trajectory.points[-1].positions)
         if self.ends == GoalStatus.STATUS_SUCCEEDED:
             goal.succeed()
             return TYPE.Result()

@@ -72,7 +72,7 @@ def test_reads_the_twin_as_a_plain_reader_does(case: str, data_dir: Path) -> Non
 @pytest.mark.parametrize(("name", "rows"), [("wam", 236), ("ur5", 1020)])
 def test_reads_public_measurements_as_they_are(name: str, rows: int, data_dir: Path) -> None:
     arm = declared(name)
-    session = read_csv(data_dir / "real" / "wam_ur5" / f"{name}_samples.csv", arm)
+    session = read_csv(data_dir / "wam_ur5" / f"{name}_samples.csv", arm)
     assert len(session) == rows
     assert len(session.where("set", "random")) == 20
     target = np.stack([session.columns[f"target_{c}"] for c in "xyz"], -1)
