@@ -239,8 +239,8 @@ def setup(
     config = ServoConfig.load(file)
     held, directions, bus = _held(config, pose), _given(config, direction), config.bus
     found = _scanned(_COMMAND, port, known=bus.port, **line)
-    kept = Path(read_parameters(file).get("state") or state_folder())
-    refuse_under_stop(kept, {found.port, bus.port}, folder / "arm.yaml")
+    stops = Path(read_parameters(file).get("state") or state_folder())
+    refuse_under_stop(stops, {found.port, bus.port}, folder / "arm.yaml")
     _show(found)
     blind = _on_the_bus(config, found)
     wait("The torque goes off: hold or support the arm.")
