@@ -189,7 +189,7 @@ def test_nothing_moves_under_a_stop(shell: Shell, by: str, tmp_path: Path) -> No
         assert given in file.read_text()
     with bus("feetech") as emulator:
         port = emulator.port if by != "file" else "/dev/elsewhere"
-        latch = StopLatch(state, "/left", str(mine / "arm.yaml"), port)
+        latch = StopLatch(state, "/left", "" if by == "port" else str(mine / "arm.yaml"), port)
         latch.ask(Stop.HOLD)
         latch.keep()
         servos = dict.fromkeys((1, 2, 3), models()["sts3215"])
