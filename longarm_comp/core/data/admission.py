@@ -191,12 +191,15 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
     q, arm = case.session.q, case.arm
     reach = arm.upper - arm.lower
     beyond = np.maximum(np.maximum(arm.lower - q, q - arm.upper), 0.0)
+    endless = np.isinf(arm.bounds[1])
+    # half a range; an endless joint may stand turns away, and so far it is another unit
+    most = np.where(endless, 5.0 * np.pi, 0.5 * reach)
     turning = np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded])
     for kind, factor, hint in (
         (turning, np.pi / 180, "radians (this looks like degrees)"),
         (~turning, 1e-3, "metres (this looks like millimetres)"),
     ):
-        far = (beyond > 0.5 * reach) & kind  # beyond the limits by half a range
+        far = (beyond > most) & kind
         if not far.any():
             continue
         row, j = np.unravel_index(np.argmax(np.where(far, beyond / reach, 0)), q.shape)
@@ -214,7 +217,7 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
                 f"{hint}: {limits}"
             )  # fmt: skip
         raise case.refuse(f"row {row + 1}, q{j + 1}", float(q[row, j]), limits)
-    for j in np.flatnonzero((beyond > 1e-6).any(0)):
+    for j in np.flatnonzero((beyond > 1e-6).any(0) & ~endless):
         count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()
         text = f"{count} rows up to {worst:.3g} beyond its limits"
         yield AdmissionFinding("limits", f"q{j + 1}", text)
