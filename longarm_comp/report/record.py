@@ -221,10 +221,19 @@ class Doubtful(_Record):
     probability: float = Field(ge=0, le=1)
 
 
+class ReportProof(_Record):
+    """Whether what was found errs less, as commanded, at rows that it was fitted without."""
+
+    folds: int
+    rows: int
+    passed: bool
+    why: str
+
+
 class ReportProvenance(_Record):
     """What is needed to repeat the diagnosis to the byte.
 
-    `holdout_uses` is the hash of the final model, for which alone the hold-out was opened.
+    `holdout_uses` says how often each row was held out.
     """
 
     seed: int
@@ -244,6 +253,7 @@ class DiagnosisReport(_Record):
     structure_left: StructureLeft
     noise: ReportNoise
     held_out: HeldOut
+    proof: ReportProof | None = None
     next_poses: list[list[float]]
     outliers: list[Outlier]
     discovered: list[ReportDiscovered] = Field(default_factory=list)

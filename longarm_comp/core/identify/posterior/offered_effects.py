@@ -84,6 +84,19 @@ class OfferedEffects:
         doubtful = tuple(f for f in every if f.there < CREDIBLE)
         return Explained(found, doubtful, self.base + evidence, best.effects)
 
+    def credible_effects(self) -> tuple[FoundEffect, ...]:
+        """The effects of the best explanation, each with all names that may stand in its place."""
+        chosen = explain(self.bank, self.known)
+        offers = self._located(chosen.chosen)
+        here, values = self.bank.joint(offers)
+        made = []
+        for k, (effect, value) in enumerate(zip(chosen.effects, values, strict=True)):
+            without = self.bank.evidence([*offers[:k], *offers[k + 1 :]])
+            terms, there = self._terms(effect.best, offers[k], value), float(expit(here - without))
+            found = FoundEffect(terms, there, self._worth(offers, k), log_prior=offers[k].log_prior)
+            made.append(self._credible(found, offers, k))
+        return tuple(made)
+
     @cached_property
     def standing(self) -> float:
         """Log evidence of what was found before, as it is in the model."""

@@ -41,6 +41,7 @@ def offered(
     *,
     others: bool = True,
     near: ModelFit | None = None,
+    counts: np.ndarray | None = None,
 ) -> list[OfferedEffects]:
     """The banks at a fit, one for each tolerance.
 
@@ -52,6 +53,7 @@ def offered(
         slacks: what may move the rows besides.
         others: whether more than these is on offer.
         near: a similar fit of the same rows and noise: what every arm has is about as there.
+        counts: (N,) how often each row counts: once where None.
     """
     listed = _listed(fitted.model.arm, library, functions, found)
     if not others:
@@ -60,7 +62,12 @@ def offered(
     raw = _raw(fitted, listed)
     marginal = FitColumns(fitted).without({t.key for f in found for t in f.terms})
     beside, sizes = _beside(fitted, library, found, slacks, near)
-    gram, along = marginal.normal(np.concatenate([beside, raw.b], axis=1))
+    columns = np.concatenate([beside, raw.b], axis=1)
+    if counts is not None:
+        root = np.sqrt(np.repeat(counts[fitted.weights > 0], fitted.width))
+        marginal = Marginal(root[:, None] * marginal.a, root * marginal.y)
+        columns = root[:, None] * columns
+    gram, along = marginal.normal(columns)
     moving, offers = _priced(fitted.model.arm, np.diag(gram)[beside.shape[1] :], raw, listed)
     things = [listed[n][0] for n in moving]
     at = {_variant(c.terms): n for n, c in enumerate(things)}
