@@ -21,7 +21,7 @@ from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.give import TOLERANCES, Slack, with_give
+from longarm_comp.core.identify.give import SCALES, TOLERANCES, Slack, with_give
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.forms import refined
@@ -66,7 +66,7 @@ class ExplainedSession:
     noise: NoiseEstimate
     doubtful: tuple[FoundEffect, ...] = ()
     candidates: tuple[Candidate, ...] = ()
-    tolerance: Slack = TOLERANCES[1]
+    tolerance: Slack = TOLERANCES[len(SCALES) - 1]
     linear: Resampling | None = None
 
     @property
@@ -121,12 +121,15 @@ class _Search:
     stepped: Sequence[type[Effect]]
     say: Callable[[str], None]
     propositions: tuple[Proposition, ...] = ()
+    usual: frozenset[tuple[str, str]] = frozenset()
 
     def run(self, functions: bool, seed: int) -> ExplainedSession:
         self.say("geometry")
         state = self._fitted(self.base, (), None)
         if any(t.through_others for t in self.base.terms):  # what yields a little tells of weights
             state = replace(state, fit=with_give(state.fit, self.candidates))
+            self.usual = frozenset(t.key for t in state.fit.model.terms)
+            self.usual -= frozenset(t.key for t in self.base.terms)
         state = self._repeated(state)
         if functions:  # only beside the best of what has a name
             state, _, changed = self._compared(state)
@@ -144,7 +147,7 @@ class _Search:
             state.fit, tuple(self.candidates), self.propositions, state.found, slack
         )
         state = replace(state, found=linear.averaged(seed))
-        fitted = _plain(with_give(state.fit, self.candidates) if slack.give else state.fit)
+        fitted = _plain(with_give(state.fit, self.candidates, slack.give) if slack.give else state.fit)
         known = {t.variant: t for t in fitted.model.terms}
         found = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
         left = (f for f in doubtful if f.in_doubt)
@@ -259,10 +262,11 @@ class _Search:
         near: ModelFit | None = None,
     ) -> list[OfferedEffects]:
         """By tolerance; forms count where something is in the model."""
-        tried = TOLERANCES if found else TOLERANCES[:2]
+        tried = TOLERANCES if found else TOLERANCES[: len(SCALES)]
         return offered(
-            fitted, self.candidates, self.propositions, found, tried, others=others, near=near
-        )
+            fitted, self.candidates, self.propositions, found, tried, others=others, near=near,
+            usual=self.usual,
+        )  # fmt: skip
 
     def _scan(self, state: ExplainedSession) -> None:
         """Offer the steps that the residual shows."""
