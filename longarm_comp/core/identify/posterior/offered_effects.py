@@ -84,17 +84,26 @@ class OfferedEffects:
         doubtful = tuple(f for f in every if f.there < CREDIBLE)
         return Explained(found, doubtful, self.base + evidence, best.effects)
 
-    def credible_effects(self) -> tuple[FoundEffect, ...]:
-        """The effects of the best explanation, each with all names that may stand in its place."""
-        chosen = explain(self.bank, self.known)
-        offers = self._located(chosen.chosen)
-        here, values = self.bank.joint(offers)
+    def single_effects(self) -> tuple[FoundEffect, ...]:
+        """The effects of the best explanation, each with the names among which it is shared."""
         made = []
-        for k, (effect, value) in enumerate(zip(chosen.effects, values, strict=True)):
-            without = self.bank.evidence([*offers[:k], *offers[k + 1 :]])
-            terms, there = self._terms(effect.best, offers[k], value), float(expit(here - without))
-            found = FoundEffect(terms, there, self._worth(offers, k), log_prior=offers[k].log_prior)
-            made.append(self._credible(found, offers, k))
+        for effect in explain(self.bank, self.known).effects:
+            shares: dict[str, tuple[float, Candidate]] = {}
+            for n in np.flatnonzero(effect.q > LOOKED_AT).tolist():
+                terms = self.things[n].terms
+                alike = [Candidate(terms[0].name, terms)]
+                alike += [self._named(name, terms) for name in self._alike(terms)]
+                for one in alike:
+                    before, first = shares.get(one.name, (0.0, one))
+                    share = float(effect.q[n]) / effect.there / len(alike)
+                    shares[one.name] = before + share, first
+            offer = effect.offers.get(effect.best, self.bank.offers[effect.best])
+            terms = self._terms(effect.best, offer, effect.mean[list(offer.places)])
+            worth = math.log(effect.there) - math.log1p(-min(effect.there, 1.0 - 1e-16))
+            rivals = (Rival(c, worth, p) for name, (p, c) in shares.items() if name != offer.name)
+            made.append(
+                FoundEffect(terms, effect.there, worth, shares[offer.name][0], tuple(rivals))
+            )
         return tuple(made)
 
     @cached_property

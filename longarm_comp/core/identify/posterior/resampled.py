@@ -52,7 +52,7 @@ class Resampling:
         (bank,) = offered(
             self.fit, self.candidates, self.functions, self.found, [self.tolerance], counts=counts
         )
-        return bank.credible_effects()
+        return bank.single_effects()
 
     def averaged(self, seed: int) -> tuple[FoundEffect, ...]:
         """What was found, each effect and name with its probability over samples of the rows."""
@@ -63,14 +63,12 @@ class Resampling:
 
     def _averaged(self, found: FoundEffect, samples: Sequence[Sequence[FoundEffect]]) -> FoundEffect:
         """An effect with the names of what stands in its place in each sample."""
-        mine = self._shift(found)
         there, chances = 0.0, dict.fromkeys(found.names, 0.0)
         rivals = {r.name: r for r in found.rivals}
         for effects in samples:
-            shared = [_correlation(mine, self._shift(e)) ** 2 for e in effects]
-            if not shared or max(shared) < SAME_ROLE:
+            other = self._in_its_place(found, effects)
+            if other is None:
                 continue
-            other = effects[int(np.argmax(shared))]
             there += other.there / len(samples)
             theirs = {other.name: Candidate(other.name, other.terms)}
             theirs |= {r.name: r.candidate for r in other.rivals}
@@ -89,6 +87,16 @@ class Resampling:
                 sorted((r for r in others if r.name != found.name), key=lambda r: -r.probability)
             ),
         )
+
+    def _in_its_place(
+        self, found: FoundEffect, effects: Sequence[FoundEffect]
+    ) -> FoundEffect | None:
+        """The effect that moves the rows as it does: one that may bear its name before others."""
+        mine = self._shift(found)
+        shared = [_correlation(mine, self._shift(e)) ** 2 for e in effects]
+        alike = [(e, s) for e, s in zip(effects, shared, strict=True) if s >= SAME_ROLE]
+        namesakes = [(e, s) for e, s in alike if found.name in e.credible]
+        return max(namesakes or alike, key=lambda pair: pair[1], default=(None, 0.0))[0]
 
     @cached_property
     def _geometry(self) -> Marginal:
