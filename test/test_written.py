@@ -22,7 +22,7 @@ from longarm_comp.core.effects.drive_errors import PrismaticPitch
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
-from longarm_comp.core.identify.practical import expected_commanded, least
+from longarm_comp.core.identify.proof import Fold, Proof, prove
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import checked
@@ -52,36 +52,28 @@ def test_what_a_camera_may_have_moved_is_a_commands_error_as_far_as_it_may_be_th
     plain = calibrated(ARM, drifting())
     camera = fit(plain.model.plus(CameraDrift()), plain.session, sigma=np.full(3, 2e-4))
     fits = {"calibrated": plain, "with_effects": camera}
+    models = {name: fitted.model for name, fitted in fits.items()}
+    proof = prove([Fold(models, fits, plain.session, np.arange(len(plain.session)))])
     (term,) = (b for b in camera.model.biases if isinstance(b, CameraDrift))
     sure, unsure, absent = (
-        expected_commanded(fits, [single(term, *how)])
+        proof.expected([single(term, *how)], list(fits))
         for how in ((1.0,), (1.0, ("base_drift", 0.5)), (0.5,))
     )
-    told = commanded_errors(camera.model, plain.session)
-    assert sure["with_effects"] < 1.2 * np.sqrt((camera.residual**2).sum(1).mean())
-    half = 0.5 * (sure["with_effects"] ** 2 + (told**2).sum(1).mean())
-    assert unsure["with_effects"] == pytest.approx(np.sqrt(half), rel=0.02)
+    seen, told = ((e["with_effects"] ** 2).sum(1) for e in (proof.errors, proof.commanded))
+    assert sure["with_effects"] == pytest.approx(np.sqrt(seen).mean())
+    assert unsure["with_effects"] == pytest.approx(np.sqrt(0.5 * seen + 0.5 * told).mean())
+    assert unsure["with_effects"] > 1.5 * sure["with_effects"]
     assert absent == pytest.approx(unsure)
-    nothing = expected_commanded(fits, [single(PrismaticPitch(3), 0.6)])
+    nothing = proof.expected([single(PrismaticPitch(3), 0.6)], list(fits))
     assert nothing == pytest.approx(sure)  # the arm's own effects move the tip, sure or not
 
 
-def test_a_models_own_doubt_counts_against_it() -> None:
-    """By Mallows' C_p, as rows that it never saw show: few rows, many parameters."""
-    rows, held_out = measured(ARM, (), 12, 5), measured(ARM, (), 400, 6)
-    plain = calibrated(ARM, rows)
-    plain = fit(plain.model, rows, sigma=np.full(3, 2e-4), weights=np.ones(12))
-    (expected,) = expected_commanded({"calibrated": plain}, ()).values()
-    seen = np.sqrt((plain.residual**2).sum(1).mean())
-    unseen = np.sqrt((commanded_errors(plain.model, held_out) ** 2).sum(1).mean())
-    assert seen < 0.9 * unseen
-    assert expected == pytest.approx(unseen, rel=0.3)
-    assert expected > 1.1 * seen
-
-
 def test_the_least_is_written_and_of_equals_the_plainer() -> None:
-    assert least({"calibrated": 2.0, "with_effects": 1.0, "with_functions": 1.5}) == "with_effects"
-    assert least({"calibrated": 1.0, "with_effects": 1.0}) == "calibrated"
+    names = ("calibrated", "with_effects", "with_functions")
+    errors = {name: np.full((9, 3), 1e-3) for name in names}
+    proof = Proof(errors, errors, {}, 5)
+    assert core._proven(proof, dict(zip(names, (2.0, 1.0, 1.5), strict=True)))[0] == names[1]
+    assert core._proven(proof, dict.fromkeys(names, 1.0)) == (names[0], "")
 
 
 def test_a_thermal_term_balanced_by_the_measuring_side_is_not_written() -> None:

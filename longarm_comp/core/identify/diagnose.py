@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from longarm_comp.core.data.holdout import spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
 from longarm_comp.core.identify.findings import findings
@@ -121,6 +123,8 @@ def diagnose(
         held_out = test.take(test.seen)
         made = (Fold(models, fits, held_out, np.arange(len(held_out))),)
     proof = prove(made)
+    if worse := proof.worse(CALIBRATED, "nominal"):
+        raise JobError(f"the calibration fails its proof: {worse}", session=session.source)
     expected = proof.expected(found.found, list(fits))
     written, failed = _proven(proof, expected)
     beside = tolerances(found.fit, found.candidates, found.found, found.tolerance)
@@ -182,20 +186,17 @@ def diagnose(
 
 
 def _proven(proof: Proof, expected: Mapping[str, float]) -> tuple[str, str]:
-    """The model to write, and why not the one of least expected error where its proof failed.
+    """The model to write, and why not a fuller one whose proof failed.
 
     It has the least error that a command may expect; of equals it is the plainer, which comes
-    first.  It is never worse as commanded, beyond chance, than a plainer one.
+    first.  None errs more as commanded, beyond chance, than a plainer one.
     """
-    names = sorted(expected, key=lambda name: expected[name])
-    order, failed = list(expected), ""
-    for name in names:
-        plainer = order[: order.index(name)]
-        worse = next(filter(None, (proof.worse(name, than) for than in plainer)), "")
-        if not worse:
-            return name, failed
-        failed = failed or worse
-    return order[0], failed
+    order, failed = list(expected), dict[str, str]()
+    for name, plainer in combinations(order[::-1], 2):
+        if worse := proof.worse(name, plainer):
+            failed[name] = worse
+    proven = [name for name in order if name not in failed]
+    return min(proven, key=lambda name: expected[name]), "; ".join(failed.values())
 
 
 def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:

@@ -38,7 +38,7 @@ class Diagnosis:
             same rows with the same noise.
         expected: by these names, the error (m) that a command may expect.
         written: the one of least error whose proof holds: the model to use.
-        failed: how the one of least error failed its proof; empty where it did not.
+        failed: how a fuller one failed its proof; empty where none did.
         intervals: of its parameters, by position in its slots.
         structure: what the search left.
         models: nominal, frames_only and the models of `fits`.
@@ -106,9 +106,9 @@ class Diagnosis:
     @property
     def verdict(self) -> str:
         """``noise``, ``named``, ``set``, ``partly`` or ``unknown``."""
-        if self.failed:
+        if self.failed and self.written == CALIBRATED:
             return "unknown"
-        if self.causes or self.structure.flag:
+        if self.causes or self.structure.flag or self.failed:
             return "partly" if self.findings or self.causes else "unknown"
         if not self.findings:
             return "noise"
@@ -172,7 +172,7 @@ def _summary(found: Diagnosis) -> str:
     said += [f"without a name: {cause.sentence}" for cause in found.causes]
     text = "; ".join(said)
     if found.failed:
-        text = f"The proof failed ({found.failed}): {found.written} was written. Not used: {text}"
+        text = f"The proof failed ({found.failed}): {found.written} was written. Found: {text}"
     elif found.left_out:
         text += f". A command is expected to err least with the model {found.written}, "
         text += "which was written"

@@ -144,10 +144,19 @@ class _Search:
         slack = self._standing(state.fit, state.found)[1]
         self.say("resampled rows")
         linear = Resampling(
-            state.fit, tuple(self.candidates), self.propositions, state.found, slack
+            state.fit, tuple(self.candidates), self.propositions, state.found, slack, self.usual
         )
-        state = replace(state, found=linear.averaged(seed))
-        fitted = _plain(with_give(state.fit, self.candidates, slack.give) if slack.give else state.fit)
+        found = linear.averaged(seed)
+        stable = tuple(f for f in found if f.there > 0.5)
+        fewer = self._taken(state, stable) if len(stable) < len(found) else None
+        if fewer is not None:
+            doubtful = (*doubtful, *(f for f in found if f.there <= 0.5))
+            linear, state = replace(linear, fit=fewer.fit, found=fewer.found), fewer
+        else:
+            state = replace(state, found=found)
+        fitted = _plain(
+            with_give(state.fit, self.candidates, slack.give) if slack.give else state.fit
+        )
         known = {t.variant: t for t in fitted.model.terms}
         found = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
         left = (f for f in doubtful if f.in_doubt)

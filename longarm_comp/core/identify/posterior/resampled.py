@@ -39,6 +39,7 @@ class Resampling:
         candidates, functions: what is on offer.
         found: what was found.
         tolerance: what moves the rows besides.
+        usual: as of `offered`.
     """
 
     fit: ModelFit
@@ -46,12 +47,14 @@ class Resampling:
     functions: Sequence[Proposition]
     found: Sequence[FoundEffect]
     tolerance: Slack
+    usual: frozenset[tuple[str, str]] = frozenset()
 
     def explained(self, counts: np.ndarray) -> tuple[FoundEffect, ...]:
         """The effects that explain the rows where each counts so often, (N,), from nothing."""
         (bank,) = offered(
-            self.fit, self.candidates, self.functions, self.found, [self.tolerance], counts=counts
-        )
+            self.fit, self.candidates, self.functions, self.found, [self.tolerance],
+            counts=counts, usual=self.usual,
+        )  # fmt: skip
         return bank.single_effects()
 
     def averaged(self, seed: int) -> tuple[FoundEffect, ...]:
@@ -61,7 +64,9 @@ class Resampling:
         samples = [self.explained(c) for c in resampled(self.fit.session, SAMPLES, seed)]
         return tuple(self._averaged(f, samples) for f in self.found)
 
-    def _averaged(self, found: FoundEffect, samples: Sequence[Sequence[FoundEffect]]) -> FoundEffect:
+    def _averaged(
+        self, found: FoundEffect, samples: Sequence[Sequence[FoundEffect]]
+    ) -> FoundEffect:
         """An effect with the names of what stands in its place in each sample."""
         there, chances = 0.0, dict.fromkeys(found.names, 0.0)
         rivals = {r.name: r for r in found.rivals}
