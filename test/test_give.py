@@ -19,8 +19,8 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify import give
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.proof import CALIBRATED, WITH_EFFECTS
 from longarm_comp.core.identify.give import GIVE, LITTLE, a_little, with_give
+from longarm_comp.core.identify.proof import CALIBRATED, WITH_EFFECTS
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, slots_of
 

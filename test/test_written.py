@@ -14,7 +14,6 @@ from small_arm import ARM
 
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.discovered import Discovered
@@ -22,7 +21,7 @@ from longarm_comp.core.effects.drive_errors import PrismaticPitch
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
-from longarm_comp.core.identify.proof import Fold, Proof, prove
+from longarm_comp.core.identify.proof import Fold, prove
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import checked
@@ -60,20 +59,24 @@ def test_what_a_camera_may_have_moved_is_a_commands_error_as_far_as_it_may_be_th
         for how in ((1.0,), (1.0, ("base_drift", 0.5)), (0.5,))
     )
     seen, told = ((e["with_effects"] ** 2).sum(1) for e in (proof.errors, proof.commanded))
-    assert sure["with_effects"] == pytest.approx(np.sqrt(seen).mean())
-    assert unsure["with_effects"] == pytest.approx(np.sqrt(0.5 * seen + 0.5 * told).mean())
-    assert unsure["with_effects"] > 1.5 * sure["with_effects"]
-    assert absent == pytest.approx(unsure)
+    assert sure["with_effects"] == pytest.approx(np.sqrt(seen))
+    assert unsure["with_effects"] == pytest.approx(np.sqrt(0.5 * seen + 0.5 * told))
+    assert unsure["with_effects"].mean() > 1.5 * sure["with_effects"].mean()
+    assert absent["with_effects"] == pytest.approx(unsure["with_effects"])
     nothing = proof.expected([single(PrismaticPitch(3), 0.6)], list(fits))
-    assert nothing == pytest.approx(sure)  # the arm's own effects move the tip, sure or not
+    assert nothing["with_effects"] == pytest.approx(
+        sure["with_effects"]
+    )  # the arm's own effects move the tip, sure or not
 
 
 def test_the_least_is_written_and_of_equals_the_plainer() -> None:
     names = ("calibrated", "with_effects", "with_functions")
-    errors = {name: np.full((9, 3), 1e-3) for name in names}
-    proof = Proof(errors, errors, {}, 5)
-    assert core._proven(proof, dict(zip(names, (2.0, 1.0, 1.5), strict=True)))[0] == names[1]
-    assert core._proven(proof, dict.fromkeys(names, 1.0)) == (names[0], "")
+    lengths = {name: np.full(9, size) for name, size in zip(names, (2.0, 1.0, 1.5), strict=True)}
+    even = dict.fromkeys(names, np.ones(9))
+    written, failed = core._proven(lengths, lengths)
+    assert written == names[1] and failed.startswith("with_effects -> with_functions: ")
+    assert core._proven(even, even) == (names[0], "")
+    assert core._proven(lengths, even) == (names[1], ""), "a doubt about the camera fails no proof"
 
 
 def test_a_thermal_term_balanced_by_the_measuring_side_is_not_written() -> None:

@@ -38,8 +38,8 @@ class JointCompliance(JointTerm):
     loaded = True
     elastic = True
 
-    follows: int = form(1, tried=(1, 0))
     compliance: float = parameter("rad/(N m)", "torsion per gravity torque", prior=4e-3, lower=0.0)
+    follows: int = form(1, tried=(1, 0))
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:

@@ -34,9 +34,9 @@ from longarm_comp.core.identify.proof import (
     WITH_EFFECTS,
     WITH_FUNCTIONS,
     Fold,
-    Proof,
     folds,
     prove,
+    worse,
 )
 from longarm_comp.core.identify.structure import examine, with_left_out, with_unseen
 from longarm_comp.core.identify.wind_up import as_fitted, run_up, taken, with_run_ups
@@ -123,10 +123,12 @@ def diagnose(
         held_out = test.take(test.seen)
         made = (Fold(models, fits, held_out, np.arange(len(held_out))),)
     proof = prove(made)
-    if worse := proof.worse(CALIBRATED, "nominal"):
-        raise JobError(f"the calibration fails its proof: {worse}", session=session.source)
-    expected = proof.expected(found.found, list(fits))
-    written, failed = _proven(proof, expected)
+    lengths = proof.expected(found.found, ["nominal", *fits])
+    if rise := worse(lengths.pop("nominal"), lengths[CALIBRATED]):
+        why = f"the calibration errs more than the declared arm: {rise}"
+        raise JobError(why, session=session.source)
+    seen = {name: np.linalg.norm(each, axis=1) for name, each in proof.errors.items()}
+    written, failed = _proven(lengths, seen)
     beside = tolerances(found.fit, found.candidates, found.found, found.tolerance)
     structure = examine(found.fit, fits[CALIBRATED], beside)
     structure = with_left_out(structure, found.fit)
@@ -139,13 +141,14 @@ def diagnose(
         say("network")
         learned = train_network(final.model, final.session.take(final.weights > 0))
         network = learned if learned.gain.helps else None
-    if network is not None:
+    if network is not None and train_network is not None:
+        train_one = train_network
 
         def trained(fold: Fold) -> tuple[Model, Predictor]:
             if test is not None:
                 return final.model, network
             kept = fold.fits[written]
-            return kept.model, train_network(kept.model, kept.session.take(kept.weights > 0))
+            return kept.model, train_one(kept.model, kept.session.take(kept.weights > 0))
 
         proof = prove(made, trained)
     without_name = causes(found.fit, found.found)
@@ -162,7 +165,7 @@ def diagnose(
         findings=named,
         causes=without_name,
         fits={name: folded(fitted) for name, fitted in fits.items()},
-        expected=expected,
+        expected={name: float(each.mean()) for name, each in lengths.items()},
         written=written,
         failed=failed,
         intervals=intervals(final, added, candidates),
@@ -185,18 +188,21 @@ def diagnose(
     return diagnosis
 
 
-def _proven(proof: Proof, expected: Mapping[str, float]) -> tuple[str, str]:
-    """The model to write, and why not a fuller one whose proof failed.
+def _proven(expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray]) -> tuple[str, str]:
+    """The model to write, and how the proof of a fuller one failed.
 
-    It has the least error that a command may expect; of equals it is the plainer, which comes
-    first.  None errs more as commanded, beyond chance, than a plainer one.
+    It has the least mean of the errors (M,) that a command may expect; of equals it is the
+    plainer, which comes first.  None errs more, beyond chance, than a plainer one.  A proof fails
+    where that is so of what was seen, which no doubt about the measuring side explains.
     """
-    order, failed = list(expected), dict[str, str]()
-    for name, plainer in combinations(order[::-1], 2):
-        if worse := proof.worse(name, plainer):
-            failed[name] = worse
-    proven = [name for name in order if name not in failed]
-    return min(proven, key=lambda name: expected[name]), "; ".join(failed.values())
+    written, failed = dict(expected), dict[str, str]()
+    for name, plainer in combinations(list(expected)[::-1], 2):
+        if worse(expected[plainer], expected[name]):
+            written.pop(name, None)
+        if rise := worse(seen[plainer], seen[name]):
+            failed[name] = f"{plainer} -> {name}: {rise}"
+    left = {name: each.mean() for name, each in written.items() if name not in failed}
+    return min(left, key=left.__getitem__), "; ".join(failed.values())
 
 
 def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:

@@ -106,10 +106,10 @@ class Diagnosis:
     @property
     def verdict(self) -> str:
         """``noise``, ``named``, ``set``, ``partly`` or ``unknown``."""
-        if self.failed and self.written == CALIBRATED:
-            return "unknown"
-        if self.causes or self.structure.flag or self.failed:
-            return "partly" if self.findings or self.causes else "unknown"
+        found = bool(self.findings or self.causes)
+        if self.causes or self.structure.flag or (self.failed and found):
+            contradicted = self.failed and self.written == CALIBRATED
+            return "partly" if found and not contradicted else "unknown"
         if not self.findings:
             return "noise"
         return "set" if any(f.open for f in self.findings) else "named"

@@ -41,9 +41,13 @@ class Gain:
     @classmethod
     def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
         """From the (M, 3) errors of two models on the same rows; zeros of no rows."""
-        if not len(before):
+        return cls.between(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
+
+    @classmethod
+    def between(cls, long: np.ndarray, short: np.ndarray) -> Gain:
+        """From the (M,) lengths of the errors of two models on the same rows."""
+        if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))
-        long, short = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
         gain = long - short
         blocks = np.array_split(gain - gain.mean(), min(BLOCKS, len(gain)))
         off = np.array([block.sum() for block in blocks]) / len(gain)

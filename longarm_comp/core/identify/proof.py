@@ -75,8 +75,8 @@ class Proof:
         """Figures of `errors` by model name."""
         return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
 
-    def expected(self, found: Sequence[FoundEffect], names: Sequence[str]) -> dict[str, float]:
-        """Mean error (m) that a command may expect of some models, under the posterior.
+    def expected(self, found: Sequence[FoundEffect], names: Sequence[str]) -> dict[str, np.ndarray]:
+        """(M,) error (m) that a command may expect at each row, of some models.
 
         What the measuring side is said to do moves what is seen, not the tip, with the probability
         that it is the measuring side that does it; otherwise a command errs by it.
@@ -92,26 +92,23 @@ class Proof:
         made = {}
         for name in names:
             seen, told = ((e[name] ** 2).sum(1) for e in (self.errors, self.commanded))
-            square = ours * seen + (1.0 - ours) * told
-            made[name] = float(np.sqrt(square).mean()) if len(square) else 0.0
+            made[name] = np.sqrt(ours * seen + (1.0 - ours) * told)
         return made
 
-    def worse(self, name: str, than: str) -> str:
-        """How a model errs more as commanded than another, beyond chance; empty if it does not.
 
-        On all rows, or on the worst tenth of them.
-        """
-        before, after = self.commanded[than], self.commanded[name]
-        if not len(after):
-            return ""
-        longest = np.maximum(*(np.linalg.norm(e, axis=1) for e in (before, after)))
-        worst = np.sort(np.argsort(-longest, kind="stable")[: math.ceil(WORST * len(longest))])
-        for rows, said in ((np.arange(len(longest)), "rows"), (worst, "worst rows")):
-            gain = Gain.of(before[rows], after[rows])
-            if gain.ci95[1] < 0.0:
-                change = f"{1e3 * gain.before:.2f} -> {1e3 * gain.after:.2f} mm"
-                return f"{than} -> {name}: {change} as commanded at {len(rows)} {said}"
-        return ""
+def worse(before: np.ndarray, after: np.ndarray) -> str:
+    """How errors (M,), m, rise beyond chance, on all rows or on the worst tenth of them.
+
+    Empty where they do not.
+    """
+    longest = np.maximum(before, after)
+    worst = np.sort(np.argsort(-longest, kind="stable")[: math.ceil(WORST * len(longest))])
+    for rows, said in ((np.arange(len(longest)), "rows"), (worst, "worst rows")):
+        gain = Gain.between(before[rows], after[rows])
+        if gain.ci95[1] < 0.0:
+            change = f"{1e3 * gain.before:.2f} -> {1e3 * gain.after:.2f} mm"
+            return f"{change} at {len(rows)} {said}"
+    return ""
 
 
 def folds(

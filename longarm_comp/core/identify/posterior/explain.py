@@ -138,8 +138,8 @@ class _Search:
         if changed:
             state = self._repeated(state)
             state, again, _ = self._compared(state)
-            held = {t.key for f in (*state.found, *again) for t in f.terms}
-            left = (f for f in doubtful if held.isdisjoint(t.key for t in f.terms))
+            taken = {t.key for f in (*state.found, *again) for t in f.terms}
+            left = (f for f in doubtful if taken.isdisjoint(t.key for t in f.terms))
             doubtful = (*again, *left)
         slack = self._standing(state.fit, state.found)[1]
         self.say("resampled rows")
@@ -158,10 +158,10 @@ class _Search:
             with_give(state.fit, self.candidates, slack.give) if slack.give else state.fit
         )
         known = {t.variant: t for t in fitted.model.terms}
-        found = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
+        held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
         left = (f for f in doubtful if f.in_doubt)
         return ExplainedSession(
-            fitted, tuple(found), state.noise, tuple(left), tuple(self.candidates), slack, linear
+            fitted, tuple(held), state.noise, tuple(left), tuple(self.candidates), slack, linear
         )
 
     def _repeated(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
