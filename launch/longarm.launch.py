@@ -95,6 +95,7 @@ def nodes(context):
             executable=name,
             name=name,
             namespace=graph.namespace,
+            arguments=graph.arguments(name),
             parameters=graph.files(name, bus, scratch),
             output="screen",
             respawn=True,

@@ -140,7 +140,7 @@ class Bench:
 
     def state(self) -> str:
         """What every process says, for a failed test."""
-        return "\n".join(f"{p.args} {p.poll()}:\n{self.output(p)}" for p in self.processes)
+        return "\n".join(f"{p.args!r} {p.poll()}:\n{self.output(p)}" for p in self.processes)
 
     def end_processes(self) -> None:
         """End every process, gently first."""

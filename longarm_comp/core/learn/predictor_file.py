@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path, check_unpacked
+from longarm_comp.core.files import check_unpacked, write_bytes
 from longarm_comp.core.learn.inputs import Encoding, raw_names
 from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
@@ -41,8 +41,8 @@ class _Header(Declared):
     joints: int = Field(ge=1, le=10_000)
     context: tuple[Literal["approach", "temperature_c", "payload_kg"], ...]
     hidden: int = Field(ge=1, le=10_000)
-    scale: float = Field(gt=0)
-    variance_limit: float = Field(gt=0)
+    scale: float = Field(gt=0, le=_LARGEST)
+    variance_limit: float = Field(gt=0, le=_LARGEST**2)
     input_names: tuple[str, ...]
 
 
@@ -67,8 +67,7 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         gain=np.array(dataclasses.astuple(predictor.gain)),
         **{name: getattr(predictor, name) for name in _ARRAYS},
     )
-    with atomic_path(path) as partial:
-        partial.write_bytes(buffer.getvalue())
+    write_bytes(path, buffer.getvalue())
 
 
 def load(
