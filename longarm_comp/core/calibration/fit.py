@@ -87,7 +87,7 @@ def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> Mo
     part = SessionProblem(model, session, robust=False)
     part.near = None if near is None else near.posture
     part.look()
-    part.weigh(settled=False)
+    part.weigh(None)
     return part.fitted(np.diag(priors(model.slots) ** 2))
 
 
@@ -124,14 +124,17 @@ def _fit_parts(
     centre = np.where([s.parameter.unknown for s in chosen], now, 0.0)
     lower = (np.array([s.parameter.lower for s in chosen]) - centre) / scale
     upper = (np.array([s.parameter.upper for s in chosen]) - centre) / scale
-    converged, step = False, 0
+    converged, covariance = False, None
     adapting = any(part.sigma is None or part.fixed is None for part in parts)
     for part in parts:
         part.look()
     cost, best, least, stalled = np.inf, now, np.inf, 0
-    for step in range(1, GAUSS_NEWTON_STEPS + 1):
+    step = surely = 0
+    while surely < GAUSS_NEWTON_STEPS:
+        step += 1
         for part in parts:
-            part.weigh(settled=step > 2)
+            part.weigh(None if covariance is None else covariance[np.ix_(part.mine, part.mine)])
+        surely += step > 1 and all(part.sure for part in parts)
         try:
             gram, moment, square = _normal(parts, scale, centre)
             posterior = linear.solved(gram, moment, lower, upper)
@@ -139,6 +142,7 @@ def _fit_parts(
             rows = sum(len(part.seen) for part in parts)
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
             raise JobError(text, session=parts[0].seen.source) from None
+        covariance = posterior.covariance * np.outer(scale, scale)
         goal = centre + posterior.u * scale
         step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
         said = square + posterior.u @ (gram @ posterior.u + posterior.u - 2.0 * moment)
@@ -150,7 +154,7 @@ def _fit_parts(
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
             if not holds:
                 part.differentiate()
-        if holds and (step_size <= close).all() and (step > 2 or not adapting):
+        if holds and (step_size <= close).all() and (surely > 1 or not adapting):
             converged = True
             break
         if adapting:
@@ -167,7 +171,7 @@ def _fit_parts(
                 part.moved(best[part.mine], close=False)
             part.differentiate()
         posterior = linear.solved(*_normal(parts, scale, centre)[:2])
-    covariance = posterior.covariance * np.outer(scale, scale)
+        covariance = posterior.covariance * np.outer(scale, scale)
     for part in parts:
         if part.sigma is None:
             part.noise = part.spread()
