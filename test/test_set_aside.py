@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import pytest
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry, stages
-from longarm_comp.core.calibration.lasting import moved
+from longarm_comp.core.calibration.lasting import check_lasting, moved
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.errors import InputError, JobError
@@ -103,6 +102,13 @@ def test_every_seed_writes_the_same(made: Model, seed: int) -> None:
     assert found.held_out.rows[-1]["set_aside"] == 0
 
 
+def test_a_coupling_is_named_before_anything_is_believed(made: Model) -> None:
+    fall = r"q3 looks coupled with q2: the joint is q3 \+ q2: \d+ -> [\d.]+ mm"
+    for session in (one_at_a_time(made)[1], one_at_a_time(made)[1].take(np.arange(0, 108, 2))):
+        with pytest.raises(InputError, match=fall):
+            la.calibrate(PALLETISER, session)
+
+
 def test_rows_set_aside_that_share_a_joint_are_a_cause(made: Model) -> None:
     """A coupling of two joints spoils the rows in which the second one moves, and only these."""
     *_, (_, fitted) = stages(Model(PALLETISER), one_at_a_time(made)[1])
@@ -163,8 +169,12 @@ def test_a_base_that_was_moved_is_told_with_its_row(made: Model) -> None:
     session = anywhere(made)
     late = session.index >= 24
     away = dataclasses.replace(session, xyz=session.xyz + late[:, None] * [0.02, 0.0, 0.0])
-    with pytest.raises(JobError, match=r"from row 24 on the base looks moved \(\d\S* -> 0\.0\d+ "):
-        la.calibrate(PALLETISER, away)
+    *_, (_, fitted) = stages(Model(PALLETISER), away)
+    with pytest.raises(JobError, match=r"from row 24 on the base looks moved \(9\.\d+ -> 0\.\d+ "):
+        check_lasting(fitted)
+    far = dataclasses.replace(session, xyz=session.xyz + late[:, None] * [0.2, 0.0, 0.0])
+    with pytest.raises(InputError, match="row 73 on looks measured from another base"):
+        la.calibrate(PALLETISER, far)
     told = dataclasses.replace(away, labels={**away.labels, "group": np.where(late, "b", "a")})
     assert la.calibrate(PALLETISER, told).held_out.rows[-1]["mean_mm"] < 0.1
 
@@ -175,7 +185,10 @@ def test_a_reflector_that_was_moved_is_told_with_its_row(made: Model) -> None:
     axes = made.pose(session.q, session.context())[:, :3, :3]
     shift = np.einsum("nij,j->ni", axes, [0.0, 0.004, 0.003])
     away = dataclasses.replace(session, xyz=session.xyz + knocked[:, None] * shift)
-    with pytest.raises(JobError, match="from row 33 on the marker M2 looks moved"):
+    *_, (_, fitted) = stages(Model(PALLETISER), away)
+    found = SetAside.of(fitted.session, fitted.weights == 0)
+    assert {s.input for s in found.shared_by} == {"marker", "order"}
+    with pytest.raises(JobError, match=r"share marker M2 \(27 of them, p \S+\) and order"):
         la.calibrate(PALLETISER, away)
 
 

@@ -124,7 +124,7 @@ def _fit_parts(
     centre = np.where([s.parameter.unknown for s in chosen], now, 0.0)
     lower = (np.array([s.parameter.lower for s in chosen]) - centre) / scale
     upper = (np.array([s.parameter.upper for s in chosen]) - centre) / scale
-    converged, covariance = False, None
+    converged, covariance = False, np.diag(scale**2)
     adapting = any(part.sigma is None or part.fixed is None for part in parts)
     for part in parts:
         part.look()
@@ -133,7 +133,7 @@ def _fit_parts(
     while surely < GAUSS_NEWTON_STEPS:
         step += 1
         for part in parts:
-            part.weigh(None if covariance is None else covariance[np.ix_(part.mine, part.mine)])
+            part.weigh(covariance[np.ix_(part.mine, part.mine)] if step > 1 else None)
         surely += step > 1 and all(part.sure for part in parts)
         try:
             gram, moment, square = _normal(parts, scale, centre)
