@@ -30,6 +30,7 @@ from longarm_comp.core.arm.measuring import (
 from longarm_comp.core.arm.parts import (
     Beam,
     Box,
+    Coupling,
     Cylinder,
     Mimic,
     Payload,
@@ -72,6 +73,9 @@ class Joint(Declared):
     mimic: Mimic | list[Mimic] | None = Field(
         default=None, description="a passive joint; several terms are summed"
     )
+    coupling: Coupling | None = Field(
+        default=None, description="a commanded joint that counts with another one"
+    )
     moves: bool = Field(
         default=True,
         description="false: a commanded joint beside the chain, which other rows mimic",
@@ -91,6 +95,8 @@ class Joint(Declared):
         key = {"revolute": "limits_deg", "prismatic": "limits_m"}.get(self.type)
         if self.type == "fixed" and self.mimic:
             raise Misdeclared("mimic", self.mimic, "none in a fixed row")
+        if self.coupling and not (self.commanded and self.moves):
+            raise Misdeclared("coupling", "given", "in the row of a commanded joint that moves")
         if not self.moves and not self.commanded:
             raise Misdeclared("moves", False, "true, but in the row of a commanded joint")
         if self.pose is not None and self.type != "fixed":
@@ -138,7 +144,9 @@ class Joint(Declared):
 
     @property
     def mimics(self) -> list[Mimic]:
-        """The mimic terms, none for a commanded joint."""
+        """The joints that it moves with: of a commanded joint the one that it counts with."""
+        if self.coupling is not None:
+            return [Mimic(joint=self.coupling.joint, multiplier=self.coupling.factor)]
         if self.mimic is None:
             return []
         return self.mimic if isinstance(self.mimic, list) else [self.mimic]
@@ -213,7 +221,12 @@ class Arm(Declared):
                     isinstance(mimic.joint, int) and mimic.joint in self.commanded
                 ):
                     allowed = f"a commanded joint: {list(self.commanded)}, {list(self.joint_names)}"
-                    raise Misdeclared(f"joints.{joint.id - 1}.mimic.joint", mimic.joint, allowed)
+                    key = "coupling" if joint.coupling else "mimic"
+                    raise Misdeclared(f"joints.{joint.id - 1}.{key}.joint", mimic.joint, allowed)
+            mine = (joint.id, joint.name or f"joint{joint.id}")
+            if joint.coupling and joint.coupling.joint in mine:
+                field = f"joints.{joint.id - 1}.coupling.joint"
+                raise Misdeclared(field, joint.coupling.joint, "another joint")
         self._check_beams()
         return self
 

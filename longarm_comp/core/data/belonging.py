@@ -20,6 +20,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.kinds import matrices
 from longarm_comp.core.data.registration import Registration, Sightings, median_spread, register
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.sites import near
 from longarm_comp.core.model.model import Model
 
 MIN_POSES = 20
@@ -38,8 +39,6 @@ _STRAY_RATIO, MOST_STRAYS = 8.0, 0.3
 this share of them may: the median of the others still fits."""
 _SUSPECT_TURN, _STRANGE_TURN = 0.1, 0.5
 """The same for the tip's axes, rad."""
-_GEARED = 2
-"""Joints that gears or rods couple are neighbours, or have one joint between them."""
 _TRIED_ROWS = 100
 """Rows that the mistakes are tried on, spread over the session."""
 
@@ -228,7 +227,7 @@ def mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
         yield f"q{j + 1} and q{k + 1} look swapped", swapped
     kinds = [arm.joints[row - 1].type for row in arm.commanded]
     for j, k in permutations(range(session.n), 2):
-        if kinds[j] != kinds[k] or abs(j - k) > _GEARED:
+        if kinds[j] != kinds[k] or not near(j, k):
             continue
         for own, factor in product((1.0, -1.0), repeat=2):
             text = f"{'-' * (own < 0)}q{j + 1} {'-' if factor < 0 else '+'} q{k + 1}"
