@@ -47,6 +47,9 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
+STILL = 1e-4
+"""Share of a joint's range that is none: 0.04 degrees of a turn, less than drives come back to."""
+
 
 class Joint(Declared):
     """One row of the chain."""
@@ -321,6 +324,12 @@ class Arm(Declared):
     def steps(self) -> np.ndarray:
         """Steps of the joints' servos, (n,), rad or m; 0 where a joint is continuous."""
         return np.array([self.joints[i - 1].step for i in self.commanded])
+
+    @cached_property
+    def telling(self) -> np.ndarray:
+        """Span of every joint, (n,), rad or m, from which on its position says anything: below its
+        servo's step, or a ten-thousandth of its range, it stands still."""
+        return np.maximum(self.steps, STILL * (self.upper - self.lower))
 
     @property
     def mid(self) -> np.ndarray:

@@ -18,6 +18,7 @@ from longarm_comp.core.calibration.linear import (
     whiten,
 )
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.data.commanded import with_frame_shift
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
@@ -100,8 +101,11 @@ class SessionProblem:
         self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
     ) -> ModelFit:
         """The model as it is now."""
+        model = self.model
+        if any(not b.geometry for b in model.biases):
+            model = with_frame_shift(model, self.seen)
         found = ModelFit(
-            self.model, self.seen, self.residual, self.columns, covariance, self.weights,
+            model, self.seen, self.residual, self.columns, covariance, self.weights,
             self.noise, self.effective, iterations, converged, self.rho,
         )  # fmt: skip
         found.__dict__["posture"] = self.posture

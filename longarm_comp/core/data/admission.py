@@ -230,7 +230,7 @@ def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
 
 
 def _constant(case: _Case) -> Iterator[AdmissionFinding]:
-    for j in np.flatnonzero(np.ptp(case.session.q, axis=0) < 1e-9):
+    for j in np.flatnonzero(np.ptp(case.session.q, axis=0) < case.arm.telling):
         yield AdmissionFinding("constant", f"q{j + 1}", "never moved: its effects do not show")
     for name, values in case.session.columns.items():
         if len(case.session) > 1 and np.ptp(values) == 0:

@@ -19,7 +19,12 @@ from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
-from longarm_comp.core.data.commanded import as_commanded, commanded_errors, own_way
+from longarm_comp.core.data.commanded import (
+    as_commanded,
+    commanded_errors,
+    own_way,
+    with_frame_shift,
+)
 from longarm_comp.core.data.measurement import errors, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
@@ -98,6 +103,7 @@ def practical(
             (refitted_without(fitted, places), without),
             key=lambda left: float(np.linalg.norm(errors(left, placed, at[0]))),
         )
+        less = with_frame_shift(less, fitted.session)
         made.append(
             Practical(
                 np.linalg.norm(tips - still, axis=1),

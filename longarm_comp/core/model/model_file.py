@@ -93,6 +93,7 @@ class StoredModel(Declared):
         "programs; `geometry` is what counts",
     )
     uncertainty: _StoredUncertainty | None = None
+    frame_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def store(
@@ -143,7 +144,7 @@ def store(
         schema="longarm/model/1", version=version, arm=arm, passes=model.passes,
         elements_per_beam=model.elements_per_beam, arrivals=model.arrivals,
         provenance={**(provenance or {}), **outside}, placement=_bases(model),
-        uncertainty=_stored_uncertainty(model), **sides,
+        uncertainty=_stored_uncertainty(model), frame_shift_m=model.frame_shift, **sides,
     )  # fmt: skip
 
 
@@ -258,7 +259,8 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
         arrivals=stored.arrivals,
     )  # fmt: skip
     model = bare.with_terms(terms)
-    return dataclasses.replace(model, uncertainty=_uncertainty(stored, model, where))
+    known = _uncertainty(stored, model, where)
+    return dataclasses.replace(model, uncertainty=known, frame_shift=stored.frame_shift_m)
 
 
 def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertainty | None:
