@@ -259,8 +259,8 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
         arrivals=stored.arrivals,
     )  # fmt: skip
     model = bare.with_terms(terms)
-    known = _uncertainty(stored, model, where)
-    return dataclasses.replace(model, uncertainty=known, frame_shift=stored.frame_shift_m)
+    told = _uncertainty(stored, model, where)
+    return dataclasses.replace(model, uncertainty=told, frame_shift=stored.frame_shift_m)
 
 
 def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertainty | None:
