@@ -34,6 +34,8 @@ LONG = arm(
     {"alpha_deg": 90, "theta_offset_deg": 90, "d_m": 400.0},
     {"alpha_deg": 0.08, "theta_offset_deg": -90, "d_m": -400.0},
 )
+TURNED = np.array([0.0, -np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0])
+"""Of the joints of the one against the other."""
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -41,7 +43,7 @@ def test_the_promise_does_not_depend_on_how_rows_are_written(seed: int) -> None:
     """Two metres were promised: 4 mrad at a lever of 400 m."""
     q = np.random.default_rng(seed).uniform(-2.5, 2.5, 6)
     promised = []
-    for a, joints in ((SHORT, q), (LONG, q + [0, -np.pi / 2, np.pi / 2, 0, 0, 0])):
+    for a, joints in ((SHORT, q), (LONG, q + TURNED)):
         miss = expected_miss(Model(a), joints, Context(), Model(a).tip(joints[None])[0])
         promised.append(1e3 * float(miss.sizes[0]))
     assert 4.0 < promised[0] < 15.0

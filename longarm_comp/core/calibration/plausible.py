@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.special import chdtr
 
 from longarm_comp.core.calibration.lasting import check_lasting
+from longarm_comp.core.calibration.linear import BEFOREHAND
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import ENOUGH_REPEATS
 from longarm_comp.core.calibration.standing import misplaced
@@ -26,6 +28,9 @@ RISES = 4.0
 """Held-out error, in that of the fitted rows, from which the fit does not carry over."""
 NO_NOISE = 0.05
 """Noise, as a share of the sightings' spread, that no instrument has."""
+UNLIKE = 1e-5
+"""Chance of the noise along one axis beside that of the others, where they are as alike as a fit
+takes them to be (`linear.BEFOREHAND`): 21 times, as of a camera's depth at 21 base lines."""
 MOST_SHARING, MOST_ASIDE = 0.05, 0.2
 """Share of the rows that a fit may set aside: where they share something, and where they come
 alone. A tenth of the rows is what instruments lose on a bad day."""
@@ -183,6 +188,14 @@ def check_noise(sigma: np.ndarray, session: Session) -> None:
     """Raise `JobError` where no instrument has such a noise (d,) in its positions (m)."""
     if session.blocks[0].kind != "position" or not np.isfinite(sigma[:3]).all():
         return
+    axis, ratio = int(np.argmax(sigma[:3])), float((sigma[:3].max() / np.median(sigma[:3])) ** 2)
+    if chdtr(BEFOREHAND, BEFOREHAND / ratio) < UNLIKE:
+        usual = 1e3 * np.median(sigma[:3])
+        raise JobError(
+            f"{1e3 * sigma[axis]:.3g} mm is left along {'xyz'[axis]} beside {usual:.3g} mm, which "
+            "is no instrument's noise; the rows may fall into groups, or a cause is missing",
+            session=session.source,
+        )
     seen = session.take(session.located & (session.frames == session.frames[0])).xyz
     if len(seen) < 2:
         return
