@@ -261,7 +261,7 @@ def test_a_calibration_that_does_not_carry_over_is_refused(rng: np.random.Genera
     session = measured(Model(SMALL), box(SMALL, 120, rng), rng)
     _, held = blocked_split(session, 0.2, rng=0)
     xyz = session.xyz + np.where(np.isin(session.index, held.index)[:, None], 0.004, 0.0)
-    with pytest.raises(JobError, match=r"32 rows set aside \(26.7%\): a cause that this"):
+    with pytest.raises(JobError, match="fails at held-out rows"):
         la.calibrate(SMALL, dataclasses.replace(session, xyz=xyz))
 
 

@@ -6,7 +6,7 @@ the product (geodesic acceleration; Transtrum and Sethna 2012, arXiv 1201.5885).
 has a prior (a tolerance), which is what holds the gauge freedoms of a redundant geometry; that of
 an unknown placement lies around its start, so that what the rows do not determine stays there.
 Sign bounds are kept exactly; rows that no model of this kind explains get weight 0, anew at every
-step.
+step but the first, in which all rows are in.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> Mo
     part = SessionProblem(model, session, robust=False)
     part.near = None if near is None else near.posture
     part.look()
-    part.weigh(None)
+    part.weigh(1)
     return part.fitted(np.diag(priors(model.slots) ** 2))
 
 
@@ -124,17 +124,14 @@ def _fit_parts(
     centre = np.where([s.parameter.unknown for s in chosen], now, 0.0)
     lower = (np.array([s.parameter.lower for s in chosen]) - centre) / scale
     upper = (np.array([s.parameter.upper for s in chosen]) - centre) / scale
-    converged, covariance = False, np.diag(scale**2)
+    converged, step = False, 0
     adapting = any(part.sigma is None or part.fixed is None for part in parts)
     for part in parts:
         part.look()
     cost, best, least, stalled = np.inf, now, np.inf, 0
-    step = surely = 0
-    while surely < GAUSS_NEWTON_STEPS:
-        step += 1
+    for step in range(1, GAUSS_NEWTON_STEPS + 1):
         for part in parts:
-            part.weigh(covariance[np.ix_(part.mine, part.mine)] if step > 1 else None)
-        surely += step > 1 and all(part.sure for part in parts)
+            part.weigh(step)
         try:
             gram, moment, square = _normal(parts, scale, centre)
             posterior = linear.solved(gram, moment, lower, upper)
@@ -142,7 +139,6 @@ def _fit_parts(
             rows = sum(len(part.seen) for part in parts)
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
             raise JobError(text, session=parts[0].seen.source) from None
-        covariance = posterior.covariance * np.outer(scale, scale)
         goal = centre + posterior.u * scale
         step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
         said = square + posterior.u @ (gram @ posterior.u + posterior.u - 2.0 * moment)
@@ -154,7 +150,7 @@ def _fit_parts(
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
             if not holds:
                 part.differentiate()
-        if holds and (step_size <= close).all() and (surely > 1 or not adapting):
+        if holds and (step_size <= close).all() and (step > 2 or not adapting):
             converged = True
             break
         if adapting:
@@ -171,7 +167,7 @@ def _fit_parts(
                 part.moved(best[part.mine], close=False)
             part.differentiate()
         posterior = linear.solved(*_normal(parts, scale, centre)[:2])
-        covariance = posterior.covariance * np.outer(scale, scale)
+    covariance = posterior.covariance * np.outer(scale, scale)
     for part in parts:
         if part.sigma is None:
             part.noise = part.spread()

@@ -249,27 +249,21 @@ def believed(residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray) -> 
     return uneven**-2.0 if worth > 0 else alike
 
 
-def strayed(
-    residual: np.ndarray,
-    measured: np.ndarray,
-    sigma: np.ndarray | None = None,
-    variance: np.ndarray | float = 0.0,
+def inliers(
+    residual: np.ndarray, measured: np.ndarray, sigma: np.ndarray | None = None
 ) -> np.ndarray:
-    """(N, d) residual -> (N,) how far each row is off, in what an inlier may be: 1 is `OUTLIER`.
+    """(N, d) residual -> (N,) 1, or 0 beyond `OUTLIER` robust standard deviations.
 
-    A row is as far off as its largest channel, scaled by the larger of the robust spread and the
+    A row is out by its largest channel, scaled by the larger of the robust spread and the
     known noise; only channels that were measured count.
-
-    Args:
-        variance: (N, d) of what is predicted: a row that a fit knows little of cannot contradict.
     """
     held = np.where(measured, residual, np.nan)
     centre = median(held)
     robust = MAD * median(np.abs(held - centre))
     if sigma is not None and np.isfinite(sigma).all():
         robust = np.maximum(robust, sigma)
-    bound = OUTLIER * np.sqrt(np.maximum(robust, 1e-12) ** 2 + variance)
-    return np.asarray(np.nan_to_num(np.abs(held - centre) / bound).max(axis=1))
+    worst = np.abs(held - centre) / np.maximum(robust, 1e-12)
+    return (np.nan_to_num(worst).max(axis=1) <= OUTLIER).astype(float)
 
 
 def spread(

@@ -13,8 +13,8 @@ from longarm_comp.core.calibration.linear import (
     BEFOREHAND,
     believed,
     freedom,
+    inliers,
     spread,
-    strayed,
     whiten,
 )
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -27,9 +27,6 @@ from longarm_comp.core.model.model import Model
 AHEAD = 0.1
 """Share of a step over which its second derivative is taken (Transtrum and Sethna): the third order
 adds a tenth of itself, and rounding nothing."""
-LOOSER, LOOSEST = 4.0, 1e12
-"""Of the squared distance at which a row counts a quarter: share by which it falls from step to
-step, and the largest, a million times what an inlier may be."""
 
 
 class SessionProblem:
@@ -66,8 +63,6 @@ class SessionProblem:
             np.full(len(seen.channels), np.nan) if sigma is None else sigma, float
         )
         self.effective = 0.0
-        self.loose = np.inf
-        self.sure = not robust or weights is not None
         self.posture: Posture | None = None
         self.near: Posture | None = None
 
@@ -129,28 +124,18 @@ class SessionProblem:
         """Squared residual of the inliers in units of the noise."""
         return float((self._white(self.residual[..., None]) ** 2).sum())
 
-    def weigh(self, covariance: np.ndarray | None) -> None:
-        """Outliers and noise for the residual as it is now.
+    def weigh(self, step: int) -> None:
+        """Outliers and noise for the residual as it is now, at a step of the fit from 1.
 
-        All rows are in at first.  Where some then stray, what they count for is lowered step by
-        step (graduated non-convexity; Yang, Antonante, Tzoumas and Carlone 2020, arXiv 1909.08605),
-        so that no start decides which rows a fit believes.
-
-        Args:
-            covariance: (p, p) of the parameters at the step before; None at the first.
+        All rows are in at first, so that no start decides which of them are believed; with them in,
+        a row is judged by what the whole session says.
         """
         if self.robust and self.fixed is None:
-            count = believed(self.residual, self.uneven, self.seen.measured)
-            self.weights = count
-            if covariance is not None:
-                even = self.residual * np.sqrt(count)[:, None]
-                known = self.noise if self.sure else None
-                told = ((self.columns @ covariance) * self.columns).sum(axis=-1)
-                square = strayed(even, self.seen.measured, known, told * count[:, None]) ** 2
-                loose = min(self.loose / LOOSER, float(square.max()), LOOSEST)
-                self.sure, self.loose = loose <= 1.0, max(loose, 1.0)
-                soft = (loose / (loose + square)) ** 2
-                self.weights = count * (square <= 1.0 if self.sure else soft)
+            self.weights = believed(self.residual, self.uneven, self.seen.measured)
+            if step > 1:
+                even = self.residual * np.sqrt(self.weights)[:, None]
+                known = self.noise if step > 2 else None
+                self.weights = self.weights * inliers(even, self.seen.measured, known)
         if self.sigma is None:
             self.noise = self._common(self.spread())
 

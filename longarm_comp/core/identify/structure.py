@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import bdtrc, fdtrc, gammaincinv
 
 from longarm_comp.core.arm.history import play
-from longarm_comp.core.calibration.linear import Marginal, solve, solved, strayed
+from longarm_comp.core.calibration.linear import Marginal, inliers, solve, solved
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.reading_steps import read_exactly
 from longarm_comp.core.data.measurement import equations, metres, posture
@@ -314,7 +314,7 @@ def _beyond(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:
 
     Gross errors say nothing of the parameters, as in every fit.
     """
-    kept = (strayed(y, measured) <= 1.0)[:, None]
+    kept = inliers(y, measured)[:, None]
     shared = (kept[..., None] * a).reshape(-1, a.shape[-1])
     found = solve(shared, (kept * y).ravel())
     leverage = np.einsum("nip,pq,niq->ni", a, found.covariance, a, optimize=True)
