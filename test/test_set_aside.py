@@ -130,6 +130,8 @@ def test_rows_set_aside_that_share_a_joint_are_a_cause(made: Model) -> None:
     assert found.shared_by[0].input == "q2" and found.shared_by[0].value == "other than 0"
     assert found.shared_by[0].rows == len(found.rows) == 18
     assert found.shared_by[0].p_value < 1e-4
+    first = {"input": "q2", "value": "other than 0", "rows": 18}
+    assert found.record["rows"] == 18 and found.record["shared_by"][0].items() >= first.items()
 
 
 def spoilt(n: int, bad: np.ndarray, **more: np.ndarray) -> SetAside:

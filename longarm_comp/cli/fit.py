@@ -59,11 +59,7 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
             "parameters": [vars(p) for p in calibration.parameters],
             "sigma_mm": 1e3 * final.sigma,
             "outliers": final.session.index[final.outliers],
-            "set_aside": {
-                **vars(aside),
-                "rows": len(aside.rows),
-                "shared_by": [vars(s) for s in aside.shared_by],
-            },
+            "set_aside": aside.record,
             "converged": final.converged,
             "session_hash": calibration.session.hash,
             "placed": calibration.placed,

@@ -8,6 +8,7 @@ ends not counted.  Rows of one visit to a pose are one: a knock spoils them all.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -71,6 +72,12 @@ class SetAside:
         places = tuple(np.flatnonzero(aside).tolist())
         share = float(aside.mean()) if len(aside) else 0.0
         return cls(places, share, tuple(sorted(found, key=lambda s: s.p_value)))
+
+    @property
+    def record(self) -> dict[str, object]:
+        """As report.json holds it: their number, share, and what they share."""
+        shared = [dataclasses.asdict(each) for each in self.shared_by]
+        return {"rows": len(self.rows), "share": self.share, "shared_by": shared}
 
     @property
     def said(self) -> str:
