@@ -100,7 +100,7 @@ WRONG = {
     r"x, y, z look written one row earlier than their joints: ": shift(-1),
     r"q4 looks coupled with q2: the joint is q4 - q2: ": couple(3, 1, 1.0),
     r"q6 looks coupled with q4: the joint is -q6 \+ q4: ": couple(5, 3, 1.0, -1.0),
-    r"row 91 on looks measured from another base, or of another arm: \d+ -> \d": moved_from(90),
+    r"row 91 on looks measured from another base, or of another arm: \S+ -> \d": moved_from(90),
     r"0, 0, 0 in 6 rows at several poses": lambda s: dataclasses.replace(
         s, xyz=np.where(np.isin(np.arange(len(s)), np.arange(3, 150, 28))[:, None], 0.0, s.xyz)
     ),
