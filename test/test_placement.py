@@ -292,6 +292,14 @@ def test_gates() -> None:
     plausible.check_noise(np.full(3, 0.02), rows)
     with pytest.raises(JobError, match="more than noise"):
         plausible.check_noise(np.full(3, 0.084), rows)
+    plausible.check_noise(np.array([0.01, 5e-4, 6e-4]), rows)  # a camera's depth
+    with pytest.raises(JobError, match=r"9.8 mm is left along x beside 0.3 mm, which is no"):
+        plausible.check_noise(np.array([9.8e-3, 3e-4, 3e-4]), rows)
+    late = np.r_[error[:36], 5 * error[36:]]  # a tenth of the rows
+    with pytest.raises(JobError, match=r"of the worst 10% \d\S+ -> \d\S+ mm"):
+        plausible.check_worth(np.r_[0.5 * error[:36], 2 * late[36:]], late, "rows")
+    with pytest.raises(JobError, match=r"held-out rows: mean \d"):
+        plausible.check_carries_over(error, 9 * late, "rows")
 
 
 def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:

@@ -18,7 +18,12 @@ from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
-from longarm_comp.core.data.commanded import as_commanded, commanded_errors, own_way
+from longarm_comp.core.data.commanded import (
+    as_commanded,
+    commanded_errors,
+    own_way,
+    with_frame_shift,
+)
 from longarm_comp.core.data.measurement import errors, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.intervals import BLOCKS
@@ -113,6 +118,7 @@ def _without(fitted: ModelFit, places: set[tuple[str, str]], rows: Session) -> t
         (refitted_without(fitted, places), model.without(places)),
         key=lambda left: float(np.linalg.norm(errors(left, rows, at[0]))),
     )
+    less = with_frame_shift(less, fitted.session)
     before = errors(less, rows, at[0]), commanded_errors(less, own, at[1])
     return (before[0], after[0]), (before[1], after[1])
 
