@@ -91,6 +91,7 @@ def record_of(
             "passed": not diagnosis.failed,
             "why": diagnosis.failed,
         },
+        "set_aside": diagnosis.set_aside.record,
         "noise": {
             "sigma_mm": None if sigma is None else [1e3 * float(s) for s in sigma],
             "source": noise.source,

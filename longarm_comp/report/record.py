@@ -230,6 +230,23 @@ class ReportProof(_Record):
     why: str
 
 
+class SharedInput(_Record):
+    """What rows set aside have in common: an input, where in it, how many, by what chance."""
+
+    input: str
+    value: str
+    rows: int
+    p_value: float
+
+
+class ReportSetAside(_Record):
+    """Rows that the fit does not believe, their share of all, and what they share."""
+
+    rows: int
+    share: float
+    shared_by: list[SharedInput]
+
+
 class ReportProvenance(_Record):
     """What is needed to repeat the diagnosis to the byte.
 
@@ -254,6 +271,7 @@ class DiagnosisReport(_Record):
     noise: ReportNoise
     held_out: HeldOut
     proof: ReportProof | None = None
+    set_aside: ReportSetAside | None = None
     next_poses: list[list[float]]
     outliers: list[Outlier]
     discovered: list[ReportDiscovered] = Field(default_factory=list)

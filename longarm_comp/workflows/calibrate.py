@@ -238,11 +238,11 @@ def calibrate(
             terms = [term for _, each in chosen for term in each]
             final = fit(final.model.plus(*terms), whole, usual=kind.noise)
         final = folded(final)
-    left_out = plausible.believed(final, held_out)
+    left_out = held_out.take(plausible.believed(final, held_out))
     plainer = {"placed frames alone": rungs[1].model, "the declared arm": rungs[0].model}
     aside = plausible.refuse(
         final,
-        size(last, plausible.believed(final, train)),
+        size(last, train.take(plausible.believed(final, train))),
         size(last, left_out),
         {than: size(model, left_out) for than, model in plainer.items()},
         unit,

@@ -76,10 +76,10 @@ def refuse(
     return aside
 
 
-def believed(final: ModelFit, rows: Session) -> Session:
-    """Rows (any of the session that was fitted) without those that the fit set aside."""
+def believed(final: ModelFit, rows: Session) -> np.ndarray:
+    """(M,) of any rows of the session that was fitted, whether the fit did not set them aside."""
     gone = set(_contents(final.session.take(final.outliers)))
-    return rows.take(np.array([each not in gone for each in _contents(rows)], dtype=bool))
+    return np.array([each not in gone for each in _contents(rows)], dtype=bool)
 
 
 def _contents(rows: Session) -> list[bytes]:

@@ -16,10 +16,12 @@ from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import from_repeats
-from longarm_comp.core.calibration.plausible import check_fits, check_noise
+from longarm_comp.core.calibration.plausible import believed, check_noise, refuse
 from longarm_comp.core.calibration.standing import standing
 from longarm_comp.core.data.holdout import spread
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -33,6 +35,7 @@ from longarm_comp.core.identify.proof import (
     WITH_EFFECTS,
     WITH_FUNCTIONS,
     Fold,
+    Proof,
     folds,
     prove,
     worse,
@@ -78,7 +81,8 @@ def diagnose(
 
     Raises:
         InputError: too few rows.
-        JobError: a fit did not stay finite, or what is left is no instrument's noise.
+        JobError: a fit did not stay finite or may not be believed (`plausible.refuse`), or what is
+            left is no instrument's noise.
     """
     say = progress or (lambda _: None)
 
@@ -147,6 +151,7 @@ def diagnose(
             return kept.model, train_one(kept.model, kept.session.take(kept.weights > 0))
 
         proof = prove(made, trained)
+    aside = _refused(final, proof, held_out.take(held_out.placed), written)
     without_name = causes(found.fit, found.found)
     unnamed = [t for cause in without_name for t in cause.terms]
     say("next poses")
@@ -166,6 +171,7 @@ def diagnose(
         failed=failed,
         intervals=intervals(final, added, candidates),
         structure=structure,
+        set_aside=aside,
         models=models,
         folds=made,
         proof=proof,
@@ -178,10 +184,17 @@ def diagnose(
         held_out=held_out,
         seed=seed,
     )
-    check_fits(diagnosis.model, train)
     if diagnosis.verdict == "noise":
         check_noise(found.noise.sigma, train)
     return diagnosis
+
+
+def _refused(final: ModelFit, proof: Proof, rows: Session, written: str) -> SetAside:
+    """What `calibrate` refuses is refused: else the rows that the final fit set aside."""
+    own = final.session.take(believed(final, final.session))
+    at = {name: error[believed(final, rows)] for name, error in proof.errors.items()}
+    plainer = {"calibration": at[CALIBRATED], "the declared arm": at["nominal"]}
+    return refuse(final, errors(final.model, own), at[written], plainer)
 
 
 def _proven(expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray]) -> tuple[str, str]:

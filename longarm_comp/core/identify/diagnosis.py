@@ -12,6 +12,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import EffectFinding, improvement, left_in_words, sentence
@@ -41,6 +42,7 @@ class Diagnosis:
         failed: how a fuller one failed its proof; empty where none did.
         intervals: of its parameters, by position in its slots.
         structure: what the search left.
+        set_aside: rows that the fit of the model to use does not believe.
         models: nominal, frames_only and the models of `fits`.
         folds: all of it fitted without some rows, once for each row.
         proof: errors of all models at the rows that they were fitted without.
@@ -64,6 +66,7 @@ class Diagnosis:
     failed: str
     intervals: Mapping[int, Interval]
     structure: Structure
+    set_aside: SetAside
     models: Mapping[str, Model]
     folds: tuple[Fold, ...]
     proof: Proof
