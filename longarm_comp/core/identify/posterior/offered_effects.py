@@ -30,6 +30,9 @@ LOOKED_AT = 1e-4
 """Probability from which on another name is fitted in the place of an effect: columns are those of
 small changes, so a fit may be worth ten log units more."""
 
+IMPOSSIBLE = 1e-12
+"""Probability below which a name is none: a fit may be worth thirty log units at most."""
+
 
 @dataclass(frozen=True)
 class Explained:
@@ -89,7 +92,7 @@ class OfferedEffects:
         made = []
         for effect in explain(self.bank, self.known).effects:
             shares: dict[str, tuple[float, Candidate]] = {}
-            for n in np.flatnonzero(effect.q > LOOKED_AT).tolist():
+            for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
                 terms = self.things[n].terms
                 alike = [Candidate(terms[0].name, terms)]
                 alike += [self._named(name, terms) for name in self._alike(terms)]

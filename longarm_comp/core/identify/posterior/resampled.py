@@ -61,14 +61,25 @@ class Resampling:
         """What was found, each effect and name with its probability over samples of the rows."""
         if not self.found:
             return ()
+        whole = self.explained(np.ones(len(self.fit.session)))
         samples = [self.explained(c) for c in resampled(self.fit.session, SAMPLES, seed)]
-        return tuple(self._averaged(f, samples) for f in self.found)
+        return tuple(self._averaged(f, whole, samples) for f in self.found)
 
     def _averaged(
-        self, found: FoundEffect, samples: Sequence[Sequence[FoundEffect]]
+        self,
+        found: FoundEffect,
+        whole: Sequence[FoundEffect],
+        samples: Sequence[Sequence[FoundEffect]],
     ) -> FoundEffect:
-        """An effect with the names of what stands in its place in each sample."""
+        """An effect with the names of what stands in its place in each sample.
+
+        Columns are those of small changes: by how much fits of all rows made a name likelier than
+        its columns did, they would in a sample.
+        """
         there, chances = 0.0, dict.fromkeys(found.names, 0.0)
+        linear = self._in_its_place(found, whole)
+        told = {} if linear is None else linear.names
+        fitted = {name: p / told[name] for name, p in found.names.items() if told.get(name)}
         rivals = {r.name: r for r in found.rivals}
         for effects in samples:
             other = self._in_its_place(found, effects)
@@ -77,17 +88,19 @@ class Resampling:
             there += other.there / len(samples)
             theirs = {other.name: Candidate(other.name, other.terms)}
             theirs |= {r.name: r.candidate for r in other.rivals}
-            for name, chance in other.names.items():
-                chances[name] = chances.get(name, 0.0) + other.there * chance / len(samples)
+            likely = {name: p * fitted.get(name, 1.0) for name, p in other.names.items()}
+            for name, chance in likely.items():
+                share = other.there * chance / sum(likely.values())
+                chances[name] = chances.get(name, 0.0) + share / len(samples)
                 rivals.setdefault(name, Rival(theirs[name], found.log_bayes_factor, 0.0))
-        whole = sum(chances.values())
-        if not whole:
+        total = sum(chances.values())
+        if not total:
             return replace(found, there=0.0)
-        others = [replace(r, probability=chances[n] / whole) for n, r in rivals.items()]
+        others = [replace(r, probability=chances[n] / total) for n, r in rivals.items()]
         return replace(
             found,
             there=min(there, found.there),
-            chance=chances[found.name] / whole,
+            chance=chances[found.name] / total,
             rivals=tuple(
                 sorted((r for r in others if r.name != found.name), key=lambda r: -r.probability)
             ),
