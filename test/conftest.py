@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from cli_shell import Shell, made_by_commands
+from left_over import remove_segments
 
 if TYPE_CHECKING:
     from driver_rig import Rig
@@ -191,6 +192,7 @@ def claimed_domain() -> Iterator[int]:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 continue
+            remove_segments()
             yield domain
             return
     raise RuntimeError("every ROS domain is taken by a running test")

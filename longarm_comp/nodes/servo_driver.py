@@ -135,7 +135,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self.arm = ServoArm(self._config, self._keeps_out, self._shapes, self.p["trim"])
         except LongarmError as error:
             return self._failed(error)
-        for said in self._arm.said:
+        for said in self.arm.said:
             self.get_logger().info(said)
         self._fault = ""
         self._stops.let_go()
