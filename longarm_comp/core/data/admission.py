@@ -253,7 +253,7 @@ def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
 
 
 def _constant(case: _Case) -> Iterator[AdmissionFinding]:
-    for j in np.flatnonzero(np.ptp(case.session.q, axis=0) < 1e-9):
+    for j in np.flatnonzero(np.ptp(case.session.q, axis=0) < case.arm.telling):
         yield AdmissionFinding("constant", f"q{j + 1}", "never moved: its effects do not show")
     for name, values in case.session.columns.items():
         if len(case.session) > 1 and np.ptp(values) == 0:
@@ -278,6 +278,10 @@ def _copies(case: _Case) -> Iterator[AdmissionFinding]:
             copies += 1
         else:
             frozen += 1
+    hidden = (seen.xyz == 0.0).all(axis=1)
+    if len(np.unique(seen.pose_id[hidden])) > 1:
+        value = f"0, 0, 0 in {hidden.sum()} rows at several poses"
+        raise case.refuse("x, y, z", value, "blank where the marker was hidden")
     if 2 * copies > len(seen):
         raise case.refuse("rows", f"{copies} of {len(seen)} are copies", "measured rows, once each")
     if copies:
@@ -362,7 +366,7 @@ def _belongs(case: _Case, judge: bool) -> Iterator[AdmissionFinding]:
         return
     field, value = "rows", f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
     if belief.mistake:
-        value = f"{belief.mistake}: {1e3 * belief.misfit:.3g} -> {1e3 * belief.undone:.3g} mm"
+        value = f"{belief.mistake}: {belief.fall}"
     elif belief.stray >= MOST_STRAYS:
         field, value = "x, y, z", f"{belief.stray:.0%} of the rows are far off the others"
     else:
