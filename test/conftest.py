@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from cli_shell import Shell, made_by_commands
-from left_over import remove_segments
 
 if TYPE_CHECKING:
     from driver_rig import Rig
@@ -192,7 +191,6 @@ def claimed_domain() -> Iterator[int]:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 continue
-            remove_segments()
             yield domain
             return
     raise RuntimeError("every ROS domain is taken by a running test")
