@@ -208,11 +208,11 @@ def test_joints_beyond_their_limits_are_told_what_fits(rng: np.random.Generator)
         admit(joint(3, np.degrees)(rows), SMALL)
 
 
-@pytest.mark.parametrize(("noise_m", "told"), [(0.02, True), (0.05, False)])
+@pytest.mark.parametrize(("noise_m", "told"), [(0.025, True), (0.03, False)])
 def test_a_mistake_is_told_where_it_explains_much_of_the_misfit(
     demo: Arm, noise_m: float, told: bool
 ) -> None:
-    """Joint 6 is negated, under noise that hides it more and more."""
+    """Joint 6 is negated, under noise that hides it: 0.68 and 0.76 of the misfit are left without."""
     rng = np.random.default_rng(5)
     q = rng.uniform(demo.lower, demo.upper, (100, demo.n))
     xyz = Model(demo).tip(q) + noise_m * rng.standard_normal((100, 3))
