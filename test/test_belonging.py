@@ -212,7 +212,7 @@ def test_joints_beyond_their_limits_are_told_what_fits(rng: np.random.Generator)
 def test_a_mistake_is_told_where_it_explains_much_of_the_misfit(
     demo: Arm, noise_m: float, told: bool
 ) -> None:
-    """Joint 6 is negated, under noise that hides it: 0.68 and 0.76 of the misfit are left without."""
+    """Joint 6 is negated, under noise: without that 0.68 and 0.76 of the misfit are left."""
     rng = np.random.default_rng(5)
     q = rng.uniform(demo.lower, demo.upper, (100, demo.n))
     xyz = Model(demo).tip(q) + noise_m * rng.standard_normal((100, 3))
