@@ -44,10 +44,11 @@ class Bench:
         self.said: dict[subprocess.Popen[str], IO[str]] = {}
 
     def start(
-        self, node: str, params: Mapping[str, Any] | None = None, namespace: str = ""
-    ) -> subprocess.Popen[str]:
-        """Start a node of ``longarm_comp.nodes``."""
-        args = ["-m", f"longarm_comp.nodes.{node}", "--ros-args"]
+        self, node: str, params: Mapping[str, Any] | None = None, namespace: str = "",
+        words: Sequence[str] = (),
+    ) -> subprocess.Popen[str]:  # fmt: skip
+        """Start a node of ``longarm_comp.nodes``, with words of its own on its command line."""
+        args = ["-m", f"longarm_comp.nodes.{node}", *words, "--ros-args"]
         if namespace:
             args += ["-r", f"__ns:=/{namespace}"]
         alone = {"compiled": False, "acknowledged": False}  # there is no driver
