@@ -15,7 +15,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.strict_yaml import MOST_BYTES
-from longarm_comp.urdf import import_urdf
+from longarm_comp.urdf import chain_ends, import_urdf
 from longarm_comp.urdf_file import UrdfRobot
 
 ROBOTS = (
@@ -155,18 +155,67 @@ def test_a_telescope_has_rows_that_hold_its_beams(tmp_path: Path, rng: np.random
     assert sag == pytest.approx(at_load + 0.5 * slope, rel=0.01)
 
 
-def test_continuous_joints_get_half_a_turn_and_coinciding_limits_are_fixed(tmp_path: Path) -> None:
-    text = CHAIN.replace('"revolute"', '"continuous"')
-    text = text.replace('lower="-0.1" upper="0.4"', 'lower="0.1" upper="0.1"')
-    text = text.replace('<mimic joint="ja" multiplier="1.5" offset="0.02"/>', "")
+def test_continuous_joints_get_half_a_turn(tmp_path: Path) -> None:
     path = tmp_path / "lift.urdf"
-    path.write_text(text)
+    path.write_text(CHAIN.replace('"revolute"', '"continuous"'))
     arm = Arm.parse(import_urdf(path, "base", "c"), "lift")
-    assert arm.joint_names == ("jb", "jc")
+    assert arm.joint_names == ("ja", "jc")
     assert arm.upper[1] == pytest.approx(np.pi)
-    at_zero = Model(arm).tip(np.zeros(2))
-    # Joint ja stands at 0.1 m along -y, which its origin leaves as it is; jb's origin is 0.1 m on.
-    assert np.allclose(at_zero, [0, 0, 0.3], atol=1e-12)
+
+
+BARE = """<robot name="cad">
+  <link name="base"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="tip"/>
+  <joint name="waist" type="revolute"><parent link="base"/><child link="l1"/>
+    <origin xyz="0 0 0.1"/><axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
+  <joint name="shoulder" type="revolute"><parent link="l1"/><child link="l2"/>
+    <origin xyz="0 0 0.1" rpy="1.5708 0 0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"/></joint>
+  <joint name="elbow" type="revolute"><parent link="l2"/><child link="l3"/>
+    <origin xyz="0.3 0 0"/><axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
+  <joint name="end" type="fixed"><parent link="l3"/><child link="tip"/>
+    <origin xyz="0.25 0 0"/></joint>
+</robot>
+"""
+SHOULDER = '<limit lower="-1" upper="1"/>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (SHOULDER, "", "joint shoulder limit: 'missing'; allowed: lower < upper, or type fixed"),
+        (SHOULDER, '<limit effort="9" velocity="1"/>', "joint shoulder limit: 'missing'"),
+        (SHOULDER, '<limit lower="0" upper="0"/>', "joint shoulder limit: '0 to 0'"),
+        (SHOULDER, '<limit lower="0.3" upper="0.3"/>', "joint shoulder limit: '0.3 to 0.3'"),
+        ('lower="-2" upper="2"', "", "joint waist limit: 'missing'; allowed: lower < upper, or "
+         "type fixed where it stands still; so too joint elbow"),
+        (SHOULDER, '<limit lower="-90" upper="90"/>', "joint shoulder limit: '-90 to 90'; allowed: "
+         "rad, two turns (12.6) to either side at most, not degrees"),
+        (SHOULDER, '<limit lower="-1e16" upper="1e16"/>', "continuous where it turns on and on"),
+        ('rpy="1.5708 0 0"', 'rpy="90 0 0"', "joint shoulder origin: [90.0, 0.0, 0.0]; allowed: "
+         "rpy in rad, a turn (6.28) at most, not degrees"),
+    ],
+)  # fmt: skip
+def test_limits_that_give_no_range_or_degrees_are_said(
+    old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "cad.urdf"
+    path.write_text(BARE)
+    assert Arm.parse(import_urdf(path, "base", "tip"), "cad").n == 3
+    assert old in BARE
+    path.write_text(BARE.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        import_urdf(path, "base", "tip")
+    assert words in str(caught.value)
+
+
+def test_two_turns_are_a_range_and_what_is_off_the_chain_needs_none(tmp_path: Path) -> None:
+    path = tmp_path / "cad.urdf"
+    wheel = '<link name="wheel"/><joint name="roll" type="revolute"><parent link="base"/>'
+    wheel += '<child link="wheel"/><limit lower="-1e16" upper="1e16"/></joint>'
+    path.write_text(BARE.replace('"-1" upper="1"', '"-12.56" upper="12.56"')
+                    .replace("</robot>", f"{wheel}</robot>"))  # fmt: skip
+    arm = Arm.parse(import_urdf(path, "base", "tip"), "cad")
+    assert arm.joint_names == ("waist", "shoulder", "elbow")
+    assert arm.upper[1] == pytest.approx(12.56)
 
 
 @pytest.mark.parametrize(
@@ -175,7 +224,6 @@ def test_continuous_joints_get_half_a_turn_and_coinciding_limits_are_fixed(tmp_p
         ("<robot", "<machine", "machine"),
         ('name="lift">', 'name="lift">\n<broken', "a URDF (XML)"),
         ('type="revolute"', 'type="floating"', "joint jc: 'floating'"),
-        ('<limit lower="-2" upper="2" effort="1" velocity="1"/>', "", "joint jc limit: 'missing'"),
         ('lower="-2" upper="2"', 'lower="2" upper="-2"', "joint jc limit"),
         ('xyz="1 1 1"', 'xyz="0 0 0"', "joint jc axis"),
         ('xyz="1 1 1"', 'xyz="1 1"', "joint jc axis"),
@@ -295,3 +343,52 @@ def test_a_centre_of_mass_in_millimetres_is_refused(tmp_path: Path) -> None:
     import_urdf(path, "base", "c")
     path.write_text('\n \n<?xml version="1.0"?>\n' + CHAIN)
     assert import_urdf(path, "base", "c")["name"] == "lift"
+
+
+MIMICS = """<robot name="mimics"><link name="b"/><link name="l1"/><link name="l2"/><link name="l3"/>
+<link name="l4"/><link name="loose"/>
+<joint name="a" type="revolute"><parent link="b"/><child link="l1"/><origin xyz="0 0 .1"/>
+  <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="s1" type="prismatic"><parent link="l1"/><child link="l2"/><origin xyz=".1 0 0"/>
+  <axis xyz="0 0 1"/><limit lower="0" upper=".5" effort="1" velocity="1"/></joint>
+<joint name="s2" type="prismatic"><parent link="l2"/><child link="l3"/><origin xyz="0 0 .5"/>
+  <axis xyz="0 0 1"/><limit effort="1" velocity="1"/>
+  <mimic joint="s1" multiplier="-2" offset="0.03"/></joint>
+<joint name="s3" type="prismatic"><parent link="l3"/><child link="l4"/><origin xyz="0 0 .5"/>
+  <axis xyz="0 0 1"/><limit lower="0" upper="0" effort="1" velocity="1"/>
+  <mimic joint="s2" multiplier="0.8" offset="0.01"/></joint>
+</robot>"""
+
+
+def test_a_mimic_of_a_mimic_follows_the_first(tmp_path: Path) -> None:
+    """By hand: s2 = 0.03 - 2 s1, s3 = 0.01 + 0.8 s2; without limits of their own too."""
+    path = tmp_path / "mimics.urdf"
+    path.write_text(MIMICS)
+    assert chain_ends(path, "", "") == ("b", "l4")  # the loose link hangs on nothing
+    arm = Arm.parse(import_urdf(path, "b", "l4"), "mimics")
+    assert arm.joint_names == ("a", "s1")
+    for s1 in (0.0, 0.2, 0.5):
+        s2 = 0.03 - 2 * s1
+        height = 0.1 + s1 + 0.5 + s2 + 0.5 + 0.01 + 0.8 * s2
+        assert Model(arm).tip(np.array([0.3, s1]))[2] == pytest.approx(height, abs=1e-12)
+    for leader, told in (("s3", "s3 mimic: 's2'"), ("s2", "s2 mimic: 's2'")):
+        path.write_text(MIMICS.replace('mimic joint="s1"', f'mimic joint="{leader}"'))
+        with pytest.raises(InputError, match=f"joint {told}; allowed: a joint: a, s1"):
+            import_urdf(path, "b", "l4")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('<robot name="r"/>', "link: 'none'"),
+        ('<robot name="r"><link name="a"/></robot>', "--tip: 'a'; allowed: a link that moves"),
+        ('<robot name="r"><link name="a"/><link name="b"/></robot>', "--base: 'missing'; allowed: "
+         "one of a, b"),
+    ],
+)  # fmt: skip
+def test_a_file_without_a_chain_is_refused(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        import_urdf(path, *chain_ends(path, "", ""))
+    assert words in str(caught.value)
