@@ -151,7 +151,8 @@ def evaluate(arm: options.Arm, test: Path, model: Path | None, predictor: Path |
 
     The lines of the table are the rigid declared arm, the arm with its declared deflection, the
     calibrated model, and the model with the network. The worst rows of the last are named by their
-    index. Every measured row counts: rows that do not fit the model are noted, not refused. At
+    index. Every measured row counts: rows that do not fit the model are noted, not refused. Rows
+    that see the declared arm elsewhere place it first, if they tell twice as much as that takes. At
     poses outside the network's training data the physics is used alone. A note appears if the model
     or the network was fitted to the session.
 
@@ -178,6 +179,7 @@ def evaluate(arm: options.Arm, test: Path, model: Path | None, predictor: Path |
             "no_gain_promised": evaluation.refused,
             "fitted_to_test": evaluation.fitted,
             "placed": evaluation.placed,
+            "elsewhere": evaluation.elsewhere,
         }
     )
     print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)

@@ -7,12 +7,14 @@ then that of the drawing.  It takes a known distance between two points, or a sl
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import ZERO, scale, tangent
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.noise import sightings
 from longarm_comp.core.calibration.placement import placed, reference, sensor_frames, started
 from longarm_comp.core.data.measurement import equations, errors, posture, turns
 from longarm_comp.core.data.registration import median_distance, median_spread
@@ -23,6 +25,8 @@ from longarm_comp.core.effects.placements import BasePose, TipOffset, TipOrienta
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
+TWICE = 2
+"""Numbers that rows hold, in those that place an arm, from which the rest says what it errs by."""
 UNTOLD = 0.1
 """Posterior standard deviation, in that of a prior that knows nothing, of what rows do not tell."""
 
@@ -41,21 +45,48 @@ def with_frames(model: Model, session: Session) -> Model:
     return started(placed(whole, reference(session)), session)
 
 
-def standing(model: Model, session: Session) -> tuple[Model, bool]:
-    """A model as its errors may be shown: placed by the rows where they see it somewhere else.
+class Standing(NamedTuple):
+    """A model as its errors may be shown.
+
+    `elsewhere`: the rows see it somewhere else; `placed`: they placed it, because they tell more.
+    """
+
+    model: Model
+    elsewhere: bool
+    placed: bool
+
+
+def standing(model: Model, session: Session) -> Standing:
+    """A model placed by the rows where they see it somewhere else, and tell more than a place.
 
     The axes of a tracked body are never declared, so how they sit on the tip is always solved.
-
-    Returns:
-        The model, and whether it was placed.
     """
     bodies = [t for t in frames(model.arm, session) if isinstance(t, TipOrientation)]
     whole = model.with_missing(bodies)
     axes = model if whole.terms == model.terms else started(whole, session)
     groups = (session.take(session.frames == name) for name in np.unique(session.frames))
-    if any(misplaced(axes, rows) for rows in groups):
-        return with_frames(model, session), True
-    return axes, False
+    if not any(misplaced(axes, rows) for rows in groups):
+        return Standing(axes, elsewhere=False, placed=False)
+    moved = with_frames(model, session)
+    if _tell_more(moved, session):
+        return Standing(moved, elsewhere=True, placed=True)
+    return Standing(axes, elsewhere=True, placed=False)
+
+
+def _tell_more(model: Model, session: Session) -> bool:
+    """Whether rows hold `TWICE` the numbers that place a model, each sighting counted once.
+
+    Where they hold few more it fits them whatever the arm does.  What solves touched points is
+    taken off both.
+    """
+    seen = session.take(session.seen)
+    rows = seen.take(np.unique(sightings(seen), axis=0, return_index=True)[1])
+    slots = [slot for slot in model.slots if slot.parameter.unknown]
+    found = equations(model, rows, posture(model, rows), slots)
+    columns = (found.columns * [slot.parameter.width for slot in slots]).reshape(-1, len(slots))
+    passing = columns[:, [slot.owner.passing for slot in slots]]
+    taken, points = (int(np.linalg.matrix_rank(each, rtol=1e-6)) for each in (columns, passing))
+    return int(rows.measured.sum()) - points >= TWICE * (taken - points)
 
 
 def misplaced(model: Model, session: Session) -> bool:
