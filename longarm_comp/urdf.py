@@ -21,12 +21,16 @@ _NO_LENGTH = 1e-10
 
 
 def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
-    """What arm.yaml holds for the chain from link `base` to link `tip`.
+    """What arm.yaml holds for the chain of a file from link `base` to link `tip`."""
+    return read_chain(UrdfRobot(path), base, tip)
+
+
+def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
+    """What arm.yaml holds for the chain from link `base` to link `tip`. Raises InputError.
 
     Continuous joints are endless.  Every link's mass is lumped at its centre of mass; what hangs
     beside the chain (a gripper, another arm) is carried with its own joints at zero.
     """
-    robot = UrdfRobot(path)
     way = robot.path(base, tip)
     moving = {joint.name: joint for joint in way if joint.moves}
     if not moving:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.strict_yaml import MOST_BYTES
 from longarm_comp.urdf import chain_ends, import_urdf
-from longarm_comp.urdf_file import UrdfRobot
+from longarm_comp.urdf_file import UrdfRobot, resting
 
 ROBOTS = (
     ("panda_description/urdf/panda.urdf", "panda_link0", "panda_hand_tcp", 7),
@@ -53,35 +54,49 @@ CHAIN = """<robot name="lift">
 
 def example(name: str) -> Path:
     """A public robot's URDF out of the package `example-robot-data`."""
-    for entry in map(Path, sys.path):
-        path = entry / "cmeel.prefix" / "share" / "example-robot-data" / "robots" / name
-        if path.is_file():
+    for path in public_robots():
+        if path.as_posix().endswith(f"/robots/{name}"):
             return path
     pytest.skip("example-robot-data is not installed")
 
 
-def compare(path: Path, base: str, tip: str, arm: Arm, rng: np.random.Generator) -> None:
-    """Tip pose and gravity torques at random joints, another library's against this one's."""
+@cache
+def public_robots() -> list[Path]:
+    """Every URDF of the package `example-robot-data`; none where it is not installed."""
+    for entry in map(Path, sys.path):
+        folder = entry / "cmeel.prefix" / "share" / "example-robot-data" / "robots"
+        if folder.is_dir():
+            return sorted(folder.rglob("*.urdf"))
+    return []
+
+
+def compare(path: Path, base: str, tip: str, arm: Arm, q: np.ndarray) -> None:
+    """Tip pose and gravity torques at joints (N, n), another library's against this one's."""
     pin = pytest.importorskip("pinocchio")
     robot = pin.buildModelFromUrdf(str(path))
     robot.gravity.linear = np.array(arm.gravity_mps2)
     data = robot.createData()
     model = Model(arm)
     rows, offset = arm.mixing
-    for _ in range(10):
-        q = arm.lower + rng.random(arm.n) * (arm.upper - arm.lower)
-        v = np.zeros(robot.nv)
-        for joint, value in zip(arm.joints, rows @ q + offset, strict=True):
+    rests = {j.name: resting(j) for j in UrdfRobot(path).joints.values() if j.moves}
+    rest = np.zeros(robot.nv)
+    for name, value in rests.items():
+        rest[robot.joints[robot.getJointId(name)].idx_v] = value
+    for each in q:
+        v = rest.copy()
+        for joint, value in zip(arm.joints, rows @ each + offset, strict=True):
             if joint.type != "fixed":
                 v[robot.joints[robot.getJointId(joint.name)].idx_v] = value
         configuration = pin.integrate(robot, pin.neutral(robot), v)
         pin.framesForwardKinematics(robot, data, configuration)
         base_pose, tip_pose = (data.oMf[robot.getFrameId(link, pin.BODY)] for link in (base, tip))
         expected = (base_pose.inverse() * tip_pose).homogeneous
-        assert np.abs(model.pose(q) - expected).max() < 1e-9
+        assert np.abs(model.pose(each) - expected).max() < 1e-9
         torque = pin.computeGeneralizedGravity(robot, data, configuration)
-        posture = model.posture(unstack(q))
+        posture = model.posture(unstack(each))
         for row, name in zip(arm.commanded, arm.joint_names, strict=True):
+            if not arm.joints[row - 1].moves:  # beside the chain: what it carries itself is no part
+                continue
             station = posture.bearing(row)
             turning = arm.joints[row - 1].type == "revolute"
             carried = posture.moment(station) if turning else posture.force(station)
@@ -91,6 +106,11 @@ def compare(path: Path, base: str, tip: str, arm: Arm, rng: np.random.Generator)
             )
 
 
+def drawn(arm: Arm, rng: np.random.Generator, count: int = 10) -> np.ndarray:
+    """(count, n) joints inside the limits."""
+    return arm.lower + rng.random((count, arm.n)) * (arm.upper - arm.lower)
+
+
 @pytest.mark.parametrize(("name", "base", "tip", "n"), ROBOTS)
 def test_public_robots(name: str, base: str, tip: str, n: int, rng: np.random.Generator) -> None:
     path = example(name)
@@ -98,7 +118,7 @@ def test_public_robots(name: str, base: str, tip: str, n: int, rng: np.random.Ge
     arm = Arm.parse(yaml.safe_load(yaml.safe_dump(data)), str(path))
     assert arm.n == n
     assert sum(m.mass_kg for m in arm.point_masses) > 0
-    compare(path, base, tip, arm, rng)
+    compare(path, base, tip, arm, drawn(arm, rng))
 
 
 def test_mimic_side_branch_and_odd_axes(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -108,7 +128,7 @@ def test_mimic_side_branch_and_odd_axes(tmp_path: Path, rng: np.random.Generator
     assert arm.joint_names == ("ja", "jc")
     assert np.allclose(arm.lower, [-0.1, -2])
     assert {m.name: m.mass_kg for m in arm.point_masses} == {"a": 1.5, "b": 0.5, "side": 0.3}
-    compare(path, "base", "c", arm, rng)
+    compare(path, "base", "c", arm, drawn(arm, rng))
 
 
 TELESCOPE = """<robot name="boom">
@@ -138,7 +158,8 @@ def test_a_telescope_has_rows_that_hold_its_beams(tmp_path: Path, rng: np.random
     lengths = {row["name"]: (row.get("a_m", 0.0), row.get("d_m", 0.0)) for row in data["joints"]}
     assert lengths["ext"] == pytest.approx((0.0, 3.2))
     assert lengths["luff"] == pytest.approx((0.8, 0.0), abs=0.11)
-    compare(path, "base", "tip", Arm.parse(data, "boom"), rng)
+    straight = Arm.parse(data, "boom")
+    compare(path, "base", "tip", straight, drawn(straight, rng))
     row = next(row["id"] for row in data["joints"] if row["name"] == "ext")
     tube = {"row": row, "role": "d", "EI_nm2": 4e5, "GJ_nm2": 3e5}
     data["links"] = [{**tube, "name": "outer", "length_m": 3.0},
