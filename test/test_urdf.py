@@ -211,6 +211,9 @@ SHOULDER = '<limit lower="-1" upper="1"/>'
         (SHOULDER, '<limit lower="-90" upper="90"/>', "joint shoulder limit: '-90 to 90'; allowed: "
          "rad, two turns (12.6) to either side at most, not degrees"),
         (SHOULDER, '<limit lower="-1e16" upper="1e16"/>', "continuous where it turns on and on"),
+        (SHOULDER, '<limit lower="-inf" upper="inf"/>', "joint shoulder limit: '-inf to inf'"),
+        (SHOULDER, '<limit lower="nan" upper="1"/>', "joint shoulder limit: 'nan'; allowed: lower"),
+        (SHOULDER, '<limit lower="low" upper="1"/>', "joint shoulder limit: 'low'; allowed: lower"),
         ('rpy="1.5708 0 0"', 'rpy="90 0 0"', "joint shoulder origin: [90.0, 0.0, 0.0]; allowed: "
          "rpy in rad, a turn (6.28) at most, not degrees"),
     ],
@@ -226,6 +229,16 @@ def test_limits_that_give_no_range_or_degrees_are_said(
     with pytest.raises(InputError) as caught:
         import_urdf(path, "base", "tip")
     assert words in str(caught.value)
+
+
+def test_a_slide_in_millimetres_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cad.urdf"
+    slide = BARE.replace('"shoulder" type="revolute"', '"shoulder" type="prismatic"')
+    path.write_text(slide.replace(SHOULDER, '<limit lower="0" upper="100"/>'))
+    assert Arm.parse(import_urdf(path, "base", "tip"), "cad").upper[1] == 100.0
+    path.write_text(slide.replace(SHOULDER, '<limit lower="0" upper="500"/>'))
+    with pytest.raises(InputError, match="shoulder limit: '0 to 500'; allowed: m, 100 to either"):
+        import_urdf(path, "base", "tip")
 
 
 def test_two_turns_are_a_range_and_what_is_off_the_chain_needs_none(tmp_path: Path) -> None:
@@ -337,6 +350,9 @@ def test_a_mimic_of_a_joint_beside_the_chain_and_a_fixed_tool(tmp_path: Path) ->
     c, s = np.cos(0.2), np.sin(0.2)
     at = [c * 0.1 - s * 0.2, s * 0.1 + c * 0.2, 0.3 + 0.01 + 0.3]
     np.testing.assert_allclose(low[:3, 3], at, atol=1e-12)
+    path.write_text(COLUMN.replace('upper="1"', 'upper="0"'))
+    with pytest.raises(InputError, match="joint lift limit: '0 to 0'"):
+        import_urdf(path, "base", "tool")
     with pytest.raises(InputError, match="joint first mimic: 'lid'; allowed: a joint: lift"):
         path.write_text(COLUMN.replace('joint="lift" multiplier="0.5"/>', 'joint="lid"/>'))
         import_urdf(path, "base", "tool")
