@@ -21,18 +21,28 @@ _NO_LENGTH = 1e-10
 
 
 def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
-    """What arm.yaml holds for the chain from link `base` to link `tip`.
+    """What arm.yaml holds for the chain of a file from link `base` to link `tip`."""
+    return read_chain(UrdfRobot(path), base, tip)
 
-    Continuous joints are endless; a joint whose limits coincide is fixed there.  Every link's mass
-    is lumped at its centre of mass; what hangs beside the chain (a gripper, another arm) is
-    carried with its own joints at zero.
+
+def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
+    """What arm.yaml holds for the chain from link `base` to link `tip`. Raises InputError.
+
+    Continuous joints are endless.  Every link's mass is lumped at its centre of mass; what hangs
+    beside the chain (a gripper, another arm) is carried with its own joints at zero.
     """
-    robot = UrdfRobot(path)
     way = robot.path(base, tip)
-    moving = [joint for joint in way if joint.moves]
+    moving = {joint.name: joint for joint in way if joint.moves}
+    if not moving:
+        raise robot.error("--tip", tip, f"a link that moves against {base}")
+    mimics = {name: robot.leader(joint) for name, joint in moving.items()}
+    leaders = {mimic["joint"]: robot.joints[mimic["joint"]] for mimic in mimics.values() if mimic}
+    beside = {name: joint for name, joint in leaders.items() if name not in moving}
+    robot.check_ranges(j for name, j in (beside | moving).items() if not mimics.get(name))
+    geared = {m["joint"] for name, m in mimics.items() if m and _geared(moving[name], m)}
     rows = [
-        _row(robot, joint, number) | {"moves": False}
-        for number, joint in enumerate(_beside(robot, moving), 1)
+        _row(joint, number, None, name in geared) | {"moves": False}
+        for number, (name, joint) in enumerate(beside.items(), 1)
     ]
     masses: list[dict[str, Any]] = []
     at, frame = np.eye(4), 0  # the present link, in the frame of row `frame`
@@ -46,14 +56,13 @@ def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
             if turn is not None:
                 fixed = {"id": len(rows) + 1, "name": f"to_{joint.name}", "type": "fixed"}
                 rows.append({**fixed, "pose": _pose(turn)})
-            rows.append({**_row(robot, joint, len(rows) + 1), **lengths})
+            row = _row(joint, len(rows) + 1, mimics[joint.name], joint.name in geared)
+            rows.append({**row, **lengths})
             frame, at = len(rows), align.T
         else:
             at = at @ joint.at(resting(joint))
         if frame:
             masses += _carried(robot, joint.child, following, at, frame)
-    if not frame:
-        raise robot.error("--tip", tip, f"a link that moves against {base}")
     pose = _pose(at)
     return {
         "name": robot.name,
@@ -65,32 +74,24 @@ def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
 
 
 def chain_ends(path: str | Path, base: str, tip: str) -> tuple[str, str]:
-    """Base and tip link of a chain; the root and the only link at an end where one is blank."""
+    """Base and tip link of a chain: where one is blank the only root that carries links, and the
+    only end above the base."""
     robot = UrdfRobot(path)
+    if not robot.links:
+        raise robot.error("link", "none", "links and joints")
     if not base:
-        base = next(link for link in robot.links if link not in robot.above)
-    if not tip:
-        ends = [link for link in robot.links if not robot.children.get(link)]
-        if len(ends) != 1:
-            raise robot.error("--tip", "missing", f"one of {', '.join(ends)}")
-        tip = ends[0]
+        roots = [link for link in robot.links if link not in robot.above]
+        base = _only(robot, "--base", [link for link in roots if link in robot.children] or roots)
+    if not tip and base in robot.links:
+        above = [link for link, _ in robot.below(base, None, np.eye(4))]
+        tip = _only(robot, "--tip", [link for link in above if link not in robot.children])
     return base, tip
 
 
-def _beside(robot: UrdfRobot, moving: list[UrdfJoint]) -> list[UrdfJoint]:
-    """Joints off the chain that joints of it mimic."""
-    made: dict[str, UrdfJoint] = {}
-    for joint in moving:
-        if joint.mimic is None:
-            continue
-        name = joint.mimic["joint"]
-        leader = robot.joints.get(name)
-        if leader is None or not leader.moves or leader.mimic is not None:
-            free = [j.name for j in robot.joints.values() if j.moves and j.mimic is None]
-            raise robot.error(f"joint {joint.name} mimic", name, f"a joint: {', '.join(free)}")
-        if name not in (other.name for other in moving):
-            made[name] = leader
-    return list(made.values())
+def _only(robot: UrdfRobot, option: str, links: list[str]) -> str:
+    if len(links) > 1:
+        raise robot.error(option, "missing", f"one of {', '.join(links)}")
+    return links[0]
 
 
 def _along_own_axes(before: np.ndarray) -> tuple[np.ndarray | None, dict[str, float]]:
@@ -114,13 +115,14 @@ def _along_own_axes(before: np.ndarray) -> tuple[np.ndarray | None, dict[str, fl
     return None if "alpha_deg" in keys else turn, kept
 
 
-def _row(robot: UrdfRobot, joint: UrdfJoint, number: int) -> dict[str, Any]:
+def _row(
+    joint: UrdfJoint, number: int, mimic: dict[str, Any] | None, geared: bool
+) -> dict[str, Any]:
+    """Keys of a joint's row but its lengths; `geared`: a row that mimics it is."""
     row: dict[str, Any] = {"id": number, "name": joint.name, "type": MOVING[joint.type]}
-    if joint.mimic is not None:
-        return {**row, "mimic": joint.mimic}
-    if joint.limits is None:
-        raise robot.error(f"joint {joint.name} limit", "missing", "lower and upper")
-    geared = any(_geared(other, joint.name) for other in robot.joints.values())
+    if mimic is not None:
+        return {**row, "mimic": mimic}
+    assert joint.limits is not None  # UrdfRobot.check_ranges
     if joint.type == "continuous" and not geared:
         row["endless"] = True
     if row["type"] == "revolute":
@@ -128,11 +130,9 @@ def _row(robot: UrdfRobot, joint: UrdfJoint, number: int) -> dict[str, Any]:
     return {**row, "limits_m": list(joint.limits)}
 
 
-def _geared(joint: UrdfJoint, leader: str) -> bool:
-    """Whether it mimics a leader so that it stands elsewhere after a whole turn of that."""
-    if joint.mimic is None or joint.mimic["joint"] != leader or not joint.moves:
-        return False
-    return MOVING[joint.type] != "revolute" or joint.mimic["multiplier"] % 1 != 0
+def _geared(joint: UrdfJoint, mimic: dict[str, Any]) -> bool:
+    """Whether a joint stands elsewhere after a whole turn of the one that it mimics."""
+    return MOVING[joint.type] != "revolute" or mimic["multiplier"] % 1 != 0
 
 
 def _carried(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -18,11 +18,24 @@ from longarm_comp.core.strict_yaml import MOST_BYTES
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 _TYPES = (*MOVING, "fixed", "floating", "planar")
+_TURN = 2 * math.pi
+_LIMITS = {
+    "revolute": (
+        2 * _TURN,
+        f"rad, two turns ({2 * _TURN:.3g}) to either side at most, not degrees; type continuous "
+        "where it turns on and on",
+    ),
+    "prismatic": (100.0, "m, 100 to either side at most, not millimetres"),
+}
+"""Of joints on the chain: the farthest that is no mistake of the unit, and what is allowed."""
 
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint: origin (4, 4) in the parent's frame, unit axis (3,) in its own, limits."""
+    """A joint: origin (4, 4) in the parent's frame, unit axis (3,) in its own, limits (rad, m).
+
+    Limits are None where the file gives none, and may coincide: see `UrdfRobot.check_ranges`.
+    """
 
     name: str
     type: str
@@ -35,12 +48,12 @@ class UrdfJoint:
 
     @property
     def moves(self) -> bool:
-        """Whether it has room to move."""
-        return self.type in MOVING and (self.limits is None or self.limits[0] < self.limits[1])
+        """Whether its type moves, whatever its limits say."""
+        return self.type in MOVING
 
     def at(self, value: float) -> np.ndarray:
         """(4, 4) parent to child at a joint value (rad or m)."""
-        if self.type not in MOVING:
+        if not self.moves:
             return self.origin
         way, still = value * self.axis, (0.0, 0.0, 0.0)
         twist = (*way, *still) if self.type == "prismatic" else (*still, *way)
@@ -101,6 +114,38 @@ class UrdfRobot:
             at = way[-1].parent
         return way[::-1]
 
+    def leader(self, joint: UrdfJoint) -> dict[str, Any] | None:
+        """`mimic` of a joint, of the commanded one at the end of whatever mimics lead to it."""
+        if joint.mimic is None:
+            return None
+        at, met, multiplier, offset = joint, [joint.name], 1.0, 0.0
+        while at.mimic is not None:
+            offset += multiplier * at.mimic["offset"]
+            multiplier *= at.mimic["multiplier"]
+            name = at.mimic["joint"]
+            if name in met or name not in self.joints or not self.joints[name].moves:
+                free = [j.name for j in self.joints.values() if j.moves and j.mimic is None]
+                raise self.error(f"joint {at.name} mimic", name, f"a joint: {', '.join(free)}")
+            met.append(name)
+            at = self.joints[name]
+        return {"joint": at.name, "multiplier": multiplier, "offset": offset}
+
+    def check_ranges(self, joints: Iterable[UrdfJoint]) -> None:
+        """Refuse commanded joints whose limits leave no room, or can only be in another unit."""
+        faults: dict[str, list[tuple[str, str]]] = {}
+        for joint in joints:
+            given = "missing" if joint.limits is None else "{:g} to {:g}".format(*joint.limits)
+            most, allowed = _LIMITS[MOVING[joint.type]]
+            if joint.limits is None or not joint.limits[0] < joint.limits[1]:
+                allowed = "lower < upper, or type fixed where it stands still"
+            elif max(map(abs, joint.limits)) <= most:
+                continue
+            faults.setdefault(allowed, []).append((joint.name, given))
+        for allowed, ((name, given), *others) in faults.items():
+            also = ", ".join(other for other, _ in others)
+            allowed += f"; so too joint {also}" if also else ""
+            raise self.error(f"joint {name} limit", given, allowed)
+
     def below(
         self, link: str, without: UrdfJoint | None, at: np.ndarray
     ) -> Iterator[tuple[str, np.ndarray]]:
@@ -149,7 +194,13 @@ class UrdfRobot:
             raise self.error(f"link {link}", "in a cycle of joints", "a tree of links") from error
 
     def _numbers(
-        self, node: ET.Element, part: str, key: str, usual: str, needed: bool = False
+        self,
+        node: ET.Element,
+        part: str,
+        key: str,
+        usual: str,
+        needed: bool = False,
+        most: float = 1e6,
     ) -> np.ndarray:
         """An attribute of a part of a link or a joint, as many numbers as `usual` has.
 
@@ -162,9 +213,10 @@ class UrdfRobot:
         except ValueError:
             made = np.empty(0)
         count = len(usual.split())
-        if len(made) != count or not (np.abs(made) <= 1e6).all():
+        if len(made) != count or not (np.abs(made) <= most).all():
             field = f"{node.tag} {node.get('name')} {part.rpartition('/')[2]}"
-            raise self.error(field, text, f"{key}, {count} finite numbers up to 1e6")
+            bound = "finite numbers up to 1e6" if most < math.inf else "numbers"
+            raise self.error(field, text, f"{key}, {count} {bound}")
         return made
 
     def _frame(self, node: ET.Element, part: str) -> np.ndarray:
@@ -186,11 +238,13 @@ class UrdfRobot:
         if kind in MOVING and length < 1e-9:
             raise self.error(f"joint {name} axis", axis.tolist(), "a direction")
         limits: tuple[float, float] | None = None
+        ends = node.find("limit")
         if kind == "continuous":
             limits = (-math.pi, math.pi)
-        elif kind in MOVING and node.find("limit") is not None:
+        elif kind in MOVING and ends is not None and {"lower", "upper"} & set(ends.keys()):
             lower, upper = (
-                float(self._numbers(node, "limit", key, "0")[0]) for key in ("lower", "upper")
+                float(self._numbers(node, "limit", key, "0", most=math.inf)[0])
+                for key in ("lower", "upper")
             )
             if lower > upper:
                 raise self.error(f"joint {name} limit", [lower, upper], "lower <= upper")
@@ -206,6 +260,10 @@ class UrdfRobot:
             for end in (node.find("parent"), node.find("child"))
         )
         origin = self._frame(node, "origin")
+        turns = self._numbers(node, "origin", "rpy", "0 0 0")
+        if np.abs(turns).max() > 1.01 * _TURN:
+            allowed = f"rpy in rad, a turn ({_TURN:.3g}) at most, not degrees"
+            raise self.error(f"joint {name} origin", turns.tolist(), allowed)
         return UrdfJoint(name, kind, parent, child, origin, axis / (length or 1.0), limits, follows)
 
 

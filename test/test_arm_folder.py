@@ -201,6 +201,9 @@ FAULTS = {
     "an arm in millimetres": ("arm.yaml", r"a_m: 0.16", "a_m: 160.0", "implausible", "arm.yaml"),
     "an unknown key": ("arm.yaml", "tip:", "top:", "implausible", "arm.yaml: top"),
     "a soft tube": ("arm.yaml", r"E_pa: [\d.e+]+", "E_pa: 2.1e6", "implausible", "arm.yaml: links"),
+    "degrees taken for radians": (
+        "arm.yaml", r"limits_deg: \[-60.0, 60.0\]", "limits_deg: [-3438, 3438]", "implausible",
+        "arm.yaml: joints.joint1.limits_deg"),
     "other limits": ("servo_driver.yaml", r"upper: [\d.]+", "upper: 0.9", "implausible",
                      "servo_driver.yaml: joints.joint1"),
     "another joint": ("servo_driver.yaml", "joint6:", "joint7:", "implausible",
@@ -375,3 +378,17 @@ def test_the_arm_file_says_what_it_means(hobby: Path) -> None:
     assert np.linalg.norm(declared_model(arm).tip(arm.mid)) < 0.6
     comments = (hobby / "stereo_bridge.yaml").read_text()
     assert "# left optical frame in the base frame, m" in comments
+
+
+@pytest.mark.parametrize(
+    ("joint", "ends"),
+    [
+        ("endless: true, limits_deg: [-900, 900]", []),
+        ("limits_deg: [-720, 720]", []),
+        ("limits_deg: [-721, 0]", ["joints.joint1"]),
+    ],
+)
+def test_a_joint_with_ends_turns_twice_at_most(joint: str, ends: list[str], tmp_path: Path) -> None:
+    text = BOX.replace("WIDTH", "0.02").replace("HEIGHT", "0.04")
+    (tmp_path / "arm.yaml").write_text(text.replace("limits_deg: [-60, 60]", joint))
+    assert levels(tmp_path, "implausible") == [f"arm.yaml: {name}.limits_deg" for name in ends]

@@ -64,9 +64,46 @@ def test_an_arm_that_stands_elsewhere_is_judged_and_said() -> None:
     moved = la.Session.record(rows.q, rows.xyz + np.array([0.5, 0.0, 0.0]))
     made = la.evaluate(ARM, moved, model=la.Model(ARM), note=notes.append)
     assert made["calibrated"].mean == pytest.approx(0.5, rel=0.01)
+    assert made["rigid"].mean < 1e-3 and made.placed and not made.elsewhere
     assert any("from where the model expects it" in text for text in notes)
     with pytest.raises(la.JobError, match="from where the model expects it"):
         la.train(ARM, moved, model=la.Model(ARM), **QUICK)
+
+
+@pytest.mark.parametrize(
+    ("poses", "markers", "repeats"), [(1, 3, 3), (3, 3, 1), (1, 1, 9), (5, 1, 1), (5, 1, 2)]
+)
+def test_rows_that_hardly_tell_more_than_a_place_judge_nothing(
+    poses: int, markers: int, repeats: int, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str], rng: np.random.Generator,
+) -> None:  # fmt: skip
+    """Base and three markers are 15 numbers, base and tip 9: rows that hold no more fit exactly."""
+    several = {
+        f"m{k}": {"frame": 4, "position_m": [0.05 * k, 0.02 * k, 0.1]} for k in range(markers)
+    }
+    named = several if markers > 1 else {}
+    arm = la.Arm.parse(ARM.model_dump(exclude_defaults=True) | {"markers": named}, "arm")
+    spots = [name for name in (named or {"": 0}) for _ in range(poses)]
+    q = np.tile(ARM.lower + rng.random((poses, ARM.n)) * (ARM.upper - ARM.lower), (markers, 1))
+    blank = la.Session.record(q, np.zeros((len(q), 3)), labels={"marker": np.array(spots)})
+    xyz = la.Model(arm).measured(q, blank.context()) + 0.5 + 0.02 * rng.standard_normal((len(q), 3))
+    q, xyz, spots = np.tile(q, (repeats, 1)), np.tile(xyz, (repeats, 1)), spots * repeats
+    xyz += 1e-5 * rng.standard_normal(xyz.shape)
+    rows = la.Session.record(q, xyz, labels={"marker": np.array(spots)} if named else {})
+    (tmp_path / "arm.yaml").write_text(arm.model_dump_json(exclude_defaults=True))
+    write_csv(rows, tmp_path / "test.csv")
+    shell = Shell(tmp_path, capsys)
+    words = ("evaluate", tmp_path / "arm.yaml", "--test", tmp_path / "test.csv")
+    assert shell.json(*words)["rows"][0]["mean_mm"] == pytest.approx(500.0 * 3**0.5, rel=0.1)
+    assert shell(*words) == 0 and "it is judged where it is declared" in shell.err
+
+
+def test_touched_points_are_no_place_of_the_arm(rng: np.random.Generator) -> None:
+    """Three points, touched twice each, are 9 numbers more than they take, and the tip is 3."""
+    q = ARM.lower + rng.random((6, ARM.n)) * (ARM.upper - ARM.lower)
+    points = {"touch": np.array(["a", "b", "c"] * 2)}
+    made = la.evaluate(ARM, la.Session.record(q, np.full((6, 3), np.nan), labels=points))
+    assert made.placed and not made.elsewhere and made["rigid"].spread > 0.01
 
 
 def test_a_network_that_does_not_help_is_not_written(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from longarm_comp.cli.fit import calibrate as calibrate_command
 from longarm_comp.cli.fit import evaluate as evaluate_command
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import untold
+from longarm_comp.core.calibration.standing import places, untold
 from longarm_comp.core.data.lifted_base import lifted_base, multilaterated
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -251,3 +251,29 @@ def test_diagnose_names_the_effect_from_rays() -> None:
     made = read(rows, xyz=poses, readings={"ray": rays}, labels={"sensor": names})
     found = la.diagnose(arm(turn), made, network=False)
     assert [(f.name, f.where) for f in found.findings] == [("joint_gain", ("joint 2",))]
+
+
+def test_calibrate_says_how_well_it_knows_the_base(rng: np.random.Generator) -> None:
+    """The tip known, a base is told as a rigid body by N points: turned about its own origin."""
+    turn = TURNS[0]
+    known = arm(turn).model_dump(exclude_defaults=True)
+    known["tolerance"] = {"tip": {"xyz_m": [1e-9] * 3}}
+    model = declared_model(la.Arm.parse(known, "arm"))
+    q = sensed(n=500).q
+    seen = Session.record(q, turn.apply(model.tip(q)) + FAR + 1e-4 * rng.standard_normal((500, 3)))
+    (_, found), *_ = stages(model, seen)
+    (place,) = places(found)
+    np.testing.assert_allclose(place.xyz_m, FAR, atol=1e-3)
+    np.testing.assert_allclose(
+        Rotation.from_euler("xyz", place.rpy_deg, degrees=True).as_matrix(), turn.as_matrix(),
+        atol=2e-3,
+    )  # fmt: skip
+    x, y, z = (seen.xyz - place.xyz_m).T
+    o = np.zeros(500)
+    design = np.zeros((500, 3, 6))
+    design[:, :, :3] = np.eye(3)
+    design[:, :, 3:] = -np.array([[o, -z, y], [z, o, -x], [-y, x, o]]).transpose(2, 0, 1)
+    told = (design / found.sigma[:, None]).reshape(-1, 6)
+    sd = np.sqrt(np.diag(np.linalg.inv(told.T @ told)))
+    np.testing.assert_allclose(place.sd_mm, 1e3 * sd[:3], rtol=0.05)
+    np.testing.assert_allclose(place.sd_deg, np.degrees(sd[3:]), rtol=0.05)

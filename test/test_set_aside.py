@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_shell import Shell
+from small_arm import ARM as SMALL
+from small_arm import measured
 
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
@@ -15,6 +19,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.csv import write_csv
 
 NOISE = 3e-5
 MARKERS = ((0.1, 0.0, -0.2), (-0.1, 0.1, -0.2), (-0.1, -0.1, -0.2))
@@ -207,3 +212,25 @@ def test_a_reflector_that_was_moved_is_told_with_its_row(made: Model) -> None:
 def test_an_arm_that_stayed_was_not_moved(made: Model) -> None:
     *_, (_, fitted) = stages(Model(PALLETISER), anywhere(made))
     assert moved(fitted) is None
+
+
+def test_both_commands_name_the_rows_that_they_set_aside(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], rng: np.random.Generator
+) -> None:
+    rows = measured(80, rng)
+    xyz = rows.xyz.copy()
+    xyz[7] += 0.2
+    xyz[40] -= 0.3
+    (tmp_path / "arm.yaml").write_text(SMALL.model_dump_json(exclude_defaults=True))
+    write_csv(la.Session.record(rows.q, xyz, index=np.arange(100, 180)), tmp_path / "s.csv")
+    shell = Shell(tmp_path, capsys)
+    files = (tmp_path / "arm.yaml", tmp_path / "s.csv", "-o")
+    for words in (("calibrate", *files, tmp_path / "model.yaml"),
+                  ("diagnose", *files, tmp_path / "diagnosis", "--no-network")):  # fmt: skip
+        assert shell(*words) == 0, shell.err
+        assert "2 gross outliers (2.5%), the worst 5" in shell.err
+        assert "2 rows set aside (2.5%): 107, 140" in shell.err
+    table = "Placed by all rows, in the frame of the measurements"
+    assert shell("calibrate", *files, tmp_path / "model.yaml") == 0 and table in shell.out
+    (base,) = shell.json("calibrate", *files, tmp_path / "model.yaml")["places"]
+    assert base["where"] == "base" and all(0.0 < sd < 5.0 for sd in base["sd_mm"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.core.strict_yaml import MOST_BYTES
-from longarm_comp.urdf import import_urdf
-from longarm_comp.urdf_file import UrdfRobot
+from longarm_comp.urdf import chain_ends, import_urdf
+from longarm_comp.urdf_file import UrdfRobot, resting
 
 ROBOTS = (
     ("panda_description/urdf/panda.urdf", "panda_link0", "panda_hand_tcp", 7),
@@ -53,35 +54,49 @@ CHAIN = """<robot name="lift">
 
 def example(name: str) -> Path:
     """A public robot's URDF out of the package `example-robot-data`."""
-    for entry in map(Path, sys.path):
-        path = entry / "cmeel.prefix" / "share" / "example-robot-data" / "robots" / name
-        if path.is_file():
+    for path in public_robots():
+        if path.as_posix().endswith(f"/robots/{name}"):
             return path
     pytest.skip("example-robot-data is not installed")
 
 
-def compare(path: Path, base: str, tip: str, arm: Arm, rng: np.random.Generator) -> None:
-    """Tip pose and gravity torques at random joints, another library's against this one's."""
+@cache
+def public_robots() -> list[Path]:
+    """Every URDF of the package `example-robot-data`; none where it is not installed."""
+    for entry in map(Path, sys.path):
+        folder = entry / "cmeel.prefix" / "share" / "example-robot-data" / "robots"
+        if folder.is_dir():
+            return sorted(folder.rglob("*.urdf"))
+    return []
+
+
+def compare(path: Path, base: str, tip: str, arm: Arm, q: np.ndarray) -> None:
+    """Tip pose and gravity torques at joints (N, n), another library's against this one's."""
     pin = pytest.importorskip("pinocchio")
     robot = pin.buildModelFromUrdf(str(path))
     robot.gravity.linear = np.array(arm.gravity_mps2)
     data = robot.createData()
     model = Model(arm)
     rows, offset = arm.mixing
-    for _ in range(10):
-        q = arm.lower + rng.random(arm.n) * (arm.upper - arm.lower)
-        v = np.zeros(robot.nv)
-        for joint, value in zip(arm.joints, rows @ q + offset, strict=True):
+    rests = {j.name: resting(j) for j in UrdfRobot(path).joints.values() if j.moves}
+    rest = np.zeros(robot.nv)
+    for name, value in rests.items():
+        rest[robot.joints[robot.getJointId(name)].idx_v] = value
+    for each in q:
+        v = rest.copy()
+        for joint, value in zip(arm.joints, rows @ each + offset, strict=True):
             if joint.type != "fixed":
                 v[robot.joints[robot.getJointId(joint.name)].idx_v] = value
         configuration = pin.integrate(robot, pin.neutral(robot), v)
         pin.framesForwardKinematics(robot, data, configuration)
         base_pose, tip_pose = (data.oMf[robot.getFrameId(link, pin.BODY)] for link in (base, tip))
         expected = (base_pose.inverse() * tip_pose).homogeneous
-        assert np.abs(model.pose(q) - expected).max() < 1e-9
+        assert np.abs(model.pose(each) - expected).max() < 1e-9
         torque = pin.computeGeneralizedGravity(robot, data, configuration)
-        posture = model.posture(unstack(q))
+        posture = model.posture(unstack(each))
         for row, name in zip(arm.commanded, arm.joint_names, strict=True):
+            if not arm.joints[row - 1].moves:  # beside the chain: what it carries itself is no part
+                continue
             station = posture.bearing(row)
             turning = arm.joints[row - 1].type == "revolute"
             carried = posture.moment(station) if turning else posture.force(station)
@@ -91,6 +106,11 @@ def compare(path: Path, base: str, tip: str, arm: Arm, rng: np.random.Generator)
             )
 
 
+def drawn(arm: Arm, rng: np.random.Generator, count: int = 10) -> np.ndarray:
+    """(count, n) joints inside the limits."""
+    return arm.lower + rng.random((count, arm.n)) * (arm.upper - arm.lower)
+
+
 @pytest.mark.parametrize(("name", "base", "tip", "n"), ROBOTS)
 def test_public_robots(name: str, base: str, tip: str, n: int, rng: np.random.Generator) -> None:
     path = example(name)
@@ -98,7 +118,7 @@ def test_public_robots(name: str, base: str, tip: str, n: int, rng: np.random.Ge
     arm = Arm.parse(yaml.safe_load(yaml.safe_dump(data)), str(path))
     assert arm.n == n
     assert sum(m.mass_kg for m in arm.point_masses) > 0
-    compare(path, base, tip, arm, rng)
+    compare(path, base, tip, arm, drawn(arm, rng))
 
 
 def test_mimic_side_branch_and_odd_axes(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -108,7 +128,7 @@ def test_mimic_side_branch_and_odd_axes(tmp_path: Path, rng: np.random.Generator
     assert arm.joint_names == ("ja", "jc")
     assert np.allclose(arm.lower, [-0.1, -2])
     assert {m.name: m.mass_kg for m in arm.point_masses} == {"a": 1.5, "b": 0.5, "side": 0.3}
-    compare(path, "base", "c", arm, rng)
+    compare(path, "base", "c", arm, drawn(arm, rng))
 
 
 TELESCOPE = """<robot name="boom">
@@ -138,7 +158,8 @@ def test_a_telescope_has_rows_that_hold_its_beams(tmp_path: Path, rng: np.random
     lengths = {row["name"]: (row.get("a_m", 0.0), row.get("d_m", 0.0)) for row in data["joints"]}
     assert lengths["ext"] == pytest.approx((0.0, 3.2))
     assert lengths["luff"] == pytest.approx((0.8, 0.0), abs=0.11)
-    compare(path, "base", "tip", Arm.parse(data, "boom"), rng)
+    straight = Arm.parse(data, "boom")
+    compare(path, "base", "tip", straight, drawn(straight, rng))
     row = next(row["id"] for row in data["joints"] if row["name"] == "ext")
     tube = {"row": row, "role": "d", "EI_nm2": 4e5, "GJ_nm2": 3e5}
     data["links"] = [{**tube, "name": "outer", "length_m": 3.0},
@@ -155,18 +176,80 @@ def test_a_telescope_has_rows_that_hold_its_beams(tmp_path: Path, rng: np.random
     assert sag == pytest.approx(at_load + 0.5 * slope, rel=0.01)
 
 
-def test_continuous_joints_get_half_a_turn_and_coinciding_limits_are_fixed(tmp_path: Path) -> None:
-    text = CHAIN.replace('"revolute"', '"continuous"')
-    text = text.replace('lower="-0.1" upper="0.4"', 'lower="0.1" upper="0.1"')
-    text = text.replace('<mimic joint="ja" multiplier="1.5" offset="0.02"/>', "")
+def test_continuous_joints_get_half_a_turn(tmp_path: Path) -> None:
     path = tmp_path / "lift.urdf"
-    path.write_text(text)
+    path.write_text(CHAIN.replace('"revolute"', '"continuous"'))
     arm = Arm.parse(import_urdf(path, "base", "c"), "lift")
-    assert arm.joint_names == ("jb", "jc")
+    assert arm.joint_names == ("ja", "jc")
     assert arm.upper[1] == pytest.approx(np.pi)
-    at_zero = Model(arm).tip(np.zeros(2))
-    # Joint ja stands at 0.1 m along -y, which its origin leaves as it is; jb's origin is 0.1 m on.
-    assert np.allclose(at_zero, [0, 0, 0.3], atol=1e-12)
+
+
+BARE = """<robot name="cad">
+  <link name="base"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="tip"/>
+  <joint name="waist" type="revolute"><parent link="base"/><child link="l1"/>
+    <origin xyz="0 0 0.1"/><axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
+  <joint name="shoulder" type="revolute"><parent link="l1"/><child link="l2"/>
+    <origin xyz="0 0 0.1" rpy="1.5708 0 0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"/></joint>
+  <joint name="elbow" type="revolute"><parent link="l2"/><child link="l3"/>
+    <origin xyz="0.3 0 0"/><axis xyz="0 0 1"/><limit lower="-2" upper="2"/></joint>
+  <joint name="end" type="fixed"><parent link="l3"/><child link="tip"/>
+    <origin xyz="0.25 0 0"/></joint>
+</robot>
+"""
+SHOULDER = '<limit lower="-1" upper="1"/>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (SHOULDER, "", "joint shoulder limit: 'missing'; allowed: lower < upper, or type fixed"),
+        (SHOULDER, '<limit effort="9" velocity="1"/>', "joint shoulder limit: 'missing'"),
+        (SHOULDER, '<limit lower="0" upper="0"/>', "joint shoulder limit: '0 to 0'"),
+        (SHOULDER, '<limit lower="0.3" upper="0.3"/>', "joint shoulder limit: '0.3 to 0.3'"),
+        ('lower="-2" upper="2"', "", "joint waist limit: 'missing'; allowed: lower < upper, or "
+         "type fixed where it stands still; so too joint elbow"),
+        (SHOULDER, '<limit lower="-90" upper="90"/>', "joint shoulder limit: '-90 to 90'; allowed: "
+         "rad, two turns (12.6) to either side at most, not degrees"),
+        (SHOULDER, '<limit lower="-1e16" upper="1e16"/>', "continuous where it turns on and on"),
+        (SHOULDER, '<limit lower="-inf" upper="inf"/>', "joint shoulder limit: '-inf to inf'"),
+        (SHOULDER, '<limit lower="nan" upper="1"/>', "joint shoulder limit: 'nan'; allowed: lower"),
+        (SHOULDER, '<limit lower="low" upper="1"/>', "joint shoulder limit: 'low'; allowed: lower"),
+        ('rpy="1.5708 0 0"', 'rpy="90 0 0"', "joint shoulder origin: [90.0, 0.0, 0.0]; allowed: "
+         "rpy in rad, a turn (6.28) at most, not degrees"),
+    ],
+)  # fmt: skip
+def test_limits_that_give_no_range_or_degrees_are_said(
+    old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "cad.urdf"
+    path.write_text(BARE)
+    assert Arm.parse(import_urdf(path, "base", "tip"), "cad").n == 3
+    assert old in BARE
+    path.write_text(BARE.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        import_urdf(path, "base", "tip")
+    assert words in str(caught.value)
+
+
+def test_a_slide_in_millimetres_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cad.urdf"
+    slide = BARE.replace('"shoulder" type="revolute"', '"shoulder" type="prismatic"')
+    path.write_text(slide.replace(SHOULDER, '<limit lower="0" upper="100"/>'))
+    assert Arm.parse(import_urdf(path, "base", "tip"), "cad").upper[1] == 100.0
+    path.write_text(slide.replace(SHOULDER, '<limit lower="0" upper="500"/>'))
+    with pytest.raises(InputError, match="shoulder limit: '0 to 500'; allowed: m, 100 to either"):
+        import_urdf(path, "base", "tip")
+
+
+def test_two_turns_are_a_range_and_what_is_off_the_chain_needs_none(tmp_path: Path) -> None:
+    path = tmp_path / "cad.urdf"
+    wheel = '<link name="wheel"/><joint name="roll" type="revolute"><parent link="base"/>'
+    wheel += '<child link="wheel"/><limit lower="-1e16" upper="1e16"/></joint>'
+    path.write_text(BARE.replace('"-1" upper="1"', '"-12.56" upper="12.56"')
+                    .replace("</robot>", f"{wheel}</robot>"))  # fmt: skip
+    arm = Arm.parse(import_urdf(path, "base", "tip"), "cad")
+    assert arm.joint_names == ("waist", "shoulder", "elbow")
+    assert arm.upper[1] == pytest.approx(12.56)
 
 
 @pytest.mark.parametrize(
@@ -175,7 +258,6 @@ def test_continuous_joints_get_half_a_turn_and_coinciding_limits_are_fixed(tmp_p
         ("<robot", "<machine", "machine"),
         ('name="lift">', 'name="lift">\n<broken', "a URDF (XML)"),
         ('type="revolute"', 'type="floating"', "joint jc: 'floating'"),
-        ('<limit lower="-2" upper="2" effort="1" velocity="1"/>', "", "joint jc limit: 'missing'"),
         ('lower="-2" upper="2"', 'lower="2" upper="-2"', "joint jc limit"),
         ('xyz="1 1 1"', 'xyz="0 0 0"', "joint jc axis"),
         ('xyz="1 1 1"', 'xyz="1 1"', "joint jc axis"),
@@ -268,6 +350,9 @@ def test_a_mimic_of_a_joint_beside_the_chain_and_a_fixed_tool(tmp_path: Path) ->
     c, s = np.cos(0.2), np.sin(0.2)
     at = [c * 0.1 - s * 0.2, s * 0.1 + c * 0.2, 0.3 + 0.01 + 0.3]
     np.testing.assert_allclose(low[:3, 3], at, atol=1e-12)
+    path.write_text(COLUMN.replace('upper="1"', 'upper="0"'))
+    with pytest.raises(InputError, match="joint lift limit: '0 to 0'"):
+        import_urdf(path, "base", "tool")
     with pytest.raises(InputError, match="joint first mimic: 'lid'; allowed: a joint: lift"):
         path.write_text(COLUMN.replace('joint="lift" multiplier="0.5"/>', 'joint="lid"/>'))
         import_urdf(path, "base", "tool")
@@ -295,3 +380,52 @@ def test_a_centre_of_mass_in_millimetres_is_refused(tmp_path: Path) -> None:
     import_urdf(path, "base", "c")
     path.write_text('\n \n<?xml version="1.0"?>\n' + CHAIN)
     assert import_urdf(path, "base", "c")["name"] == "lift"
+
+
+MIMICS = """<robot name="mimics"><link name="b"/><link name="l1"/><link name="l2"/><link name="l3"/>
+<link name="l4"/><link name="loose"/>
+<joint name="a" type="revolute"><parent link="b"/><child link="l1"/><origin xyz="0 0 .1"/>
+  <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="s1" type="prismatic"><parent link="l1"/><child link="l2"/><origin xyz=".1 0 0"/>
+  <axis xyz="0 0 1"/><limit lower="0" upper=".5" effort="1" velocity="1"/></joint>
+<joint name="s2" type="prismatic"><parent link="l2"/><child link="l3"/><origin xyz="0 0 .5"/>
+  <axis xyz="0 0 1"/><limit effort="1" velocity="1"/>
+  <mimic joint="s1" multiplier="-2" offset="0.03"/></joint>
+<joint name="s3" type="prismatic"><parent link="l3"/><child link="l4"/><origin xyz="0 0 .5"/>
+  <axis xyz="0 0 1"/><limit lower="0" upper="0" effort="1" velocity="1"/>
+  <mimic joint="s2" multiplier="0.8" offset="0.01"/></joint>
+</robot>"""
+
+
+def test_a_mimic_of_a_mimic_follows_the_first(tmp_path: Path) -> None:
+    """By hand: s2 = 0.03 - 2 s1, s3 = 0.01 + 0.8 s2; without limits of their own too."""
+    path = tmp_path / "mimics.urdf"
+    path.write_text(MIMICS)
+    assert chain_ends(path, "", "") == ("b", "l4")  # the loose link hangs on nothing
+    arm = Arm.parse(import_urdf(path, "b", "l4"), "mimics")
+    assert arm.joint_names == ("a", "s1")
+    for s1 in (0.0, 0.2, 0.5):
+        s2 = 0.03 - 2 * s1
+        height = 0.1 + s1 + 0.5 + s2 + 0.5 + 0.01 + 0.8 * s2
+        assert Model(arm).tip(np.array([0.3, s1]))[2] == pytest.approx(height, abs=1e-12)
+    for leader, told in (("s3", "s3 mimic: 's2'"), ("s2", "s2 mimic: 's2'")):
+        path.write_text(MIMICS.replace('mimic joint="s1"', f'mimic joint="{leader}"'))
+        with pytest.raises(InputError, match=f"joint {told}; allowed: a joint: a, s1"):
+            import_urdf(path, "b", "l4")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('<robot name="r"/>', "link: 'none'"),
+        ('<robot name="r"><link name="a"/></robot>', "--tip: 'a'; allowed: a link that moves"),
+        ('<robot name="r"><link name="a"/><link name="b"/></robot>', "--base: 'missing'; allowed: "
+         "one of a, b"),
+    ],
+)  # fmt: skip
+def test_a_file_without_a_chain_is_refused(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        import_urdf(path, *chain_ends(path, "", ""))
+    assert words in str(caught.value)

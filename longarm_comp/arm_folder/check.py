@@ -127,6 +127,8 @@ def _standing(fell: np.ndarray, gravity: float) -> str:
 
 _REACH_M = (0.05, 20.0)
 """Reach of arms that there are; outside of it lengths are most likely in another unit."""
+_MOST_DEG = 720.0
+"""Two turns: as far as `import_urdf` lets a joint turn that has ends."""
 _SESSIONS = ("samples.csv", "session", "session_1")
 
 
@@ -175,6 +177,14 @@ def _of_arm(arm: Arm) -> Iterator[_FolderFinding]:
         yield implausible(ARM, f"{said}. Lengths are metres")
     if float(np.ptp(rigid, axis=0).max()) < 1e-3 * reach:
         yield implausible(f"{ARM}: joints", "no joint moves the tip")
+    for joint in arm.joints:
+        farthest = max(map(abs, joint.limits_deg or (0.0, 0.0)))
+        if farthest > _MOST_DEG and not joint.endless:
+            said = (
+                f"{farthest:g} deg is more than two turns; endless: true where it turns on and on"
+            )
+            name = joint.name or f"joint{joint.id}"
+            yield implausible(f"{ARM}: joints.{name}.limits_deg", said)
     if not arm.links:
         yield unmeasured(f"{ARM}: links", "no beam is declared: the arm is taken as rigid")
     else:

@@ -47,7 +47,7 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
     from longarm_comp.workflows.diagnose import diagnose_files
 
     with progress("diagnose") as show:
-        found = diagnose_files(arm, session, output, progress=show, **how)
+        found = diagnose_files(arm, session, output, note=note, progress=show, **how)
     report = found.report()
     print_json({"output": str(output), **report})
     rows = report["held_out"]["rows"]
@@ -62,6 +62,7 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
             size = "; ".join(filter(None, (card.tip, card.sure, f"{card.figure} {card.improves}")))
             say(f"{duty.lower()}: {card.title} ({size}): {said(card)} {card.software}")
     say(f"{report['verdict']}: {report['summary']}")
+    note(found.diagnosis.set_aside.told(found.diagnosis.fit.session))
     note(f"report in {output / 'report.html'}, model in {output / 'model.yaml'}")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,8 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
     """Fit geometry and declared effects of ARM to SESSION (CSV or bag).
 
     Models that know more and more are fitted without the held-out rows and compared at them. The
-    last model is then fitted to all rows and written with 95 % intervals.
+    last model is then fitted to all rows and written with 95 % intervals. Prints where it puts base
+    and sensors, and how well the rows tell that.
 
     \b
     Examples:
@@ -64,24 +66,31 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
             "session_hash": calibration.session.hash,
             "placed": calibration.placed,
             "untold": calibration.untold,
+            "places": [vars(place) for place in calibration.places],
         }
     )
     print_rows(
         f"Held-out errors ({calibration.held_out_rows} of {len(calibration.session)} rows)", rows
     )
+    print_rows("Placed by all rows, in the frame of the measurements", [
+        {"": place.where, "x y z, m": _three(place.xyz_m, 4), "1 sigma, mm": _three(place.sd_mm, 2),
+         "roll pitch yaw, deg": _three(place.rpy_deg, 3),
+         "1 sigma about x y z, deg": _three(place.sd_deg, 3)}
+        for place in calibration.places
+    ])  # fmt: skip
     added = [p for p in calibration.parameters if not p.geometry]
     found = [(p.effect, p.where, p.name, p.value, p.ci95, p.unit) for p in added]
     print_effects("Effects, fitted to all rows", arm.called, found)
-    # The user's own number of each row, else its index
-    called_rows = final.session.labels.get("point", final.session.index)
-    left = ", ".join(map(str, called_rows[final.outliers]))
-    which = f": {left}" if left else ""
-    note(f"{aside.said}{which}; model in {output}")
+    note(f"{aside.told(final.session)}; model in {output}")
     if not final.converged:
         note(
             "the fit did not converge: its last step was above a hundredth of the errors after "
             f"{final.iterations}"
         )
+
+
+def _three(values: Sequence[float], digits: int) -> str:
+    return " ".join(f"{value + 0.0:.{digits}f}" for value in values)
 
 
 @click.command()
@@ -151,7 +160,8 @@ def evaluate(arm: options.Arm, test: Path, model: Path | None, predictor: Path |
 
     The lines of the table are the rigid declared arm, the arm with its declared deflection, the
     calibrated model, and the model with the network. The worst rows of the last are named by their
-    index. Every measured row counts: rows that do not fit the model are noted, not refused. At
+    index. Every measured row counts: rows that do not fit the model are noted, not refused. Rows
+    that see the declared arm elsewhere place it first, if they tell twice as much as that takes. At
     poses outside the network's training data the physics is used alone. A note appears if the model
     or the network was fitted to the session.
 
@@ -178,6 +188,7 @@ def evaluate(arm: options.Arm, test: Path, model: Path | None, predictor: Path |
             "no_gain_promised": evaluation.refused,
             "fitted_to_test": evaluation.fitted,
             "placed": evaluation.placed,
+            "elsewhere": evaluation.elsewhere,
         }
     )
     print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)

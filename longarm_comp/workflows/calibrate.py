@@ -17,7 +17,7 @@ from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.standing import untold
+from longarm_comp.core.calibration.standing import Place, places, untold
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.kinds import KINDS
@@ -122,6 +122,11 @@ class Calibration:
     def untold(self) -> tuple[str, ...]:
         """What of the placement the rows do not tell; it was left as declared."""
         return untold(self.fit)
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Where the rows put base and sensors, and how well they tell it."""
+        return places(self.fit)
 
     @property
     def not_helping(self) -> tuple[str, ...]:

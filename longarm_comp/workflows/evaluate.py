@@ -78,6 +78,7 @@ class Evaluation(ErrorTable):
 
     Attributes:
         placed: whether the declared arm was placed by the rows first: they see it somewhere else.
+        elsewhere: whether they do, but tell too little to place it and to judge it.
         outside: number of poses outside the network's training data, where physics is used alone.
         refused: number of further poses at which the network promises no gain over the physics.
         fitted: ``model``, ``predictor`` where it was fitted to this session (known for files).
@@ -86,6 +87,7 @@ class Evaluation(ErrorTable):
     outside: int = 0
     refused: int = 0
     placed: bool = False
+    elsewhere: bool = False
     fitted: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -100,6 +102,11 @@ class Evaluation(ErrorTable):
         if self.placed:
             why = "because they see it elsewhere"
             said.append(f"the declared arm was placed by these rows first, {why}")
+        if self.elsewhere:
+            said.append(
+                "these rows see the declared arm elsewhere, and tell hardly more than where: "
+                "it is judged where it is declared"
+            )
         if self.outside:
             where = "outside the network's training data"
             said.append(f"{self.outside} poses lie {where}: physics only")
@@ -131,10 +138,10 @@ def evaluate(
     """
     calibrated = None if model is None else inputs.physics(arm, model)
     session = inputs.admitted(test, arm, calibrated, min_poses=1, note=note, judge=True)
-    rigid, placed = standing(inputs.physics(arm, None, False), session)
-    models = {"rigid": rigid}
+    rigid = standing(inputs.physics(arm, None, False), session)
+    models, elsewhere = {"rigid": rigid.model}, rigid.elsewhere and not rigid.placed
     if arm.links:
-        models["deflection"] = standing(inputs.physics(arm, None), session)[0]
+        models["deflection"] = standing(inputs.physics(arm, None), session).model
     if calibrated is not None:
         if far := displaced(calibrated, session):
             note(far)
@@ -154,7 +161,7 @@ def evaluate(
         refused = int((~inside).sum()) - outside
         inside = inside & session.located[session.placed]
         beneath = inputs.physics(arm, model, beside)
-        models["network"] = beneath if model is not None else standing(beneath, session)[0]
+        models["network"] = beneath if model is not None else standing(beneath, session).model
         taken_off["network"] = np.where(inside[:, None], found.error, 0.0)
     file = None if model is None or isinstance(model, Model) else Path(model)
     numbers = session.index[session.placed]
@@ -176,4 +183,4 @@ def evaluate(
         "predictor": None if learned is None else learned.provenance.session_hash,
     }
     fitted = tuple(name for name, origin in origins.items() if origin == session.hash)
-    return Evaluation(seen, commanded, {}, outside, refused, placed, fitted)
+    return Evaluation(seen, commanded, {}, outside, refused, rigid.placed, elsewhere, fitted)

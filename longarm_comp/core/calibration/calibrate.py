@@ -217,7 +217,7 @@ def ladder(
         return Rung(name, model, fitted, fit_to, left_out, commanded)
 
     base = declared_model(arm, deflection=deflection)
-    rungs = [rung("nominal", standing(base, train)[0], None)]
+    rungs = [rung("nominal", standing(base, train).model, None)]
     for name, fitted in stages(base, train, progress, kind):
         rungs.append(rung(name, fitted.model, fitted))
     for name, terms in effects:

@@ -63,8 +63,7 @@ def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
 def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray]:
     """(d,) standard deviation of repeats, as `from_repeats` has it, and its degrees of freedom."""
     seen = session.take(session.seen)
-    texts = [np.unique(seen.labels[k], return_inverse=True)[1] for k in PLACES if k in seen.labels]
-    keys = np.column_stack([seen.pose_id, seen.approach, *texts])
+    keys = np.column_stack([sightings(seen), seen.approach])
     _, group = np.unique(keys, axis=0, return_inverse=True)
     if seen.plain:
         values = seen.xyz
@@ -77,6 +76,12 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
     degrees = np.nansum(share[kept], axis=0)
     size = np.sqrt(np.nansum(scatter[kept] ** 2, axis=0) / np.maximum(degrees, 1e-9))
     return size, degrees
+
+
+def sightings(rows: Session) -> np.ndarray:
+    """(N, k) numbers of each row's pose, of what it measures and from where; alike in repeats."""
+    texts = [np.unique(rows.labels[k], return_inverse=True)[1] for k in PLACES if k in rows.labels]
+    return np.column_stack([rows.pose_id, *texts])
 
 
 def _told(rows: Session) -> np.ndarray:

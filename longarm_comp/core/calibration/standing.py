@@ -7,22 +7,41 @@ then that of the drawing.  It takes a known distance between two points, or a sl
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.spatial import ZERO, scale, tangent
+from longarm_comp.core.arm.spatial import (
+    ZERO,
+    Frame,
+    Twist,
+    exp_large,
+    roll_pitch_yaw,
+    scale,
+    tangent,
+)
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.noise import sightings
 from longarm_comp.core.calibration.placement import placed, reference, sensor_frames, started
 from longarm_comp.core.data.measurement import equations, errors, posture, turns
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import ELSEWHERE
-from longarm_comp.core.effects.placements import BasePose, TipOffset, TipOrientation
+from longarm_comp.core.effects.placements import (
+    BasePose,
+    CameraPose,
+    SensorPlace,
+    TipOffset,
+    TipOrientation,
+)
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
+TWICE = 2
+"""Numbers that rows hold, in those that place an arm, from which the rest says what it errs by."""
 UNTOLD = 0.1
 """Posterior standard deviation, in that of a prior that knows nothing, of what rows do not tell."""
 
@@ -41,21 +60,48 @@ def with_frames(model: Model, session: Session) -> Model:
     return started(placed(whole, reference(session)), session)
 
 
-def standing(model: Model, session: Session) -> tuple[Model, bool]:
-    """A model as its errors may be shown: placed by the rows where they see it somewhere else.
+class Standing(NamedTuple):
+    """A model as its errors may be shown.
+
+    `elsewhere`: the rows see it somewhere else; `placed`: they placed it, because they tell more.
+    """
+
+    model: Model
+    elsewhere: bool
+    placed: bool
+
+
+def standing(model: Model, session: Session) -> Standing:
+    """A model placed by the rows where they see it somewhere else, and tell more than a place.
 
     The axes of a tracked body are never declared, so how they sit on the tip is always solved.
-
-    Returns:
-        The model, and whether it was placed.
     """
     bodies = [t for t in frames(model.arm, session) if isinstance(t, TipOrientation)]
     whole = model.with_missing(bodies)
     axes = model if whole.terms == model.terms else started(whole, session)
     groups = (session.take(session.frames == name) for name in np.unique(session.frames))
-    if any(misplaced(axes, rows) for rows in groups):
-        return with_frames(model, session), True
-    return axes, False
+    if not any(misplaced(axes, rows) for rows in groups):
+        return Standing(axes, elsewhere=False, placed=False)
+    moved = with_frames(model, session)
+    if _tell_more(moved, session):
+        return Standing(moved, elsewhere=True, placed=True)
+    return Standing(axes, elsewhere=True, placed=False)
+
+
+def _tell_more(model: Model, session: Session) -> bool:
+    """Whether rows hold `TWICE` the numbers that place a model, each sighting counted once.
+
+    Where they hold few more it fits them whatever the arm does.  What solves touched points is
+    taken off both.
+    """
+    seen = session.take(session.seen)
+    rows = seen.take(np.unique(sightings(seen), axis=0, return_index=True)[1])
+    slots = [slot for slot in model.slots if slot.parameter.unknown]
+    found = equations(model, rows, posture(model, rows), slots)
+    columns = (found.columns * [slot.parameter.width for slot in slots]).reshape(-1, len(slots))
+    passing = columns[:, [slot.owner.passing for slot in slots]]
+    taken, points = (int(np.linalg.matrix_rank(each, rtol=1e-6)) for each in (columns, passing))
+    return int(rows.measured.sum()) - points >= TWICE * (taken - points)
 
 
 def misplaced(model: Model, session: Session) -> bool:
@@ -87,7 +133,7 @@ def untold(fit: ModelFit) -> tuple[str, ...]:
         names = [fit.slots[i].parameter.name for i in mine]
         covariance = fit.covariance[np.ix_(mine, mine)]
         if isinstance(term, BasePose) and len(mine) == 6:
-            motion = _motion(term, fit.model.arm)
+            motion = _motion(term, term.base(fit.model.arm))
             covariance = motion @ covariance @ motion.T
             names = ["x", "y", "z", "turn about x", "turn about y", "turn about z"]
         widths = np.array([fit.slots[i].parameter.width for i in mine])
@@ -98,11 +144,47 @@ def untold(fit: ModelFit) -> tuple[str, ...]:
     return (*found, *(() if size_told(fit) else ("the size of the arm",)))
 
 
-def _motion(base: BasePose, arm: Arm) -> np.ndarray:
-    """(6, 6) shift (m) and turn (rad) of the base, in the measurements' frame, by its values."""
-    twist = (base.x, base.y, base.z, base.rx, base.ry, base.rz)
-    turns, shifts = (np.array(each).T for each in tangent(twist, ZERO, large=True))
-    axes = base.base(arm).matrix()[:3, :3]
+@dataclass(frozen=True)
+class Place:
+    """Where a base or a sensor is in the frame of the measurements, and one standard deviation.
+
+    Attributes:
+        where: its name.
+        xyz_m, rpy_deg: (3,) its pose.
+        sd_mm, sd_deg: (3,) along and about the axes of that frame.
+    """
+
+    where: str
+    xyz_m: tuple[float, ...]
+    rpy_deg: tuple[float, ...]
+    sd_mm: tuple[float, ...]
+    sd_deg: tuple[float, ...]
+
+
+def places(fit: ModelFit) -> tuple[Place, ...]:
+    """Where a fit puts bases, further sensors and a camera that is fitted."""
+    made = []
+    for k, term in enumerate(fit.model.terms):
+        if not isinstance(term, BasePose | SensorPlace | CameraPose):
+            continue
+        mine = [i for i, slot in enumerate(fit.slots) if slot.term == k]
+        at = term.base(fit.model.arm) if isinstance(term, BasePose) else exp_large(_twist(term))
+        motion, pose = _motion(term, at), at.matrix()
+        sd = np.sqrt(np.diag(motion @ fit.covariance[np.ix_(mine, mine)] @ motion.T))
+        turn = np.degrees(roll_pitch_yaw(pose[:3, :3]))
+        figures = (pose[:3, 3], turn, 1e3 * sd[:3], np.degrees(sd[3:]))
+        made.append(Place(term.where, *(tuple(each.tolist()) for each in figures)))
+    return tuple(made)
+
+
+def _twist(term: BasePose | SensorPlace | CameraPose) -> Twist:
+    return term.x, term.y, term.z, term.rx, term.ry, term.rz
+
+
+def _motion(term: BasePose | SensorPlace | CameraPose, at: Frame) -> np.ndarray:
+    """(6, 6) shift (m) and turn (rad) of what is at a pose, in its outer frame, by its values."""
+    turns, shifts = (np.array(each).T for each in tangent(_twist(term), ZERO, large=True))
+    axes = at.matrix()[:3, :3]
     return np.block([[axes @ turns, axes @ shifts], [np.zeros((3, 3)), axes @ turns]])
 
 

@@ -86,6 +86,15 @@ class SetAside:
         text = f"{len(self.rows)} rows set aside ({self.share:.1%})"
         return f"{text}, which share {shared}" if shared else text
 
+    def told(self, session: Session) -> str:
+        """As `said`, and which: the user's own number of each row, else its index.
+
+        Args:
+            session: the rows that were fitted.
+        """
+        numbers = session.labels.get("point", session.index)[list(self.rows)]
+        return f"{self.said}: {', '.join(map(str, numbers))}" if self.rows else self.said
+
 
 _Found = tuple[str, int, float]
 
