@@ -17,6 +17,7 @@ from small_arm import ARM
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sessions.foreign.convert import Options, import_table
 
@@ -406,3 +407,73 @@ def test_numbers_that_are_no_times_are_joined_by_their_like_only(shell: Shell) -
     clocks([1.0, 2.0, 4.0], [1.0, 3.0, 4.0], ("Point", "Point"))
     assert shell("import-data", "arm.csv", "seen.csv", "--join", "Point") == 0, shell.err
     assert pd.read_csv("samples.csv")["x"].tolist() == [0, 2]
+
+
+# ------------------------------------------------------------------ what the rows say
+
+
+def of_an_arm(names: str, values: Callable[[Turn], np.ndarray]) -> str:
+    """A table of 40 poses of the arm with a tool anyhow on it, seen by a tracker anywhere."""
+    rng = np.random.default_rng(3)
+    q = ARM.lower + rng.random((40, ARM.n)) * (ARM.upper - ARM.lower)
+    pose, base = Model(ARM).pose(q), Turn.from_euler("xyz", [0.3, -0.5, 2.0])
+    turns = base * Turn.from_matrix(pose[:, :3, :3]) * Turn.from_euler("zx", [0.7, 1.1])
+    xyz = base.apply(pose[:, :3, 3]) + np.array([1.0, -2.0, 0.5]) + rng.normal(0, 1e-4, (40, 3))
+    table = np.hstack([q, xyz, values(turns)])
+    head = ",".join(["q1_rad", "q2_rad", "q3_m", "q4_rad", "tx", "ty", "tz", *split(names)])
+    return "\n".join([head, *(",".join(repr(float(v)) for v in row) for row in table)])
+
+
+WRITTEN: tuple[tuple[str, Callable[[Turn], np.ndarray], str], ...] = (
+    ("Q0 Q1 Q2 Q3", lambda t: t.as_quat(scalar_first=True), "wxyz"),
+    ("Q0 Q1 Q2 Q3", quaternion, "xyzw"),
+    ("Q0 Q1 Q2 Q3", lambda t: t.inv().as_quat(), "-xyzw"),
+    ("rx ry rz", Turn.as_rotvec, "rotvec"),
+    ("rx ry rz", lambda t: t.inv().as_rotvec(), "-rotvec"),
+    ("roll pitch yaw", angles("xyz"), "xyz"),
+    ("A B C", angles("ZYX"), "ZYX"),
+    ("A B C", angles("ZYZ"), "ZYZ"),
+)
+
+
+@pytest.mark.parametrize(("names", "values", "convention"), WRITTEN)
+def test_the_rows_say_the_convention(
+    names: str, values: Callable[[Turn], np.ndarray], convention: str, work: Path, shell: Shell
+) -> None:
+    Path("log.csv").write_text(of_an_arm(names, values))
+    call = ("import-data", "log.csv", "--units", "m,rad", "--arm", work / "arm.yaml", "--rotation")
+    columns = ",".join(split(names))
+    fit = f"the rows fit {convention}:{columns} (it leaves "
+    assert fit in shell.refused(*call[:-1])
+    assert shell(*call, f"{convention}:{columns}") == 0, shell.err
+    other = convention[1:] if convention[0] == "-" else f"-{convention}"
+    assert fit in shell.refused(*call, f"{other}:{columns}", "-o", "other.csv")
+    assert not Path("other.csv").exists()
+
+
+def test_names_that_say_a_convention_are_held_against_the_rows(work: Path, shell: Shell) -> None:
+    for names, values, fit in (
+        ("qx qy qz qw", lambda t: t.inv().as_quat(), "-xyzw:qx,qy,qz,qw"),
+        ("qx qy qz qw", lambda t: t.as_quat(scalar_first=True), "wxyz:qx,qy,qz,qw"),
+        ("R00 R01 R02 R10 R11 R12 R20 R21 R22", by_columns, "-matrix:R00,R01"),
+    ):
+        Path("log.csv").write_text(of_an_arm(names, values))
+        call = ("import-data", "log.csv", "--units", "m", "--force")
+        assert f"the rows fit {fit}" in shell.refused(*call, "--arm", work / "arm.yaml")
+        assert shell(*call) == 0, shell.err  # without an arm nobody can know
+
+
+def test_rows_of_no_convention(work: Path, shell: Shell) -> None:
+    """Numbers of another body are not the arm's in any convention: nothing is claimed of them."""
+    rng = np.random.default_rng(0)
+    call = ("import-data", "log.csv", "--units", "m,rad", "--arm", work / "arm.yaml")
+    Path("log.csv").write_text(
+        of_an_arm("rx ry rz", lambda t: Turn.random(40, rng=rng).as_rotvec())
+    )
+    assert "no convention fits (the best leaves " in shell.refused(*call)
+    assert shell(*call, "--rotation", "rotvec:rx,ry,rz") == 0, shell.err  # calibrate refuses them
+    text = of_an_arm("rx ry rz", Turn.as_rotvec).split("\n")
+    Path("log.csv").write_text("\n".join(text[:10]))  # too few rows to tell
+    assert "the rows fit" not in shell.refused(*call)
+    Path("log.csv").write_text("\n".join(text[:11]))
+    assert "the rows fit rotvec:" in shell.refused(*call)

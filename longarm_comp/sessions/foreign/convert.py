@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,6 +26,7 @@ from longarm_comp.sessions.foreign.combine import (
     melted,
     ordered,
 )
+from longarm_comp.sessions.foreign.conventions import Conventions, conventions
 from longarm_comp.sessions.foreign.poses import Found, found_in, of_marker, unit_in
 from longarm_comp.sessions.foreign.units import (
     ALLOWED,
@@ -146,8 +148,7 @@ class _Imported:
             "left_out": list(self.left_out),
         }
         if self.rotation is not None:
-            sign, columns = "-" if self.rotation.inverse else "", ",".join(self.rotation.columns)
-            mapping["rotation"] = f"{sign}{self.rotation.convention}:{columns}"
+            mapping["rotation"] = f"{self.rotation.spelt}:{','.join(self.rotation.columns)}"
         elif self.options.rotation is not None:
             mapping["rotation"] = self.options.rotation
         if self.options.columns:
@@ -174,12 +175,13 @@ def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _
     }
     sources = understand(cells, options.given, defaults, options.arm, apart, axes)
     _complete(where, cells, sources, options.arm, bool(apart))
-    rotation = told or _rotation(cells, options, found, {c.place for c in sources})
     columns: dict[str, np.ndarray] = {c.name: _values(cells, c) for c in sources}
     if cells.index and "index" not in columns:
         columns = {"index": np.array(cells.index), **columns}
+    rotation = told or _rotation(cells, options, found, {c.place for c in sources})
     if rotation is not None:
-        columns |= _orientation(cells, rotation, defaults)
+        values = _parts(cells, rotation, defaults)
+        columns |= _orientation(where, rotation, values, _fitting(columns, values, options))
     read = {c.source for c in sources}.union(() if rotation is None else rotation.columns)
     left = tuple(n or f"column {k + 1}" for k, n in enumerate(cells.names) if n not in read)
     assumed = tuple(
@@ -251,11 +253,8 @@ def _told_rotation(cells: Cells, options: Options) -> Rotation | None:
 def _rotation(
     cells: Cells, options: Options, found: list[Found], read: Collection[int]
 ) -> Rotation | None:
-    """The orientation of the marker whose position is read, in the convention that its names say.
-
-    Raises:
-        InputError: they say none, or several columns look like an orientation that is not whole.
-    """
+    """The orientation of the marker whose position is read, in the convention that its names say;
+    without one where they say none, or where columns look like an orientation but are not whole."""
     if options.rotation is not None:
         return None
     turns = of_marker(found, read)
@@ -263,16 +262,13 @@ def _rotation(
     alike = [each for each in known if each.form == known[0].form]
     if len(alike) == 1:
         columns = tuple(cells.names[k] for k in known[0].places)
-        return Rotation(known[0].form.convention, columns, inverse=False)
+        return Rotation(known[0].form.convention, columns)
     whole = {k for each in found for k in each.places if each.turn}
     looks = [
         k for k, name in enumerate(cells.names) if k not in whole and k not in read and turned(name)
     ]
-    asked = [k for each in alike or turns for k in each.places] or looks
-    if len(asked) >= 3:
-        missing = f"missing for {', '.join(cells.names[k] for k in asked)}"
-        raise InputError(cells.where, "--rotation", missing, f"{ALLOWED}; or none")
-    return None
+    asked = [k for each in alike or turns[:1] for k in each.places] or looks
+    return Rotation("", tuple(cells.names[k] for k in asked)) if len(asked) >= 3 else None
 
 
 def _complete(
@@ -317,21 +313,50 @@ def _numbers(cells: Cells, place: int, blanks: bool) -> np.ndarray:
     return values
 
 
-def _orientation(
-    cells: Cells, rotation: Rotation, defaults: Mapping[str, Unit]
-) -> dict[str, np.ndarray]:
+def _parts(cells: Cells, rotation: Rotation, defaults: Mapping[str, Unit]) -> np.ndarray:
+    """(N, k) numbers of an orientation's columns, angles in rad; NaN without a unit."""
     read = []
     for name in rotation.columns:
         values = _numbers(cells, cells.names.index(name), True)
         if rotation.angles:
             unit = unit_in(name) or defaults.get(ANGLE)
-            if unit is None or unit.kind != ANGLE:
+            if rotation.convention and (unit is None or unit.kind != ANGLE):
                 field = f"column {name}"
                 raise InputError(cells.where, field, "no angle's unit", "--units deg or rad")
-            values = values * unit.factor
+            values = values * (unit.factor if unit else math.nan)
         read.append(values)
+    return np.stack(read, axis=-1)
+
+
+def _fitting(
+    columns: Mapping[str, np.ndarray], values: np.ndarray, options: Options
+) -> Conventions | None:
+    """How well each convention fits the rows; None where no arm or too few rows are known."""
+    if options.arm is None:
+        return None
+    q = np.stack([columns[f"q{j + 1}"] for j in range(options.arm.n)], axis=-1)
+    xyz = np.stack([columns.get(axis, np.full(len(q), np.nan)) for axis in XYZ], axis=-1)
+    labels = {name: columns[name] for name in ("group", "marker") if name in columns}
+    return conventions(options.arm, q, xyz, labels, values)
+
+
+def _orientation(
+    where: str, rotation: Rotation, values: np.ndarray, fitting: Conventions | None
+) -> dict[str, np.ndarray]:
+    """Columns of the quaternion.
+
+    Raises:
+        InputError: its convention is not known, or clearly another than that which the rows fit.
+    """
+    listed = ",".join(rotation.columns)
+    if not rotation.convention:
+        said = f"{fitting.said(listed)}; " if fitting else ""
+        missing = f"missing for {', '.join(rotation.columns)}"
+        raise InputError(where, "--rotation", missing, f"{said}{ALLOWED}; or none")
+    if fitting and fitting.refutes(rotation):
+        raise InputError(where, "--rotation", f"{rotation.spelt}:{listed}", fitting.said(listed))
     try:
-        made = rotation.quaternions(np.stack(read, axis=-1))
+        made = rotation.quaternions(values)
     except ValueError as error:
-        raise InputError(cells.where, "--rotation", str(error), "one rotation a row") from None
+        raise InputError(where, "--rotation", str(error), "one rotation a row") from None
     return dict(zip(QUATERNION, made.T, strict=True))

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -48,7 +49,14 @@ ALLOWED = (
     "three: xyz about the fixed x, y, then z (roll, pitch, yaw), ZYX about the turned z, y, x; "
     "with a minus before it where the columns hold the base in the tool"
 )
-_EULER = re.compile(r"(?!.*(.)\1)([xyzXYZ])([xyzXYZ])([xyzXYZ])")
+_EULER = tuple(
+    order
+    for axes in product("xyz", repeat=3)
+    if axes[0] != axes[1] != axes[2]
+    for order in ("".join(axes), "".join(axes).upper())
+)
+CONVENTIONS = {3: (ROTATION_VECTOR, *_EULER), 4: tuple(_QUATERNIONS), 9: (MATRIX,)}
+"""By number of columns."""
 UNIT_LENGTH = 1e-2
 """A quaternion printed with three digits is so far from length 1, and so are a matrix's rows."""
 
@@ -57,13 +65,13 @@ UNIT_LENGTH = 1e-2
 class Rotation:
     """A convention and the columns that are in it: ``wxyz:q0,q1,q2,q3``, ``ZYX:A,B,C``.
 
-    It is a key of `_QUATERNIONS`, `MATRIX`, `ROTATION_VECTOR`, or Euler axes as scipy names them
-    (lower case fixed, upper case turned). `inverse`: the columns hold the base in the tool's frame.
+    One of `CONVENTIONS`, or empty where it is not known. Euler axes are as scipy names them (lower
+    case fixed, upper case turned). `inverse`: the columns hold the base in the tool's frame.
     """
 
     convention: str
     columns: tuple[str, ...]
-    inverse: bool
+    inverse: bool = False
 
     @classmethod
     def parse(cls, text: str, where: str) -> Rotation:
@@ -71,17 +79,20 @@ class Rotation:
         convention, colon, names = text.partition(":")
         inverse, convention = convention.startswith("-"), convention.removeprefix("-")
         columns = tuple(name.strip() for name in names.split(","))
-        euler = _EULER.fullmatch(convention) and (convention.islower() or convention.isupper())
-        count = {**dict.fromkeys(_QUATERNIONS, 4), MATRIX: 9}.get(convention, 3)
-        known = count > 3 or convention == ROTATION_VECTOR or euler
-        if not colon or not known or len(columns) != count or not all(columns):
+        known = convention in CONVENTIONS.get(len(columns), ())
+        if not colon or not known or not all(columns):
             raise InputError(where, "--rotation", text, ALLOWED)
         return cls(convention, columns, inverse)
 
     @property
+    def spelt(self) -> str:
+        """As the user says it, without the columns."""
+        return "-" * self.inverse + self.convention
+
+    @property
     def angles(self) -> bool:
         """Whether the columns are angles, with a unit."""
-        return self.convention not in (*_QUATERNIONS, MATRIX)
+        return len(self.columns) == 3
 
     def quaternions(self, values: np.ndarray) -> np.ndarray:
         """(N, 4) x, y, z, w of unit length from (N, 3, 4 or 9) values (rad); NaN rows stay NaN.
