@@ -191,6 +191,12 @@ def test_names_that_do_not_say_their_convention_are_asked_for_it(names: str, she
     assert list(pd.read_csv("samples.csv")) == ["q1", "q2", "q3", "q4", "x", "y", "z"]
 
 
+def test_angles_are_in_no_unit_of_lengths(shell: Shell) -> None:
+    Path("log.csv").write_text(line("x|y|z|rx [mm]|ry|rz", POSE[:, :6]))
+    call = ("import-data", "log.csv", "--units", "m,rad", "--rotation", "rotvec:rx,ry,rz")
+    assert 'column rx [mm]: "no angle\'s unit"' in shell.refused(*call)
+
+
 def test_half_an_orientation_is_asked_for_and_no_marker(shell: Shell) -> None:
     Path("log.csv").write_text(line("px py pz qx qy qz", POSE[:, :6]))
     said = shell.refused("import-data", "log.csv", "--units", "m")
@@ -309,13 +315,30 @@ def test_a_line_of_ids_is_a_heading(number: str, shell: Shell) -> None:
     np.testing.assert_allclose(made[[*"xyz"]], [[1, 2, 3], [4, 5, 6]])
     np.testing.assert_allclose(made[["qx", "qy", "qz", "qw"]], [[0, 0, 0.6, 0.8], [0, 0.6, 0, 0.8]])
     assert made["t_s"].tolist() == [0, 0.5]
+    mapping = Path("samples.mapping.yaml").read_text()
+    assert f"from: Rigid Body tool {number} Position X" in mapping
 
 
 def test_no_row_of_numbers_is_lost_above_a_header(shell: Shell) -> None:
-    head, row = "A1_deg,x_m,y_m,z_m", "1,2,3,4"
-    for above in (row, "1.5,2,3,4"):
-        Path("log.csv").write_text(f"{head}\n{above}\n{head}\n{row}\n")
-        assert "line 2: 'numbers above a header'" in shell.refused("import-data", "log.csv")
+    head, row = "Point,A1_deg,x_m,y_m,z_m", "P7,1,2,3,4"
+    for above in (row, "P7,1.5,2,3,4", "7,1,2,3,4"):
+        for below in (head, "Point,A1_deg,u_m,v_m,w_m"):
+            if above == row and below != head:
+                continue  # ids
+            Path("log.csv").write_text(f"{head}\n{above}\n{below}\n{row}\n")
+            assert "line 2: 'numbers above a header'" in shell.refused("import-data", "log.csv")
+    Path("log.csv").write_text(f"{head}\n{row}\nP8,lost,,,\n{row}\n")  # no line of names
+    assert "line 3, A1_deg: 'lost'" in shell.refused("import-data", "log.csv")
+
+
+def test_joints_that_count_from_0_are_no_quaternion(shell: Shell) -> None:
+    Path("log.csv").write_text("q0_deg,q1_deg,q2_deg,q3_deg,x_m,y_m,z_m\n1,2,3,4,5,6,7\n")
+    assert "joints: 'q0, q1, q2, q3'" in shell.refused("import-data", "log.csv")
+    Path("log.csv").write_text("q0,q1,q2,q3,x_m,y_m,z_m\n1,2,3,4,5,6,7\n")
+    call = ("import-data", "log.csv", "--units", "deg")
+    assert "joints: 'q0, q1, q2, q3'" in shell.refused(*call)
+    assert shell(*call, "--map", "q0=q1,q1=q2,q2=q3,q3=q4") == 0, shell.err
+    assert "qw" not in pd.read_csv("samples.csv")
 
 
 @pytest.mark.parametrize(
@@ -348,6 +371,10 @@ def test_the_orientation_is_that_of_the_chosen_body(shell: Shell) -> None:
     turned[:, :3] += 1
     Path("log.csv").write_text(line("|".join(bodies), np.hstack([POSE, turned])))
     assert "choose it with --map" in shell.refused("import-data", "log.csv", "--units", "m")
+    bodies += [*"xyz"]  # a marker without a heading has not the orientation of another
+    Path("log.csv").write_text(line("|".join(bodies), np.hstack([POSE, turned, POSE[:, :3] + 2])))
+    assert shell("import-data", "log.csv", "--units", "m") == 0, shell.err
+    assert "qw" not in pd.read_csv("samples.csv")
     for body, expected in (("base", POSE), ("tool", turned)):
         mapped = ",".join(f"{body} Position {a}={a.lower()}" for a in "XYZ")
         assert shell("import-data", "log.csv", "--units", "m", "--map", mapped, "--force") == 0
@@ -404,9 +431,9 @@ def test_a_fast_tracker_beside_slow_joints_and_rows_of_one_time(shell: Shell) ->
 
 
 def test_numbers_that_are_no_times_are_joined_by_their_like_only(shell: Shell) -> None:
-    clocks([1.0, 2.0, 4.0], [1.0, 3.0, 4.0], ("Point", "Point"))
+    clocks([10.0, 20.0, 40.0], [12.0, 30.0, 40.0], ("Point", "Point"))
     assert shell("import-data", "arm.csv", "seen.csv", "--join", "Point") == 0, shell.err
-    assert pd.read_csv("samples.csv")["x"].tolist() == [0, 2]
+    assert pd.read_csv("samples.csv")["x"].tolist() == [2]
 
 
 # ------------------------------------------------------------------ what the rows say

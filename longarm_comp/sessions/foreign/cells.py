@@ -252,7 +252,8 @@ def _first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
     that no header line follows: the former may hold ids, which are whole numbers beside a word.
 
     Raises:
-        InputError: there is no such line, or one of measured numbers stands above a header.
+        InputError: there is no such line, or one of measured numbers stands above a header, or
+            below the same one.
     """
     number = _COMMA if decimal == "," else _POINT
     widths = Counter(len(row) for _, row in lines)
@@ -268,8 +269,9 @@ def _first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
     for k in numeric if first is None else numeric[: numeric.index(first)]:
         line, row = lines[k]
         said = [c for c in row if number.fullmatch(c)]
-        whole = all(c.isdigit() for c in said)
-        if first is None or not whole or len(said) == sum(map(bool, row)):
+        whole = all(c.isdigit() for c in said) and len(said) < sum(map(bool, row))
+        twice = any(lines[head][1] in (above for _, above in lines[:ids]) for head in heads)
+        if first is None or not whole or twice:
             raise InputError(where, f"line {line}", "numbers above a header", "numbers below it")
     assert first is not None
     return ids, first
