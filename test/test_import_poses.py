@@ -290,6 +290,12 @@ def test_a_header_may_be_a_remark_or_missing(shell: Shell) -> None:
     like = ("import-data", "log.csv", "--like", "samples.mapping.yaml", "-o", "again.csv")
     assert shell(*like) == 0, shell.err
     assert Path("again.csv").read_text() == plain
+    row = rest.split("\n")[0]
+    Path("log.csv").write_text(f"{head}\n{row}\n# {row}\n{row}\n")  # a row that was taken out
+    call = ("import-data", "log.csv", "--units", "m", "-o", "out.csv")
+    assert "line 3: '# 1,20," in shell.refused(*call)
+    Path("log.csv").write_text(f"{head}\n{row}\n#{row}\n")
+    assert "line 3, q1_deg: '#1'" in shell.refused(*call)
     Path("log.csv").write_text("#,q1_deg,x_m,y_m,z_m\n7,1,2,3,4\n")  # a name: numbers of rows
     assert shell("import-data", "log.csv", "-o", "third.csv") == 0, shell.err
     assert "left out: #" in shell.err
@@ -344,6 +350,7 @@ def test_joints_that_count_from_0_are_no_quaternion(shell: Shell) -> None:
 @pytest.mark.parametrize(
     ("name", "raw", "said"),
     [
+        ("log.xls", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "XLSX: save it as such"),
         ("log.json", b'[{"q1": 1, "x": 2}]', "file: 'JSON'"),
         ("log.csv", b' {"q1": [1, 2]}', "pandas.read_json"),
         ("log.mat", b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(200), "writematrix"),

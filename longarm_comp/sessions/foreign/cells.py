@@ -29,6 +29,7 @@ _DATED = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{2,4}|\d:\d\d")
 _NONE = {"", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"}
 _REMARK = re.compile(r"^\s*(?:#+|%+|//)\s*(?=[^\s,;|#%])")
 """The sign before a line that NumPy, MATLAB and C take for a remark; ``#`` alone is a name."""
+_CELLS = re.compile(r"[\s,;|]+")
 _JSON = re.compile(rb"\s*(\{|\[\s*[\[{\"\d-])")
 _OTHER_FILES = (
     (re.compile(rb"MATLAB 5\.0|\x89HDF"), "MAT", "CSV: in MATLAB writematrix([q tip], 'log.csv')"),
@@ -168,7 +169,7 @@ def _grid(where: str, text: str, mark: str) -> Lines:
     """Number and cells of each line that is not blank."""
     import pandas as pd
 
-    lines = [_REMARK.sub("", line) for line in text.splitlines()]
+    lines = _without_remarks(where, text.splitlines())
     width = max((len(re.split(mark, line.strip())) for line in lines), default=0)
     check_cells(where, width * len(lines))
     if width < 2:
@@ -183,6 +184,22 @@ def _grid(where: str, text: str, mark: str) -> Lines:
         raise InputError(where, "file", str(error), "separated text") from error
     rows = ([str(c).strip() for c in row if not pd.isna(c)] for row in frame.to_numpy().tolist())
     return [(line, row) for line, row in enumerate(rows, 1) if any(row)]
+
+
+def _without_remarks(where: str, lines: list[str]) -> list[str]:
+    """Lines without the sign of a remark, if they stand above the numbers.
+
+    Raises:
+        InputError: one stands between them: a row that somebody took out, or not?
+    """
+    made, above = [], True
+    for number, line in enumerate(lines, 1):
+        found = _REMARK.match(line)
+        above = above and (found is not None or not _numeric(_CELLS.split(line.strip()), _POINT))
+        if not above and found and found[0][-1].isspace():
+            raise InputError(where, f"line {number}", line[:40], "a row, without # before it")
+        made.append(_REMARK.sub("", line) if above else line)
+    return made
 
 
 def _decimal(where: str, separator: str, lines: Lines) -> str:
