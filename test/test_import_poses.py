@@ -242,10 +242,16 @@ def test_two_ways_of_writing_one_orientation(shell: Shell) -> None:
 def test_markers_orientations_in_several_forms_are_refused(shell: Shell) -> None:
     names = "M1 x|M1 y|M1 z|M1 qx|M1 qy|M1 qz|M1 qw|M2 x|M2 y|M2 z|M2 rv_x|M2 rv_y|M2 rv_z"
     Path("log.csv").write_text(line(names, np.hstack([POSE, POSE[:, :6]])))
-    assert "one form for all markers" in shell.refused("import-data", "log.csv", "--units", "m")
+    call = ("import-data", "log.csv", "--units", "m")
+    assert "one form for all markers" in shell.refused(*call)
+    assert shell(*call, "--rotation", "none") == 0, shell.err
+    assert list(pd.read_csv("samples.csv"))[-4:] == [*"xyz", "marker"]
+    mixed = "M1 x [mm]|M1 y|M1 z|M2 x|M2 y|M2 z"
+    Path("log.csv").write_text(line(mixed, POSE[:, :6]))
+    assert "units: 'M1 x [mm], M2 x'; allowed: one for all markers" in shell.refused(*call)
     names = "M1 x|M1 y|M1 z|M2 x|M2 y|M2 z|M2 qx|M2 qy|M2 qz|M2 qw"  # the first has none
     Path("log.csv").write_text(line(names, np.hstack([POSE[:, :3], POSE])))
-    assert shell("import-data", "log.csv", "--units", "m") == 0, shell.err
+    assert shell(*call) == 0, shell.err
     made = pd.read_csv("samples.csv")
     assert made["qy"].tolist()[1::2] == pytest.approx(POSE[:, 4]) and made["qy"][::2].isna().all()
 

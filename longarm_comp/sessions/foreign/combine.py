@@ -104,28 +104,33 @@ def beside_each_other(cells: Cells, told: Collection[str]) -> tuple[str, ...]:
     return tuple(whole) if len(whole) > 1 and len(alike) == 1 else ()
 
 
-def melted(cells: Cells, markers: Sequence[str]) -> Cells:
-    """A row for each marker, with its name in a column `marker`, and its orientation if it has one.
+def melted(cells: Cells, markers: Sequence[str], turns: bool) -> Cells:
+    """A row for each marker, with its name in a column `marker`, and its orientation if it has one
+    and `turns` are wanted.
 
     Raises:
-        InputError: the markers' orientations are written in several forms.
+        InputError: the markers' orientations or units are several.
     """
     found = found_in(cells.names)
     positions = headings(found)
-    turns = {t.heading: t for t in reversed(found) if t.turn and t.heading in markers}
-    forms = {turn.form for turn in turns.values()}
-    if len(forms) > 1:
-        several = ", ".join(cells.names[t.places[0]] for t in turns.values())
+    told = {t.heading: t for t in reversed(found) if turns and t.turn and t.heading in markers}
+    if len({turn.form for turn in told.values()}) > 1:
+        several = ", ".join(cells.names[t.places[0]] for t in told.values())
         raise InputError(cells.where, "orientations", several, "one form for all markers")
+    first = next((m for m in markers if m in told), markers[0])
+    turn = told.get(first)
+    none = (-1,) * (len(turn.places) if turn else 0)
     places = {
-        m: (*positions[m].places, *(turns[m].places if m in turns else (-1,) * len(turn.places)))
-        for turn in [next(iter(turns.values()), replace(positions[markers[0]], places=()))]
-        for m in markers
+        marker: (*positions[marker].places, *(told[marker].places if marker in told else none))
+        for marker in markers
     }
+    for column in zip(*places.values(), strict=True):
+        same = [cells.names[k] for k in column if k >= 0]
+        if len(set(map(unit_in, same))) > 1:
+            raise InputError(cells.where, "units", ", ".join(same), "one for all markers")
     taken = {k for held in places.values() for k in held}
     rest = [k for k in range(len(cells.names)) if k not in taken]
-    first = next((m for m in markers if m in turns), markers[0])
-    parts = [*"xyz", *(turns[first].word + part for form in forms for part in form.parts)]
+    parts = [*"xyz", *(turn.word + part for part in turn.form.parts)] if turn else [*"xyz"]
     units = [unit_in(cells.names[k]) for k in places[first]]
     axes = [f"{a} [{unit.name}]" if unit else a for a, unit in zip(parts, units, strict=True)]
     rows, index = [], []

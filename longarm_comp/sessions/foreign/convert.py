@@ -164,7 +164,7 @@ def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _
     where = cells.where
     markers = beside_each_other(cells, options.given)
     if markers:
-        cells = melted(cells, markers)
+        cells = melted(cells, markers, options.rotation != "none")
     found = _poses(cells, options)
     defaults = _defaults(where, options.units)
     turned_by = {cells.names[k] for each in found if each.turn for k in each.places}
