@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from bag_robot import STORAGES, command, refusal, robot, sighting
+from bag_robot import STORAGES, command, refusal, robot, sighting, state
 from session_bag import write_bag
 from small_arm import ARM, measured
 
+from longarm_comp.core.data.rest import in_turn
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.bag import read_bag
 
@@ -121,3 +123,60 @@ def test_no_bag_at_all(tmp_path: Path) -> None:
     refusal(tmp_path / "folder")
     (tmp_path / "file.mcap").write_bytes(b"")
     refusal(tmp_path / "file.mcap")
+
+
+def moved(put: Any, k: int, of: Callable[[float], list[float]], rate: float = 50.0) -> None:
+    """A command, the joints of the 1.5 s after it as this function of the time, and the tip."""
+    command(put, 2.0 * k, of(9.0), stamp=2.0 * k)
+    for i in range(int(1.5 * rate)):
+        state(put, 2.0 * k + 0.01 + i / rate, of(i / rate))
+        if i % 5 == 0 and i / rate > 1:
+            sighting(put, 2.0 * k + 0.015 + i / rate, [0.4 + 0.01 * k, 0.1, 0.3])
+
+
+def poses(rng: np.random.Generator) -> list[list[float]]:
+    return [list(q) for q in ARM.lower + (ARM.upper - ARM.lower) * rng.uniform(0.3, 0.7, (6, 4))]
+
+
+@pytest.mark.parametrize("rate", [(50.0, 20.0), (20.0, 50.0), (50.0, 50.0)])
+def test_two_publishers_of_joint_states(
+    rate: tuple[float, float], tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """The second tells where another arm stands."""
+    with robot(tmp_path / "bag") as put:
+        for k, q in enumerate(poses(rng)):
+            moved(put, k, lambda t, q=q: q, rate[0])  # type: ignore[misc]
+            for i in range(int(1.5 * rate[1])):
+                state(put, 2.0 * k + 0.013 + i / rate[1], [0.0, 0.2, 0.0, 0.0])
+    said = refusal(tmp_path / "bag")
+    assert "joint_states: 'two publishers in turn, after 6 of 6 commands'; allowed: one" in said
+
+
+def test_joints_that_never_rest(tmp_path: Path, rng: np.random.Generator) -> None:
+    """One swings, as a badly tuned servo does; it is one publisher's, however it is read."""
+    for rate in (50.0, 16.0, 12.0):
+        with robot(tmp_path / f"{rate}") as put:
+            for k, q in enumerate(poses(rng)):
+                swing = lambda t, q=q: [q[0], q[1] + 0.1 * np.sin(25.0 * t + 0.4), *q[2:]]  # noqa: E731
+                moved(put, k, swing, rate)
+        said = refusal(tmp_path / f"{rate}")
+        assert f"{ARM.joint_names[1]} still moved at the end of 6 of 6 commands" in said
+        assert "did not rest for 0.1 s" in said and "publisher" not in said
+
+
+def test_leaps_of_a_single_command_lose_only_that(tmp_path: Path, rng: np.random.Generator) -> None:
+    with robot(tmp_path / "bag") as put:
+        for k, q in enumerate(poses(rng)):
+            leap = 0.2 * (k == 2)
+            moved(put, k, lambda t, q=q, d=leap: [q[0] + d * (int(50 * t) % 2), *q[1:]])  # type: ignore[misc]
+    assert read_bag(tmp_path / "bag", ARM).index.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_an_endless_joint_at_half_a_turn_is_one_arm_and_so_is_one_that_swings() -> None:
+    """Readings of the former flicker between pi and -pi."""
+    flicker = np.where(np.arange(40) % 2, np.pi - 1e-3, 1e-3 - np.pi)
+    assert not in_turn(np.stack([flicker, np.zeros(40)], axis=1))
+    assert in_turn(np.stack([np.where(np.arange(40) % 2, 0.5, 0.0), np.zeros(40)], axis=1))
+    swing = 0.2 * np.sin(np.pi / 3 * np.arange(60))  # two steps of six change its direction
+    assert not in_turn(np.stack([swing, np.zeros(60)], axis=1))
+    assert not in_turn(np.zeros((1, 2))) and not in_turn(np.zeros((0, 2)))

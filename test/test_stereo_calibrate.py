@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,9 +19,11 @@ from stereo_head import HEAD, marker_pose, rigid_rms
 from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.marker_sheet import sheet
 from longarm_comp.arm_folder.measured import camera_path, read_measured
+from longarm_comp.core.errors import JobError
 from longarm_comp.devices.stereo.camera import StereoRig
 from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.eye import StereoEye
+from longarm_comp.devices.stereo.mounting import check_mounting
 from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
 from longarm_comp.devices.stereo.views import BoardView, gaps, view_of
 from longarm_comp.sim.cameras import Conditions, charuco_plate, render, tag_plate
@@ -33,6 +36,7 @@ TRUE = dataclasses.replace(
     right_turn_rad=(0.0, -0.03, 0.01),
 )  # fmt: skip
 BOARD = CharucoTarget(0.05, 0.036, 7, 5, "DICT_5X5_100")
+SIDES = ("left", "right")
 FLAGS = ("--board", "7x5", "--square-mm", 50, "--tag-mm", 36)
 PLACES = [(-1, -1, 1.02), (0, -1, 0.9), (1, -1, 1.15), (-1, 0, 1.25), (0, 0, 0.85), (1, 0, 1.02),
           (-1, 1, 1.15), (0, 1, 1.2), (1, 1, 1.02), (0, 0, 1.3), (-0.5, 0.5, 1.02)]  # fmt: skip
@@ -147,6 +151,69 @@ def test_each_gap_is_named(pictures: Path) -> None:
         assert view.tilt_deg == pytest.approx(tilt, abs=8.0)
 
 
+def test_a_camera_that_is_turned_is_said(shell: Shell, pictures: Path) -> None:
+    """Not as a gap in what the views cover; also before they are enough."""
+    (shell.folder / "mine").mkdir()
+    words = ("stereo", "calibrate", "mine", *FLAGS, "--images")
+    for side, count in (("right", len(PLACES)), ("left", 3)):
+        folder = some(pictures, shell.folder / f"{side} turned", list(range(count)))
+        for file in folder.glob(f"{side}*"):
+            cv2.imwrite(str(file), cv2.rotate(cv2.imread(str(file), 0), cv2.ROTATE_180))
+        said = shell.refused(*words, folder, code=3)
+        assert "one camera is upside down: the right pictures are turned by 180 deg" in said
+        assert "corner" not in said
+    few = some(pictures, shell.folder / "few", [0, 1])  # a board may be held oddly
+    for file in few.glob("right*"):
+        cv2.imwrite(str(file), cv2.rotate(cv2.imread(str(file), 0), cv2.ROTATE_180))
+    assert "more views: 2" in shell.refused(*words, few, code=3)
+
+
+def test_a_camera_on_its_side_is_said(pictures: Path) -> None:
+    views = [
+        view_of(BOARD, *(cv2.imread(str(pictures / s / f"{k:02d}.png"), 0) for s in SIDES))
+        for k in range(4)
+    ]
+    check_mounting(views)
+
+    def turned(deg: float) -> list[BoardView]:
+        c, s = np.cos(np.radians(deg)), np.sin(np.radians(deg))
+        pixels = [view.right.pixels @ np.array([[c, s], [-s, c]]) for view in views]
+        rights = [
+            dataclasses.replace(v.right, pixels=px) for v, px in zip(views, pixels, strict=True)
+        ]
+        return [dataclasses.replace(v, right=r) for v, r in zip(views, rights, strict=True)]
+
+    check_mounting(turned(40.0))
+    for deg, said in ((60.0, "on its side"), (-90.0, "turned by 90 deg")):
+        with pytest.raises(JobError, match=said):
+            check_mounting(turned(deg))
+
+
+@pytest.mark.parametrize(("shift", "said"), [(1, "1 later"), (-1, "1 earlier"), (2, "2 later")])
+def test_pairs_that_are_shifted_are_said(
+    shift: int, said: str, shell: Shell, pictures: Path
+) -> None:
+    (shell.folder / "mine").mkdir()
+    folder, count = some(pictures, shell.folder / "all", list(range(len(PLACES)))), len(PLACES)
+    for k in range(count):
+        picture = pictures / "right" / f"{(k - shift) % count:02d}.png"
+        (folder / f"right{k}.png").write_bytes(picture.read_bytes())
+    for k in range(count):  # in the order of their names
+        for side in SIDES:
+            (folder / f"{side}{k}.png").rename(folder / f"{side}_{k:02d}.png")
+    line = shell.refused("stereo", "calibrate", "mine", *FLAGS, "--images", folder, code=3)
+    assert f"the pairs look shifted: a left picture belongs to the right one {said}" in line
+
+
+def test_pictures_that_no_shift_mends_are_not_called_shifted(pictures: Path) -> None:
+    order = [3, 7, 0, 9, 5, 1, 8, 2, 10, 4, 6]
+    pairs = [
+        [cv2.imread(str(pictures / s / f"{k:02d}.png"), 0) for s, k in zip(SIDES, two, strict=True)]
+        for two in zip(range(len(PLACES)), order, strict=True)
+    ]
+    check_mounting([view_of(BOARD, *pair) for pair in pairs])
+
+
 def test_the_board_is_printed_in_true_size(shell: Shell) -> None:
     board = CharucoTarget(0.025, 0.018, 7, 5, "DICT_5X5_100")
     paper, page = sheet(board)
@@ -222,6 +289,30 @@ def test_a_board_shown_to_the_topics_calibrates_the_head(
     assert found["baseline_mm"] == pytest.approx(200.0, abs=0.5)
     again = shell.json("stereo", "calibrate", "mine", "--images", "taken", *FLAGS)
     assert again["focal_left_px"] == pytest.approx(found["focal_left_px"])
+
+
+def test_a_camera_that_is_turned_ends_the_capture(
+    shell: Shell, pictures: Path, ros_domain: int
+) -> None:
+    """It asks for no views that can never be enough."""
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+    from publishing import publishing
+
+    from longarm_comp.jobs.board_capture import capture
+    from longarm_comp.jobs.graph_client import GraphClient
+
+    folder = shell.folder / "turned"
+    shutil.copytree(pictures, folder)
+    for file in (folder / "right").iterdir():
+        cv2.imwrite(str(file), cv2.rotate(cv2.imread(str(file), 0), cv2.ROTATE_180))
+    board = Board(folder)
+    with (
+        publishing(board.step, 0.05),
+        GraphClient() as client,
+        pytest.raises(JobError, match="upside down"),
+    ):
+        capture(client, BOARD, board.told)
+    assert board.shown == 2
 
 
 def test_a_view_is_taken_once_and_only_at_rest(pictures: Path) -> None:

@@ -33,12 +33,14 @@ from longarm_comp.cli.signals import by_name
 @click.option("--sheet", help="Sheet of a workbook that has several.")
 @click.option("--join", metavar="COLUMN", help="Column that shows which rows belong together.")
 @click.option("--sort", metavar="COLUMN", help="Column that shows the order of measurement.")
+@click.option("--columns", default="", metavar="q1,...,x,y,z", help="Names where no line has them.")
 @options.choice("--decimal", [".", ","], "Sign before decimals.")
 @options.as_json
 def command(
     files: tuple[Path, ...],
     output: Path,
     units: str,
+    columns: str,
     pairs: tuple[str, ...],
     arm: Path | None,
     like: Path | None,
@@ -52,26 +54,29 @@ def command(
     side by side (M1 x, M1 y, ...) become rows.
 
     Separators, header lines, decimal commas and units in names (x_mm, q1 [deg]) are recognised and
-    printed. Units and the convention of an orientation are never guessed. --rotation takes xyzw or
-    wxyz with four columns, rotvec with three, or Euler angles with three: xyz about fixed axes, ZYX
-    about turned axes. A minus before it says that the columns hold the base in the tool. "none"
-    leaves the orientation out.
+    printed, as are poses (tx..qw, Px..R22). Units are never guessed, nor conventions that the names
+    of an orientation leave open. --rotation takes xyzw or wxyz with four columns, matrix with nine,
+    rotvec with three, or Euler angles with three: xyz about fixed axes, ZYX about turned axes. A
+    minus before it says that the columns hold the base in the tool. "none" leaves the orientation
+    out.
 
     \b
     Examples:
       longarm import-data tracker.csv --units mm,deg -o samples.csv
       longarm import-data log.xlsx --units mm,deg --map "A=q1,B=q2:mm,Px=x" --rotation ZYX:A,B,C
       longarm import-data second.csv --like samples.mapping.yaml -o second_samples.csv
-      longarm import-data mocap.csv --units m,rad --rotation wxyz:q0,qi,qj,qk --arm arm.yaml
+      longarm import-data mocap.csv --units m,rad --rotation wxyz:q0,q1,q2,q3 --arm arm.yaml
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.sessions.foreign.convert import Options, import_table
 
-    of_columns = tuple(u.strip() for u in units.split(",") if u.strip())
+    of_columns, names = (
+        tuple(word.strip() for word in text.split(",") if word.strip()) for text in (units, columns)
+    )
     declared = None if arm is None else Arm.load(arm)
     each = [pair for text in pairs for pair in text.split(",")]
     given = by_name("import-data", "--map", each, "COLUMN=NAME")
-    said = Options(of_columns, given, arm=declared, sort=sort, **told)
+    said = Options(of_columns, given, arm=declared, sort=sort, columns=names, **told)
     found = import_table(files, said if like is None else said.like(like))
     mapping = found.save(output)
     rows = found.preview()
@@ -81,8 +86,8 @@ def command(
     print_rows(f"{', '.join(f.name for f in files)}: {count} rows, as read (SI)", rows)
     if found.rotation is not None:
         note(f"orientation from {', '.join(found.rotation.columns)} as {found.rotation.convention}")
-    for alone in found.lonely:
-        note(alone)
+    for said_of in found.joined:
+        note(said_of)
     if found.markers:
         note(f"markers side by side, a row each: {', '.join(found.markers)}")
     if sort is None and not {"t_s", "index"} & set(found.columns):

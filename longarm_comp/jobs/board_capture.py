@@ -11,6 +11,7 @@ import numpy as np
 from sensor_msgs.msg import Image
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.devices.stereo.mounting import check_mounting
 from longarm_comp.devices.stereo.pairing import Pair, Side, StereoPairer
 from longarm_comp.devices.stereo.refusal import StereoRefusal
 from longarm_comp.devices.stereo.target import Grey, Target
@@ -77,6 +78,7 @@ def capture(
         rests, before = view.is_still(before), view
         if rests and view.is_new(views, size[0]):
             views.append(view)
+            check_mounting(views)
             if save is not None:
                 _save(save, len(views), pair)
         elif not rests:

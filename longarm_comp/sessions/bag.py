@@ -7,6 +7,7 @@ Topics are found by the last part of their name; others and unknown types are ig
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,7 +21,15 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.data.kinds import KINDS
-from longarm_comp.core.data.rest import Sighting, nowhere, settled, stood
+from longarm_comp.core.data.rest import (
+    NO_REST,
+    REST_S,
+    Sighting,
+    in_turn,
+    nowhere,
+    settled,
+    stood,
+)
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
@@ -50,6 +59,8 @@ class Rows:
         self._rows: list[_Row] = []
         self._lost: dict[int, str] = {}
         self._passed = False
+        self._told = self._rivals = 0  # commands with readings of joints; with those of two arms
+        self._restless: Counter[int] = Counter()  # by joint, commands at whose end it still moved
 
     def close(self, *, everything: bool = False) -> None:
         """Finish commands whose time is over: a sighting may be recorded `CLOCKS_APART` later."""
@@ -68,6 +79,11 @@ class Rows:
         sightings, rows = (between(held, begin, end) for held in (buffer.sightings, buffer.rows))
         states = buffer.states_between(begin, end)
         seen, why = settled(sightings, *states, begin)
+        self._told += bool(len(states[0]))
+        self._rivals += in_turn(states[1])
+        if why == NO_REST:
+            late = states[1][states[0] >= states[0][-1] - REST_S]
+            self._restless[int(np.argmax(np.ptp(late, axis=0)))] += 1
         row = rows[0][1] if rows else SessionRow()
         passed = seen is None
         if seen is None and rows:  # a measurement was meant: it is a row, and says why it is blank
@@ -91,6 +107,16 @@ class Rows:
 
     def session(self) -> Session:
         buffer = self._buffer
+        if 2 * self._rivals > self._told:
+            value = f"two publishers in turn, after {self._rivals} of {self._told} commands"
+            allowed = "one, whose joints do not leap to and fro: end the other and record again"
+            raise InputError(buffer.where, "joint_states", value, allowed)
+        if not self._rows and self._restless:
+            joint, count = self._restless.most_common(1)[0]
+            name = buffer.arm.joint_names[joint]
+            value = f"{NO_REST}: {name} still moved at the end of {count} of {self._told} commands"
+            allowed = "an arm that stands after each command, or longer waits"
+            raise InputError(buffer.where, "joint_states", value, allowed)
         if not self._rows:
             allowed = "a sighting per command"
             raise InputError(buffer.where, "tip_measured", "none after a command", allowed)

@@ -101,6 +101,7 @@ def import_table(
     units: Sequence[str] = (),
     names: Mapping[str, str] | None = None,
     like: FilePath | None = None,
+    columns: Sequence[str] = (),
     **told: str | None,
 ) -> Session:
     """Read CSV, TXT or XLSX of another program; several files make one session.
@@ -109,12 +110,15 @@ def import_table(
         units: units of columns whose names have none, such as ``("mm", "deg")``.
         names: session column by the file's, ``{"A": "q1", "B": "q2:mm"}``.
         like: mapping of an earlier file of the same kind, instead of the other arguments.
+        columns: names of the columns, if no line of the file has them.
         told: ``rotation``, ``sheet``, ``decimal``, ``join`` and ``sort``, as the options of
             `longarm import-data`.
     """
     from longarm_comp.sessions.foreign import convert
 
-    options = convert.Options(tuple(units), dict(names or {}), arm=arm, **told)
+    options = convert.Options(
+        tuple(units), dict(names or {}), arm=arm, columns=tuple(columns), **told
+    )
     found = convert.import_table(files, options if like is None else options.like(Path(like)))
     with tempfile.TemporaryDirectory() as folder:
         csv = Path(folder) / "samples.csv"

@@ -9,7 +9,7 @@ joint may spoil the few rows in which it moves.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations, permutations, product
 
@@ -37,7 +37,7 @@ _ALIKE_RATIO = 1.02
 _STRAY_RATIO, MOST_STRAYS = 8.0, 0.3
 """Rows so many times farther off than the closest quarter stray (of normal errors none does);
 this share of them may: the median of the others still fits."""
-_SUSPECT_TURN, _STRANGE_TURN = 0.1, 0.5
+SUSPECT_TURN, _STRANGE_TURN = 0.1, 0.5
 """The same for the tip's axes, rad."""
 _TRIED_ROWS = 100
 """Rows that the mistakes are tried on, spread over the session."""
@@ -147,23 +147,29 @@ def _parts(model: Model, session: Session, found: Registration) -> tuple[str, Se
     return f"row {first + 1} on looks measured from another base, or of another arm", parts
 
 
+def turn_error(model: Model, rows: Session) -> Callable[[np.ndarray], float]:
+    """A function of x, y, z, w (N, 4) beside rows that are all located: the mean angle (rad) that
+    remains to the tip's axes, where the base stands as the positions say and the tool anyhow."""
+    sightings = Sightings.of(model, rows)
+    placed = register(sightings).rotation[sightings.group]
+    axes = placed @ model.pose(rows.q, rows.context())[:, :3, :3]
+
+    def error(values: np.ndarray) -> float:
+        body = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ matrices(values))
+        return float((body * body.mean().inv()).magnitude().mean())
+
+    return error
+
+
 def _turned(model: Model, session: Session) -> tuple[str, str] | None:
     """How measured axes look written, with the fall of the error: None where they fit, or no row
     has them beside a position."""
     rows = session.take(session.located & session.turned)
     if len(np.unique(rows.pose_id)) < MIN_POSES:
         return None
-    sightings = Sightings.of(model, rows)
-    found = register(sightings)
-    axes = found.rotation[sightings.group] @ model.pose(rows.q, rows.context())[:, :3, :3]
-    read = rows.readings["orientation"]
-
-    def misfit(values: np.ndarray) -> float:
-        body = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ matrices(values))
-        return float((body * body.mean().inv()).magnitude().mean())
-
+    misfit, read = turn_error(model, rows), rows.readings["orientation"]
     own = misfit(read)
-    if own < _SUSPECT_TURN:
+    if own < SUSPECT_TURN:
         return None
     tried = []
     for back, order in ((0, ""), (-1, "w, x, y, z read as x, y, z, w"),

@@ -93,6 +93,25 @@ _LAST = 5
 """Sightings whose median is the final position: two of them may be wrong."""
 
 
+_LEAP, _LEAPS, _RETURNS = 10 * JOINT_REST, 4, 2 / 3
+"""Two arms tell their joints in turn: at least so many steps between readings are as large (rad, m)
+as none of encoders' noise is, and more than this share of them is taken back by the next; of an arm
+that swings, read four times a period, half are."""
+
+
+def in_turn(joints: np.ndarray) -> bool:
+    """Whether (m, n) readings of joints, rad and m, leap to and fro between two arms.
+
+    A turn that is left out or added by an endless joint is no leap.
+    """
+    steps = np.diff(joints, axis=0)
+    steps -= np.round(steps / (2 * np.pi)) * 2 * np.pi
+    leaps = steps[np.abs(steps).max(axis=1, initial=0.0) > _LEAP]
+    back = np.abs(leaps[1:] + leaps[:-1]).max(axis=1, initial=0.0)
+    returned = back < 0.3 * np.abs(leaps[1:]).max(axis=1, initial=0.0)
+    return bool(len(leaps) >= _LEAPS and returned.mean() > _RETURNS)
+
+
 class Sighting(NamedTuple):
     """One measured tip at t (s): (3,) m and m^2, (4,) x, y, z, w and rad^2; NaN: not measured."""
 

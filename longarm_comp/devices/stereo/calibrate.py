@@ -11,6 +11,7 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
+from longarm_comp.devices.stereo.mounting import check_mounting
 from longarm_comp.devices.stereo.target import Corners, Target
 from longarm_comp.devices.stereo.triangulate import triangulate
 from longarm_comp.devices.stereo.views import FEWEST_CORNERS, BoardView, gaps
@@ -95,6 +96,7 @@ def calibrated(
     board: Target, views: Sequence[BoardView], size: tuple[int, int]
 ) -> BoardCalibration:
     """Calibrate a head from views that cover image, distance and tilt."""
+    check_mounting(views)
     lacking = gaps(views, size)
     if lacking:
         raise JobError("the views are not enough: " + "; ".join(lacking), views=len(views))

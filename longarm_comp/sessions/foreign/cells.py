@@ -27,6 +27,20 @@ _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
 _DATED = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{2,4}|\d:\d\d")
 _NONE = {"", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"}
+_REMARK = re.compile(r"^\s*(?:#+|%+|//)\s*(?=[^\s,;|#%])")
+"""The sign before a line that NumPy, MATLAB and C take for a remark; ``#`` alone is a name."""
+_CELLS = re.compile(r"[\s,;|]+")
+_JSON = re.compile(rb"\s*(\{|\[\s*[\[{\"\d-])")
+_OTHER_FILES = (
+    (re.compile(rb"MATLAB 5\.0|\x89HDF"), "MAT", "CSV: in MATLAB writematrix([q tip], 'log.csv')"),
+    (re.compile(rb"\x93NUMPY|PK\x03\x04"), "NPY or ZIP", "CSV: numpy.savetxt('log.csv', rows)"),
+    (_JSON, "JSON", "CSV: in Python pandas.read_json('log.json').to_csv('log.csv', index=False)"),
+    (re.compile(rb"SQLite format 3|\x89MCAP|#ROSBAG"), "a bag", "longarm bag to-csv ARM BAG"),
+    (re.compile(rb"\xd0\xcf\x11\xe0"), "XLS", "XLSX: save it as such"),
+)
+"""How files begin that are no table, what they are, and the export that makes one of them."""
+_HEADER_LINES = 12
+"""Lines of names that may stand below a line of numbers (ids, channels) in a header."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +94,11 @@ class Cells:
 Lines = list[tuple[int, list[str]]]
 
 
-def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None) -> Cells:
-    """Read a table; by default of the only sheet, with the decimal sign that the cells show."""
+def read_cells(
+    path: Path, sheet: str | None = None, decimal: str | None = None, columns: Sequence[str] = ()
+) -> Cells:
+    """Read a table; by default of the only sheet, with the decimal sign that the cells show and the
+    names of its header, in whose place `columns` may be told."""
     where, separator = str(path), ""
     if path.suffix.lower() in WORKBOOK:
         lines, sign, decimal = _sheet(path, sheet), ".", None  # its numbers are no text
@@ -90,11 +107,15 @@ def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None)
         separator, lines = _separated(where, text)
         sign = _decimal(where, separator, lines)
     sign = decimal or sign
-    first = _first_row(where, lines, sign)
+    ids, first = _first_row(where, lines, sign)
     width = len(lines[first][1])
-    names, used = _names(lines[:first], width)
-    if not used:
-        allowed = "a line with the columns' names above the numbers"
+    names, used = _names(lines[:first], width, ids)
+    if columns:
+        if len(columns) != width:
+            raise InputError(where, "--columns", f"{len(columns)} names", f"{width} names")
+        names, used = tuple(columns), ()
+    elif not used:
+        allowed = "a line with the columns' names above the numbers, or --columns q1,q2,...,x,y,z"
         raise InputError(where, "header", "none", allowed)
     for line, row in lines[first:]:
         if len(row) != width:
@@ -109,6 +130,9 @@ def _text(path: Path) -> str:
         raw = path.read_bytes()
     except OSError as error:
         raise InputError(path, "file", error.strerror or str(error), "a readable file") from error
+    for begins, kind, export in _OTHER_FILES:
+        if begins.match(raw):
+            raise InputError(path, "file", kind, export)
     wide = raw[:2] in (b"\xff\xfe", b"\xfe\xff")
     for coding in ("utf-16",) if wide else ("utf-8-sig", "cp1252"):
         try:
@@ -145,7 +169,7 @@ def _grid(where: str, text: str, mark: str) -> Lines:
     """Number and cells of each line that is not blank."""
     import pandas as pd
 
-    lines = text.splitlines()
+    lines = _without_remarks(where, text.splitlines())
     width = max((len(re.split(mark, line.strip())) for line in lines), default=0)
     check_cells(where, width * len(lines))
     if width < 2:
@@ -160,6 +184,22 @@ def _grid(where: str, text: str, mark: str) -> Lines:
         raise InputError(where, "file", str(error), "separated text") from error
     rows = ([str(c).strip() for c in row if not pd.isna(c)] for row in frame.to_numpy().tolist())
     return [(line, row) for line, row in enumerate(rows, 1) if any(row)]
+
+
+def _without_remarks(where: str, lines: list[str]) -> list[str]:
+    """Lines without the sign of a remark, if they stand above the numbers.
+
+    Raises:
+        InputError: one stands between them: a row that somebody took out, or not?
+    """
+    made, above = [], True
+    for number, line in enumerate(lines, 1):
+        found = _REMARK.match(line)
+        above = above and (found is not None or not _numeric(_CELLS.split(line.strip()), _POINT))
+        if not above and found and found[0][-1].isspace():
+            raise InputError(where, f"line {number}", line[:40], "a row, without # before it")
+        made.append(_REMARK.sub("", line) if above else line)
+    return made
 
 
 def _decimal(where: str, separator: str, lines: Lines) -> str:
@@ -224,33 +264,63 @@ def _numeric(row: Sequence[str], number: re.Pattern[str]) -> bool:
     return len(filled) > 1 and 2 * count > len(filled)
 
 
-def _first_row(where: str, lines: Lines, decimal: str) -> int:
-    """Number of the first line of which most filled cells are numbers."""
+def _first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
+    """Places of the first line of which most filled cells are numbers, and of the first below it
+    that no header line follows: the former may hold ids, which are whole numbers beside a word.
+
+    Raises:
+        InputError: there is no such line, or one of measured numbers stands above a header, or
+            below the same one.
+    """
     number = _COMMA if decimal == "," else _POINT
     widths = Counter(len(row) for _, row in lines)
     usual = widths.most_common(1)[0][0] if widths else 0
-    for k, (_, row) in enumerate(lines):
-        if len(row) == usual and _numeric(row, number):
-            return k
-    raise InputError(where, "rows", "no row of numbers", "numbers below a header")
+    numeric = [k for k, (_, row) in enumerate(lines) if len(row) == usual and _numeric(row, number)]
+    if not numeric:
+        raise InputError(where, "rows", "no row of numbers", "numbers below a header")
+    ids = numeric[0]
+    heads = [
+        k for k in range(ids, min(ids + _HEADER_LINES, len(lines))) if _words(lines[k][1], usual)
+    ]
+    first = next((k for k in numeric if not heads or k > heads[-1]), None)
+    for k in numeric if first is None else numeric[: numeric.index(first)]:
+        line, row = lines[k]
+        said = [c for c in row if number.fullmatch(c)]
+        whole = all(c.isdigit() for c in said) and len(said) < sum(map(bool, row))
+        twice = any(lines[head][1] in (above for _, above in lines[:ids]) for head in heads)
+        if first is None or not whole or twice:
+            raise InputError(where, f"line {line}", "numbers above a header", "numbers below it")
+    assert first is not None
+    return ids, first
 
 
-def _block(lines: Lines) -> Lines:
-    """The lines of headings: those above a blank line, with a number or of one cell are a title."""
+def _words(row: Sequence[str], width: int) -> bool:
+    """Whether a row of a table of this width reads as a line of names: words, and no number."""
+    filled = [c for c in row if c.lower() not in _NONE]
+    said = any(_POINT.fullmatch(c) or _COMMA.fullmatch(c) or _DATED.search(c) for c in filled)
+    return len(row) == width and not said and len(filled) > max(1, width // 2)
+
+
+def _block(lines: Lines, ids: int) -> Lines:
+    """The lines of headings: those above a blank line, with a number or of one cell are a title,
+    but for numbers from the place `ids` on."""
     made: Lines = []
-    for line, row in reversed(lines):
+    for k in reversed(range(len(lines))):
+        line, row = lines[k]
         apart = made and made[-1][0] != line + 1
-        titled = any(_POINT.fullmatch(c) or _DATED.search(c) for c in row if c)
+        titled = k < ids and any(_POINT.fullmatch(c) or _DATED.search(c) for c in row if c)
         if made and (apart or titled or sum(map(bool, row)) < 2):
             break
         made.append((line, row))
     return made[::-1]
 
 
-def _names(lines: Lines, width: int) -> tuple[tuple[str, ...], tuple[int, ...]]:
+def _names(lines: Lines, width: int, ids: int) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """Names of the columns from the lines above the numbers, and the numbers of these lines."""
     whole = [
-        (line, row) for line, row in _block(lines) if len(row) == width and sum(map(bool, row)) > 1
+        (line, row)
+        for line, row in _block(lines, ids)
+        if len(row) == width and sum(map(bool, row)) > 1
     ]
     units = [all(unit_of(c) is not None for c in row if c) for _, row in whole]
     last = max((k for k, pure in enumerate(units) if not pure), default=-1)

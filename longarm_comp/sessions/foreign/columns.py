@@ -10,6 +10,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import UNITS, XYZ
 from longarm_comp.sessions.foreign.cells import Cells
+from longarm_comp.sessions.foreign.poses import axis_of
 from longarm_comp.sessions.foreign.units import (
     ANGLE,
     LENGTH,
@@ -25,10 +26,10 @@ from longarm_comp.sessions.targets import QUATERNION
 
 JOINT = "joint"
 _JOINT = re.compile(r"(?:q|j|joint|axis|a|theta)0*(\d{1,3})")
-_XYZ = re.compile(r"(?:p|pos|position|tip|tcp|meas|measured|measurement|marker)?([xyz])")
+_TIP = re.compile(r"(?:tip|tcp|meas|measured|measurement|marker)(?=.)")
 _EXACT = re.compile(
     r"index|repeat_id|approach(_q\d+)?|(run_up|read)_q\d+|sigma_([xyz]|rot)|cov_[xyz]{2}|distance|anchor|touch|plane"
-    r"|ray_[xyz]|sensor|incl_\w+_[xy]|q[xyzw]|t_s|temperature_c|payload_kg|role|group|marker"
+    r"|ray_[xyz]|sensor|incl_\w+_[xy]|t_s|temperature_c|payload_kg|role|group|marker"
 )
 _TURNED = re.compile(
     r"(?:q(?:uat(?:ernion)?)?_?[wxyz0]|quat.*|roll|pitch|yaw|r[xyz]|[abc]|o[xyz]|euler.*|rot.*)"
@@ -73,11 +74,10 @@ def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str 
     if arm is not None and name in arm.joint_names:
         return f"q{arm.joint_names.index(name) + 1}"
     plain = re.sub(r"[^a-z0-9]", "", name.lower())
-    joint, axis = _JOINT.fullmatch(plain), _XYZ.fullmatch(plain)
-    if joint:
+    if joint := _JOINT.fullmatch(plain):
         return f"q{int(joint.group(1))}"
-    if axis:
-        return axis.group(1)
+    if axis := axis_of(_TIP.sub("", plain, count=1)):
+        return axis
     spelt = [re.sub(r"[^a-z0-9]", "", own.lower()) for own in arm.joint_names] if arm else []
     for given in (plain, f"{plain}joint"):
         if spelt.count(given) == 1:
@@ -105,6 +105,7 @@ def understand(
     defaults: Mapping[str, Unit],
     arm: Arm | None,
     apart: Collection[str] = (),
+    axes: Mapping[int, str] | None = None,
 ) -> list[Column]:
     """The columns of the session that a file holds.
 
@@ -114,6 +115,7 @@ def understand(
         defaults: by kind, the unit of columns that name none.
         arm: names its joints and says which slide; None: joints without a unit turn.
         apart: columns that are read otherwise (an orientation).
+        axes: coordinate of columns, by place, where more than the name says it.
     """
     where = cells.where
     told = {cells.place(key, "--map"): key for key in given}
@@ -131,7 +133,7 @@ def understand(
                 raise InputError(where, f"--map {key}", name, allowed)
         elif stem and source not in apart:
             rank = 1 + (meaning(stem, arm, headings=False) is None)
-            name = meaning(source, arm) or meaning(stem, arm) or ""
+            name = meaning(source, arm) or meaning(stem, arm) or (axes or {}).get(place, "")
         else:
             continue
         if name:

@@ -13,9 +13,10 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.foreign.cells import Cells
-from longarm_comp.sessions.foreign.units import seconds, split_name
+from longarm_comp.sessions.foreign.columns import meaning
+from longarm_comp.sessions.foreign.poses import found_in, headings, unit_in
+from longarm_comp.sessions.foreign.units import TIME, seconds, split_name
 
-_AXIS = re.compile(r"(?i)(.*?)[ _.:-]*([xyz])")
 _COUNTED = re.compile(r"\d+|\b[A-Za-z]\b")
 
 
@@ -37,24 +38,32 @@ def appended(tables: Sequence[Cells]) -> Cells:
 
 
 def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]]:
-    """Rows of several tables side by side where a column says the same number, text or time.
+    """Rows of several tables side by side where a column says the same number or text, or where its
+    times are nearest.
 
     Returns:
-        The table, and in words which rows have no partner.
+        The table, and in words how near, and which rows have no partner.
     """
     made, *others = map(_pointed, tables)
-    lonely: list[str] = []
+    said: list[str] = []
     for table in others:
         here, there = (t.place(column, "--join") for t in (made, table))
         one, two = ([row[k] for _, row in t.rows] for t, k in ((made, here), (table, there)))
         partner = _partners(one, two, table, column)
+        clocks, allowed = _clocks((made, table), (here, there), column), f"{one[0]}, ..."
+        if clocks:
+            partner, limit = _nearest(*clocks)
+            apart = [abs(clocks[0][k] - clocks[1][p]) for k, p in enumerate(partner) if p >= 0]
+            farthest = f"; the farthest are {max(apart):.3g} apart" if apart else ""
+            said.append(f"{table.where}: nearest {column} within {limit:.3g}{farthest}")
+            allowed = f"times of one clock, within {limit:.3g}: {allowed}"
         left = sorted(set(range(len(two))) - set(partner))
         for where, keys in (
             (made.where, [one[k] for k, p in enumerate(partner) if p < 0]),
             (table.where, [two[k] for k in left]),
         ):
             if keys:
-                lonely.append(f"{where}: no partner of {column} {', '.join(keys[:20])}")
+                said.append(f"{where}: no partner of {column} {', '.join(keys[:20])}")
         kept = [k for k in range(len(table.names)) if k != there]
         names = [table.names[k] for k in kept]
         names = [f"{Path(table.where).stem} {n}" if n in made.names else n for n in names]
@@ -64,9 +73,9 @@ def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]
             if p >= 0
         )
         if not rows:
-            raise InputError(table.where, f"--join {column}", "no row in common", f"{one[0]}, ...")
+            raise InputError(table.where, f"--join {column}", "no row in common", allowed)
         made = replace(made, names=(*made.names, *names), rows=rows)
-    return replace(made, where=", ".join(t.where for t in tables)), tuple(lonely)
+    return replace(made, where=", ".join(t.where for t in tables)), tuple(said)
 
 
 def ordered(cells: Cells, column: str) -> Cells:
@@ -86,54 +95,99 @@ def beside_each_other(cells: Cells, told: Collection[str]) -> tuple[str, ...]:
 
     Their headings are alike but for a number or a letter: M1, M2; prism A, prism B.
     """
-    groups = _groups(cells)
-    names = [cells.names[k] for places in groups.values() for k in places.values()]
+    found = found_in(cells.names)
+    names = [cells.names[k] for each in found if not each.turn for k in each.places]
     if any(key in (n, split_name(n)[0]) for n in names for key in told):
         return ()
-    whole = [heading for heading, places in groups.items() if len(places) == 3 and heading]
+    whole = [heading for heading in headings(found) if heading]
     alike = {_COUNTED.sub("#", heading) for heading in whole}
     return tuple(whole) if len(whole) > 1 and len(alike) == 1 else ()
 
 
-def melted(cells: Cells, headings: Sequence[str]) -> Cells:
-    """A row for each marker, with its name in a column `marker`."""
-    groups = _groups(cells)
-    taken = {k for heading in headings for k in groups[heading].values()}
+def melted(cells: Cells, markers: Sequence[str], turns: bool) -> Cells:
+    """A row for each marker, with its name in a column `marker`, and its orientation if it has one
+    and `turns` are wanted.
+
+    Raises:
+        InputError: the markers' orientations or units are several.
+    """
+    found = found_in(cells.names)
+    positions = headings(found)
+    told = {t.heading: t for t in reversed(found) if turns and t.turn and t.heading in markers}
+    if len({turn.form for turn in told.values()}) > 1:
+        several = ", ".join(cells.names[t.places[0]] for t in told.values())
+        raise InputError(cells.where, "orientations", several, "one form for all markers")
+    first = next((m for m in markers if m in told), markers[0])
+    turn = told.get(first)
+    none = (-1,) * (len(turn.places) if turn else 0)
+    places = {
+        marker: (*positions[marker].places, *(told[marker].places if marker in told else none))
+        for marker in markers
+    }
+    for column in zip(*places.values(), strict=True):
+        same = [cells.names[k] for k in column if k >= 0]
+        if len(set(map(unit_in, same))) > 1:
+            raise InputError(cells.where, "units", ", ".join(same), "one for all markers")
+    taken = {k for held in places.values() for k in held}
     rest = [k for k in range(len(cells.names)) if k not in taken]
-    units = [split_name(cells.names[groups[headings[0]][axis]])[1] for axis in "xyz"]
-    axes = [f"{a} [{unit.name}]" if unit else a for a, unit in zip("xyz", units, strict=True)]
+    parts = [*"xyz", *(turn.word + part for part in turn.form.parts)] if turn else [*"xyz"]
+    units = [unit_in(cells.names[k]) for k in places[first]]
+    axes = [f"{a} [{unit.name}]" if unit else a for a, unit in zip(parts, units, strict=True)]
     rows, index = [], []
     for number, (line, row) in enumerate(cells.rows):
-        for heading in headings:
-            tip = (row[groups[heading][axis]] for axis in "xyz")
-            rows.append((line, (*(row[k] for k in rest), *tip, heading)))
+        for marker in markers:
+            tip = ("" if k < 0 else row[k] for k in places[marker])
+            rows.append((line, (*(row[k] for k in rest), *tip, marker)))
             index.append(cells.index[number] if cells.index else number)
     names = (*(cells.names[k] for k in rest), *axes, "marker")
     return replace(cells, names=names, rows=tuple(rows), index=tuple(index))
 
 
-def _groups(cells: Cells) -> dict[str, dict[str, int]]:
-    """By heading, the places of x, y and z."""
-    groups: dict[str, dict[str, int]] = {}
-    for place, name in enumerate(cells.names):
-        found = _AXIS.fullmatch(split_name(name)[0])
-        if found:
-            groups.setdefault(found[1].strip(), {}).setdefault(found[2].lower(), place)
-    return groups
+def _clocks(tables: Sequence[Cells], places: Sequence[int], column: str) -> list[np.ndarray]:
+    """Times (s, or as written where no unit is) of the same column of two tables; empty where it
+    holds no times."""
+    texts = [table.column(place) for table, place in zip(tables, places, strict=True)]
+    both = seconds([*texts[0], *texts[1]])
+    if both is not None:
+        return [both[: len(texts[0])], both[len(texts[0]) :]]
+    named = [split_name(table.names[place]) for table, place in zip(tables, places, strict=True)]
+    timed = [unit.kind == TIME if unit else meaning(stem) == "t_s" for stem, unit in named]
+    numbers = [[t.number(text) for text in own] for t, own in zip(tables, texts, strict=True)]
+    if not all(timed) or any(None in own for own in numbers):
+        return []
+    units = [unit for _, unit in named]
+    if units.count(None) == 1:
+        allowed = f"a unit in both files: {named[0][0]} [s]"
+        raise InputError(tables[units.index(None)].where, f"--join {column}", "no unit", allowed)
+    return [
+        np.array(own, dtype=float) * (unit.factor if unit else 1.0)
+        for own, unit in zip(numbers, units, strict=True)
+    ]
+
+
+def _nearest(one: np.ndarray, two: np.ndarray) -> tuple[list[int], float]:
+    """By entry of ``one``, the place of the entry of ``two`` nearest to it that has none nearer to
+    it, -1 if none is within the tolerance; and this: half the shorter of both median steps."""
+    near, back = _closest(one, two), _closest(two, one)
+    steps = [np.diff(np.unique(times)) for times in (one, two)]
+    limit = min((float(np.median(step)) / 2 for step in steps if len(step)), default=0.0)
+    apart = np.abs(one - two[near])
+    mutual = apart <= np.minimum(
+        np.abs(two - one[back])[near], limit
+    )  # rows of one time all have it
+    return np.where(mutual, near, -1).tolist(), limit
+
+
+def _closest(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    """(N,) place in ``two`` of the number closest to each of ``one``."""
+    order = np.argsort(two, kind="stable")
+    after = np.searchsorted(two[order], one).clip(1, max(len(two) - 1, 1))
+    pair = order[np.stack([after - 1, np.minimum(after, len(two) - 1)])]
+    return pair[np.abs(two[pair] - one).argmin(axis=0), np.arange(len(one))]
 
 
 def _partners(one: list[str], two: list[str], table: Cells, column: str) -> list[int]:
     """By entry of ``one``, the place of its like in ``two``; -1: it has none."""
-    clocks = seconds([*one, *two])
-    if clocks is not None and not set(one) & set(two):
-        import pandas as pd
-
-        left = pd.DataFrame({"t": clocks[: len(one)], "a": range(len(one))}).sort_values("t")
-        right = pd.DataFrame({"t": clocks[len(one) :], "b": range(len(two))}).sort_values("t")
-        steps = np.concatenate([np.diff(f["t"]) for f in (left, right)])
-        near = float(np.median(steps[steps > 0])) / 2 if (steps > 0).any() else 0.0
-        both = pd.merge_asof(left, right, on="t", direction="nearest", tolerance=near)
-        return both.sort_values("a")["b"].fillna(-1).astype(int).tolist()
     places: dict[object, int] = {}
     for place, text in enumerate(two):
         if _key(text) in places:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ from longarm_comp.sessions.foreign.combine import (
     melted,
     ordered,
 )
+from longarm_comp.sessions.foreign.conventions import Conventions, conventions
+from longarm_comp.sessions.foreign.poses import Found, found_in, of_marker, unit_in
 from longarm_comp.sessions.foreign.units import (
     ALLOWED,
     ANGLE,
@@ -52,7 +55,7 @@ class Options:
         units: of columns that name none, such as ``mm`` and ``deg``.
         given, arm: see `understand`.
         rotation: ``CONVENTION:COLUMNS``, ``none`` to leave an orientation out, or nothing.
-        sheet, decimal: see `read_cells`.
+        sheet, decimal, columns: see `read_cells`.
         join: column that says which rows of several files belong together; None: they follow.
         sort: column in whose order the rows were measured; None: in the file's.
     """
@@ -65,6 +68,7 @@ class Options:
     arm: Arm | None = None
     join: str | None = None
     sort: str | None = None
+    columns: tuple[str, ...] = ()
 
     def like(self, mapping: Path) -> Options:
         """With what an earlier mapping says beside; what is told here goes before it."""
@@ -80,6 +84,7 @@ class Options:
             units=self.units or form.units,
             given={**kept, **self.given},
             rotation=self.rotation or form.rotation,
+            columns=self.columns or form.names,
             decimal=self.decimal or form.decimal,
         )
 
@@ -93,9 +98,9 @@ class _Imported:
     left_out: tuple[str, ...]  # columns of the file that were not read
     assumed: tuple[str, ...]  # joints that were taken to turn, as no arm says it
     rotation: Rotation | None
-    units: tuple[str, ...]  # of columns that name none
+    options: Options
     files: tuple[Path, ...] = ()
-    lonely: tuple[str, ...] = ()  # rows of joined files without a partner, in words
+    joined: tuple[str, ...] = ()  # how near the rows of joined files are, and which have no partner
     markers: tuple[str, ...] = ()  # that stood side by side
 
     def preview(self) -> list[dict[str, Any]]:
@@ -135,7 +140,7 @@ class _Imported:
             "decimal": self.cells.decimal if self.cells.separator and not several else None,
             "header_lines": list(self.cells.header_lines),
             "rows": len(self.cells.rows),
-            "units": list(self.units),
+            "units": list(self.options.units),
             "columns": {
                 c.name: {"from": c.source, **({"unit": c.unit.name} if c.unit else {})}
                 for c in self.sources
@@ -143,8 +148,11 @@ class _Imported:
             "left_out": list(self.left_out),
         }
         if self.rotation is not None:
-            sign, columns = "-" if self.rotation.inverse else "", ",".join(self.rotation.columns)
-            mapping["rotation"] = f"{sign}{self.rotation.convention}:{columns}"
+            mapping["rotation"] = f"{self.rotation.spelt}:{','.join(self.rotation.columns)}"
+        elif self.options.rotation is not None:
+            mapping["rotation"] = self.options.rotation
+        if self.options.columns:
+            mapping["names"] = list(self.options.columns)
         text = yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=100)
         return f"# How longarm import-data read {names}.\n{text}"
 
@@ -152,24 +160,30 @@ class _Imported:
 def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _Imported:
     """Read a table of another program, or several that make one session."""
     files = tuple(map(Path, [path] if isinstance(path, str | Path) else path))
-    cells, lonely = _together(files, options)
+    cells, said = _together(files, options)
     where = cells.where
     markers = beside_each_other(cells, options.given)
     if markers:
-        cells = melted(cells, markers)
-    rotation = _rotation(where, cells, options)
-    turned_by = () if rotation is None else rotation.columns
+        cells = melted(cells, markers, options.rotation != "none")
+    found = _poses(cells, options)
     defaults = _defaults(where, options.units)
-    apart = (*turned_by, *_unit_quaternion(cells))
-    sources = understand(cells, options.given, defaults, options.arm, apart)
-    _complete(where, cells, sources, options.arm)
+    turned_by = {cells.names[k] for each in found if each.turn for k in each.places}
+    told = _told_rotation(cells, options)
+    apart = turned_by.union(() if told is None else told.columns)
+    axes = {
+        k: a for each in found if not each.turn for k, a in zip(each.places, "xyz", strict=True)
+    }
+    sources = understand(cells, options.given, defaults, options.arm, apart, axes)
+    _complete(where, cells, sources, options.arm, bool(apart))
     columns: dict[str, np.ndarray] = {c.name: _values(cells, c) for c in sources}
     if cells.index and "index" not in columns:
         columns = {"index": np.array(cells.index), **columns}
+    rotation = told or _rotation(cells, options, found, {c.place for c in sources})
     if rotation is not None:
-        columns |= _orientation(cells, rotation, defaults)
-    read = {c.place for c in sources} | {cells.names.index(n) for n in turned_by}
-    left = tuple(n or f"column {k + 1}" for k, n in enumerate(cells.names) if k not in read)
+        values = _parts(cells, rotation, defaults)
+        columns |= _orientation(where, rotation, values, _fitting(columns, values, options))
+    read = {c.source for c in sources}.union(() if rotation is None else rotation.columns)
+    left = tuple(n or f"column {k + 1}" for k, n in enumerate(cells.names) if n not in read)
     assumed = tuple(
         c.name
         for c in sources
@@ -177,35 +191,44 @@ def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _
         and ":" not in options.given.get(c.source, "")
     )  # fmt: skip
     return _Imported(
-        cells, columns, tuple(sources), left, assumed, rotation, options.units, files, lonely,
-        markers,
-    )  # fmt: skip
+        cells, columns, tuple(sources), left, assumed, rotation, options, files, said, markers
+    )
 
 
 def _together(files: tuple[Path, ...], options: Options) -> tuple[Cells, tuple[str, ...]]:
-    """The table of all files, and which rows have no partner."""
-    tables = [read_cells(file, options.sheet, options.decimal) for file in files]
+    """The table of all files, and how their rows belong together."""
+    tables = [read_cells(file, options.sheet, options.decimal, options.columns) for file in files]
     cells = tables[0]
-    lonely: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
     if options.join is not None:
         if len(tables) == 1:
             raise InputError(cells.where, "--join", options.join, "two files or more")
-        cells, lonely = joined(tables, options.join)
+        cells, said = joined(tables, options.join)
     elif len(tables) > 1:
         cells = appended(tables)
-    return cells if options.sort is None else ordered(cells, options.sort), lonely
+    return cells if options.sort is None else ordered(cells, options.sort), said
 
 
-def _unit_quaternion(cells: Cells) -> tuple[str, ...]:
-    """Columns q0 to q3 that are one orientation: numbers of joints have no length of 1."""
-    found = {re.sub(r"[^a-z0-9]", "", split_name(n)[0].lower()): n for n in cells.names}
-    names = [found.get(f"q{k}", "") for k in range(4)]
-    if not all(names):
-        return ()
-    numbers = [[cells.number(t) for t in cells.column(cells.names.index(n))] for n in names]
+def _poses(cells: Cells, options: Options) -> list[Found]:
+    """Positions and orientations whose names are no joints and not told by the user.
+
+    Of ``q0`` to ``q3``, where their length is 1: numbers of joints have no such.
+    """
+    known = () if options.arm is None else options.arm.joint_names
+    apart = [
+        k
+        for k, name in enumerate(cells.names)
+        if {name, split_name(name)[0]} & {*options.given, *known}
+    ]
+    found = found_in(cells.names, apart)
+    return [each for each in found if "3" not in each.form.parts or _of_length_1(cells, each)]
+
+
+def _of_length_1(cells: Cells, found: Found) -> bool:
+    numbers = [[cells.number(t) for t in cells.column(k)] for k in found.places]
     values = np.array(numbers, dtype=float)
     length = np.linalg.norm(values[:, np.isfinite(values).all(axis=0)], axis=0)
-    return tuple(names) if len(length) and (np.abs(length - 1) < UNIT_LENGTH).all() else ()
+    return bool(len(length) and (np.abs(length - 1) < UNIT_LENGTH).all())
 
 
 def _defaults(where: str, names: tuple[str, ...]) -> dict[str, Unit]:
@@ -218,23 +241,39 @@ def _defaults(where: str, names: tuple[str, ...]) -> dict[str, Unit]:
     return made
 
 
-def _rotation(where: str, cells: Cells, options: Options) -> Rotation | None:
-    """The orientation to read; columns that look like one need their convention."""
-    if options.rotation is not None and options.rotation != "none":
-        rotation = Rotation.parse(options.rotation, where)
-        places = (cells.place(name, "--rotation") for name in rotation.columns)
-        return replace(rotation, columns=tuple(cells.names[place] for place in places))
-    told = {*options.given, *(name for name in QUATERNION if set(QUATERNION) <= set(cells.names))}
-    known = _unit_quaternion(cells)
-    looks = [n for n in cells.names if turned(n) or n in known]
-    looks = [n for n in looks if n not in told and split_name(n)[0] not in told]
-    if len(looks) >= 3 and options.rotation is None:
-        missing = f"missing for {', '.join(looks)}"
-        raise InputError(where, "--rotation", missing, f"{ALLOWED}; or none")
-    return None
+def _told_rotation(cells: Cells, options: Options) -> Rotation | None:
+    """The orientation that the user says; None where none is said, or to read none."""
+    if options.rotation in (None, "none"):
+        return None
+    rotation = Rotation.parse(options.rotation, cells.where)
+    places = (cells.place(name, "--rotation") for name in rotation.columns)
+    return replace(rotation, columns=tuple(cells.names[place] for place in places))
 
 
-def _complete(where: str, cells: Cells, sources: list[Column], arm: Arm | None) -> None:
+def _rotation(
+    cells: Cells, options: Options, found: list[Found], read: Collection[int]
+) -> Rotation | None:
+    """The orientation of the marker whose position is read, in the convention that its names say;
+    without one where they say none, or where columns look like an orientation but are not whole."""
+    if options.rotation is not None:
+        return None
+    turns = of_marker(found, read)
+    known = [each for each in turns if each.form.convention]
+    alike = [each for each in known if each.form == known[0].form]
+    if len(alike) == 1:
+        columns = tuple(cells.names[k] for k in known[0].places)
+        return Rotation(known[0].form.convention, columns)
+    whole = {k for each in found for k in each.places if each.turn}
+    looks = [
+        k for k, name in enumerate(cells.names) if k not in whole and k not in read and turned(name)
+    ]
+    asked = [k for each in alike or turns[:1] for k in each.places] or looks
+    return Rotation("", tuple(cells.names[k] for k in asked)) if len(asked) >= 3 else None
+
+
+def _complete(
+    where: str, cells: Cells, sources: list[Column], arm: Arm | None, turned: bool
+) -> None:
     names = [c.name for c in sources]
     joints = sorted(int(n[1:]) for n in names if n[:1] == "q" and n[1:].isdigit())
     wanted = list(range(1, (arm.n if arm else len(joints)) + 1))
@@ -243,7 +282,7 @@ def _complete(where: str, cells: Cells, sources: list[Column], arm: Arm | None) 
         hint = f"q1..q{len(wanted)}" if wanted else "q1..qn"
         allowed = f"{hint}; name them with --map COLUMN=q1,... (columns: {', '.join(cells.names)})"
         raise InputError(where, "joints", found, allowed)
-    if not {*XYZ, "distance", "ray_x", "touch", "plane", *QUATERNION} & set(names):
+    if not turned and not {*XYZ, "distance", "ray_x", "touch", "plane"} & set(names):
         allowed = f"x, y, z; name them with --map COLUMN=x,... (columns: {', '.join(cells.names)})"
         raise InputError(where, "measurement", "none", allowed)
 
@@ -274,21 +313,50 @@ def _numbers(cells: Cells, place: int, blanks: bool) -> np.ndarray:
     return values
 
 
-def _orientation(
-    cells: Cells, rotation: Rotation, defaults: Mapping[str, Unit]
-) -> dict[str, np.ndarray]:
+def _parts(cells: Cells, rotation: Rotation, defaults: Mapping[str, Unit]) -> np.ndarray:
+    """(N, k) numbers of an orientation's columns, angles in rad; NaN without a unit."""
     read = []
     for name in rotation.columns:
         values = _numbers(cells, cells.names.index(name), True)
         if rotation.angles:
-            unit = split_name(name)[1] or defaults.get(ANGLE)
-            if unit is None or unit.kind != ANGLE:
+            unit = unit_in(name) or defaults.get(ANGLE)
+            if rotation.convention and (unit is None or unit.kind != ANGLE):
                 field = f"column {name}"
                 raise InputError(cells.where, field, "no angle's unit", "--units deg or rad")
-            values = values * unit.factor
+            values = values * (unit.factor if unit else math.nan)
         read.append(values)
+    return np.stack(read, axis=-1)
+
+
+def _fitting(
+    columns: Mapping[str, np.ndarray], values: np.ndarray, options: Options
+) -> Conventions | None:
+    """How well each convention fits the rows; None where no arm or too few rows are known."""
+    if options.arm is None:
+        return None
+    q = np.stack([columns[f"q{j + 1}"] for j in range(options.arm.n)], axis=-1)
+    xyz = np.stack([columns.get(axis, np.full(len(q), np.nan)) for axis in XYZ], axis=-1)
+    labels = {name: columns[name] for name in ("group", "marker") if name in columns}
+    return conventions(options.arm, q, xyz, labels, values)
+
+
+def _orientation(
+    where: str, rotation: Rotation, values: np.ndarray, fitting: Conventions | None
+) -> dict[str, np.ndarray]:
+    """Columns of the quaternion.
+
+    Raises:
+        InputError: its convention is not known, or clearly another than that which the rows fit.
+    """
+    listed = ",".join(rotation.columns)
+    if not rotation.convention:
+        said = f"{fitting.said(listed)}; " if fitting else ""
+        missing = f"missing for {', '.join(rotation.columns)}"
+        raise InputError(where, "--rotation", missing, f"{said}{ALLOWED}; or none")
+    if fitting and fitting.refutes(rotation):
+        raise InputError(where, "--rotation", f"{rotation.spelt}:{listed}", fitting.said(listed))
     try:
-        made = rotation.quaternions(np.stack(read, axis=-1))
+        made = rotation.quaternions(values)
     except ValueError as error:
-        raise InputError(cells.where, "--rotation", str(error), "quaternions of length 1") from None
+        raise InputError(where, "--rotation", str(error), "one rotation a row") from None
     return dict(zip(QUATERNION, made.T, strict=True))

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -41,28 +42,36 @@ def seconds(texts: Sequence[str]) -> np.ndarray | None:
 
 
 _QUATERNIONS = {"xyzw": (0, 1, 2, 3), "wxyz": (1, 2, 3, 0)}
-_ROTATION_VECTOR = "rotvec"
+ROTATION_VECTOR, MATRIX = "rotvec", "matrix"
 ALLOWED = (
-    "CONVENTION:COLUMNS with xyzw or wxyz and four columns; rotvec and three; or Euler angles and "
+    "CONVENTION:COLUMNS with xyzw or wxyz and four columns; matrix and nine, row by row; rotvec "
+    "and three; or Euler angles and "
     "three: xyz about the fixed x, y, then z (roll, pitch, yaw), ZYX about the turned z, y, x; "
     "with a minus before it where the columns hold the base in the tool"
 )
-_EULER = re.compile(r"(?!.*(.)\1)([xyzXYZ])([xyzXYZ])([xyzXYZ])")
+_EULER = tuple(
+    order
+    for axes in product("xyz", repeat=3)
+    if axes[0] != axes[1] != axes[2]
+    for order in ("".join(axes), "".join(axes).upper())
+)
+CONVENTIONS = {3: (ROTATION_VECTOR, *_EULER), 4: tuple(_QUATERNIONS), 9: (MATRIX,)}
+"""By number of columns."""
 UNIT_LENGTH = 1e-2
-"""A quaternion printed with three digits is so far from length 1."""
+"""A quaternion printed with three digits is so far from length 1, and so are a matrix's rows."""
 
 
 @dataclass(frozen=True)
 class Rotation:
     """A convention and the columns that are in it: ``wxyz:q0,q1,q2,q3``, ``ZYX:A,B,C``.
 
-    It is a key of `_QUATERNIONS`, `_ROTATION_VECTOR`, or Euler axes as scipy names them (lower case
-    fixed, upper case turned). `inverse`: the columns hold the base in the tool's frame.
+    One of `CONVENTIONS`, or empty where it is not known. Euler axes are as scipy names them (lower
+    case fixed, upper case turned). `inverse`: the columns hold the base in the tool's frame.
     """
 
     convention: str
     columns: tuple[str, ...]
-    inverse: bool
+    inverse: bool = False
 
     @classmethod
     def parse(cls, text: str, where: str) -> Rotation:
@@ -70,28 +79,34 @@ class Rotation:
         convention, colon, names = text.partition(":")
         inverse, convention = convention.startswith("-"), convention.removeprefix("-")
         columns = tuple(name.strip() for name in names.split(","))
-        euler = _EULER.fullmatch(convention) and (convention.islower() or convention.isupper())
-        count = 4 if convention in _QUATERNIONS else 3
-        known = convention in _QUATERNIONS or convention == _ROTATION_VECTOR or euler
-        if not colon or not known or len(columns) != count or not all(columns):
+        known = convention in CONVENTIONS.get(len(columns), ())
+        if not colon or not known or not all(columns):
             raise InputError(where, "--rotation", text, ALLOWED)
         return cls(convention, columns, inverse)
 
     @property
+    def spelt(self) -> str:
+        """As the user says it, without the columns."""
+        return "-" * self.inverse + self.convention
+
+    @property
     def angles(self) -> bool:
         """Whether the columns are angles, with a unit."""
-        return self.convention not in _QUATERNIONS
+        return len(self.columns) == 3
 
     def quaternions(self, values: np.ndarray) -> np.ndarray:
-        """(N, 4) x, y, z, w of unit length from (N, 3 or 4) values (rad); NaN rows stay NaN.
+        """(N, 4) x, y, z, w of unit length from (N, 3, 4 or 9) values (rad); NaN rows stay NaN.
 
         Raises:
-            ValueError: a quaternion is not of length 1.
+            ValueError: a quaternion is not of length 1, a matrix no rotation, a row partly NaN.
         """
         from scipy.spatial.transform import Rotation as Turn
 
         made = np.full((len(values), 4), np.nan)
-        told = ~np.isnan(values).any(axis=1)
+        blank = np.isnan(values)
+        told = ~blank.any(axis=1)
+        if (partly := ~told & ~blank.all(axis=1)).any():
+            raise ValueError(f"row {int(partly.argmax()) + 1}: partly blank")
         if not told.any():
             return made
         held = values[told]
@@ -102,7 +117,15 @@ class Rotation:
                 row = int(np.flatnonzero(told)[int(off.argmax())])
                 raise ValueError(f"row {row + 1}: length {np.linalg.norm(values[row]):.4g}")
             turn = Turn.from_quat(held)
-        elif self.convention == _ROTATION_VECTOR:
+        elif self.convention == MATRIX:
+            held = held.reshape(-1, 3, 3)
+            off = np.abs(held @ np.swapaxes(held, 1, 2) - np.eye(3)).max(axis=(1, 2))
+            if off.max() > UNIT_LENGTH or (np.linalg.det(held) < 0).any():
+                worst = int(np.where(np.linalg.det(held) < 0, np.inf, off).argmax())
+                row = int(np.flatnonzero(told)[worst])
+                raise ValueError(f"row {row + 1}: nine numbers that are no rotation")
+            turn = Turn.from_matrix(held)
+        elif self.convention == ROTATION_VECTOR:
             turn = Turn.from_rotvec(held)
         else:
             turn = Turn.from_euler(self.convention, held)

@@ -30,6 +30,7 @@ class Like:
     Attributes:
         columns: by session column, the name in the table and its unit.
         units, rotation, decimal: as in `convert.Options`.
+        names: of the columns, if the table itself has none.
         workbook: whether the table was a workbook.
     """
 
@@ -43,6 +44,7 @@ class Like:
             self.units, self.rotation = tuple(map(str, data["units"])), data.get("rotation")
             self.workbook = Path(str(data["source"])).suffix.lower() in WORKBOOK
             self.decimal = data["decimal"]
+            self.names = tuple(map(str, data.get("names", ())))
             self._sign = str(self.decimal or ".")
             self._separator = _plain(str(data["separator"]), self._sign)
         except (TypeError, KeyError, AttributeError) as error:

@@ -1,0 +1,78 @@
+"""What no further view mends: a camera that is turned, or pictures that are paired wrongly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from longarm_comp.core.errors import JobError
+from longarm_comp.devices.stereo.views import FEWEST_CORNERS, BoardView
+
+_TOLD_FROM = 3
+"""Views: one may be a board that is held oddly."""
+_LEAST_OFF_PX, _TELLING_SHARE = 3.0, 0.3
+"""Pictures of other moments are told where these leave less than this share of the distance, and
+the distance is more than lenses bend."""
+
+
+def check_mounting(views: Sequence[BoardView]) -> None:
+    """Refuse views whose right pictures are turned against the left, or are of other moments.
+
+    Raises:
+        JobError: says which.
+    """
+    if len(views) < _TOLD_FROM:
+        return
+    quarters = round(np.degrees(_turn(views)) / 90) % 4
+    if quarters:
+        how, by = ("upside down", 180) if quarters == 2 else ("on its side", 90)
+        raise JobError(
+            f"one camera is {how}: the right pictures are turned by {by} deg against the left; "
+            "turn the camera, or its pictures in its driver",
+            views=len(views),
+        )
+    as_paired = _off_px(views, 0)
+    if as_paired < _LEAST_OFF_PX:
+        return
+    tried = {shift: _off_px(views, shift) for shift in (1, -1, 2, -2)}
+    best = min(tried, key=tried.__getitem__)
+    if tried[best] < _TELLING_SHARE * as_paired:
+        where = "later" if best > 0 else "earlier"
+        raise JobError(
+            f"the pairs look shifted: a left picture belongs to the right one {abs(best)} {where}",
+            epipolar_px=f"{as_paired:.3g} -> {tried[best]:.3g}",
+        )
+
+
+def _turn(views: Sequence[BoardView]) -> float:
+    """Angle (rad) by which the corners in the right pictures are turned against the left."""
+    whole = 0j
+    for view in views:
+        _, left, right = view.left.shared(view.right)
+        here, there = ((px - px.mean(axis=0)) @ (1, 1j) for px in (left, right))
+        turned = np.vdot(here, there)
+        whole += turned / abs(turned)
+    return float(np.angle(whole))
+
+
+def _off_px(views: Sequence[BoardView], shift: int) -> float:
+    """Median distance (px) of right corners from the epipolar lines of the left ones, if each left
+    picture belongs to the right one so many later; infinite where they have too few in common.
+
+    The lines are fitted without knowing the cameras (Zhang, Determining the Epipolar Geometry,
+    1998), so that lenses bend the corners off them by little.
+    """
+    pairs = zip(views[max(-shift, 0) :], views[max(shift, 0) :], strict=False)
+    common = [one.left.shared(two.right)[1:] for one, two in pairs]
+    common = [pair for pair in common if len(pair[0]) >= FEWEST_CORNERS]
+    if len(common) < _TOLD_FROM:
+        return np.inf
+    left, right = (np.vstack(side) for side in zip(*common, strict=True))
+    matrix, _ = cv2.findFundamentalMat(left, right, cv2.FM_LMEDS)
+    if matrix is None or matrix.shape != (3, 3):
+        return np.inf
+    lines = cv2.computeCorrespondEpilines(left.reshape(-1, 1, 2), 1, matrix)[:, 0]
+    off = np.abs(np.sum(lines * np.column_stack([right, np.ones(len(right))]), axis=1))
+    return float(np.median(off))

@@ -1,0 +1,74 @@
+"""Which convention an orientation's numbers follow: the one that the arm's own tip bears out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.belonging import SUSPECT_TURN, turn_error
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.foreign.units import CONVENTIONS, Rotation
+
+_FEWEST = 10
+"""Rows: thirty coordinates place base and tool, which have nine unknowns."""
+_CLEAR = 2.0
+"""A convention is told where every other one leaves so many times its error."""
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """Mean angle (rad) between the arm's tip and the numbers, by convention as the user says it,
+    the least first; ``wxyz`` read as ``-xyzw`` is another."""
+
+    errors: Mapping[str, float]
+
+    def refutes(self, rotation: Rotation) -> bool:
+        """Whether the rows clearly follow another convention."""
+        best = next(iter(self.errors))
+        own = self.errors.get(rotation.spelt, np.inf)
+        return self._clear and own > max(SUSPECT_TURN, _CLEAR * self.errors[best])
+
+    @property
+    def _clear(self) -> bool:
+        return next(iter(self.errors.values())) < SUSPECT_TURN
+
+    def said(self, columns: str) -> str:
+        """The convention that fits, with its columns and what others leave; else that none does."""
+        best, *others = self.errors.items()
+        if not self._clear:
+            return f"no convention fits (the best leaves {1e3 * best[1]:.3g} mrad)"
+        alike = [best, *(other for other in others if other[1] < _CLEAR * best[1])]
+        fit = " or ".join(f"{name}:{columns}" for name, _ in alike)
+        rest = others[len(alike) - 1 :]
+        left = f", others {1e3 * rest[0][1]:.3g} or more" if rest else ""
+        return f"the rows fit {fit} (it leaves {1e3 * best[1]:.3g} mrad{left})"
+
+
+def conventions(
+    arm: Arm, q: np.ndarray, xyz: np.ndarray, labels: Mapping[str, np.ndarray], values: np.ndarray
+) -> Conventions | None:
+    """How each convention of so many numbers fits the arm; None for too few rows or none.
+
+    Args:
+        q, xyz: (N, n) joints, rad and m; (N, 3) positions, m.
+        labels: `group` and `marker` of the rows, if they have them.
+        values: (N, 3, 4 or 9) numbers of the orientation, angles in rad.
+    """
+    whole = np.isfinite(values).all(axis=1) & np.isfinite(xyz).all(axis=1)
+    if whole.sum() < _FEWEST:
+        return None
+    held = {name: texts[whole] for name, texts in labels.items()}
+    error = turn_error(Model(arm), Session.record(q[whole], xyz[whole], labels=held))
+    made: dict[str, float] = {}
+    for name in CONVENTIONS.get(values.shape[1], ()):
+        for inverse in (False, True):
+            tried = Rotation(name, (), inverse)
+            try:
+                made[tried.spelt] = error(tried.quaternions(values[whole]))
+            except ValueError:  # numbers that are no rotation in it
+                continue
+    return Conventions(dict(sorted(made.items(), key=lambda each: each[1]))) if made else None

@@ -1,0 +1,519 @@
+"""Poses as instruments write them: `longarm import-data` reads the same numbers, or refuses."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from cli_shell import Shell
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation as Turn
+from small_arm import ARM
+
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.csv import read_csv
+from longarm_comp.sessions.foreign.convert import Options, import_table
+
+N = 5
+NOA = "nx ny nz ox oy oz ax ay az"
+
+
+def quaternion(turns: Turn) -> np.ndarray:
+    return turns.as_quat()
+
+
+def angles(axes: str) -> Callable[[Turn], np.ndarray]:
+    return lambda turns: turns.as_euler(axes)
+
+
+def matrix(turns: Turn) -> np.ndarray:
+    return turns.as_matrix().reshape(-1, 9)
+
+
+def by_columns(turns: Turn) -> np.ndarray:
+    return turns.as_matrix().transpose(0, 2, 1).reshape(-1, 9)
+
+
+POSITIONS = (
+    *("x y z", "tx ty tz", "Px Py Pz", "pos_x pos_y pos_z", "T_X T_Y T_Z", "T03 T13 T23"),
+    *("Position X|Position Y|Position Z", "translation.x translation.y translation.z"),
+)
+# names, their values, and the convention that --rotation must say, if the names do not
+TURNS: tuple[tuple[str, Callable[[Turn], np.ndarray], str], ...] = (
+    ("", quaternion, ""),
+    ("qx qy qz qw", quaternion, ""),
+    ("Qx Qy Qz Q0", quaternion, ""),
+    ("q_i q_j q_k q_0", quaternion, ""),
+    ("rotation.x rotation.y rotation.z rotation.w", quaternion, ""),
+    ("Rotation X|Rotation Y|Rotation Z|Rotation W", quaternion, ""),
+    ("Q0 Q1 Q2 Q3", lambda turns: turns.as_quat(scalar_first=True), "wxyz"),
+    ("rv_x rv_y rv_z", Turn.as_rotvec, ""),
+    ("R00 R01 R02 R10 R11 R12 R20 R21 R22", matrix, ""),
+    ("r11 r12 r13 r21 r22 r23 r31 r32 r33", matrix, ""),
+    (NOA, by_columns, ""),
+    ("rx ry rz", Turn.as_rotvec, "rotvec"),
+    ("RX RY RZ", angles("xyz"), "xyz"),
+    ("roll pitch yaw", angles("xyz"), "xyz"),
+    ("A B C", angles("ZYX"), "ZYX"),
+    ("W P R", angles("xyz"), "xyz"),
+)
+
+
+def split(names: str) -> list[str]:
+    return names.split("|") if "|" in names else names.split()
+
+
+def rows(seed: int) -> tuple[Session, Turn]:
+    rng = np.random.default_rng(seed)
+    q = ARM.lower + rng.random((N, ARM.n)) * (ARM.upper - ARM.lower)
+    return Session.record(q, rng.uniform(-1, 1, (N, 3))), Turn.random(N, rng=rng)
+
+
+def read(text: str, **told: object) -> Session:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.csv"
+        path.write_text(text)
+        import_table(path, Options(arm=ARM, **told)).save(path)  # type: ignore[arg-type]
+        return read_csv(path, ARM)
+
+
+@st.composite
+def written(draw: st.DrawFn) -> tuple[str, dict[str, object], int, Session, Turn, bool]:
+    """A table, what is said of it, how many markers it has, what it holds, and whether only x, y, z
+    are to be read of it."""
+    seed = draw(st.integers(0, 1000))
+    session, turns = rows(seed)
+    names, values, convention = draw(st.sampled_from(TURNS))
+    position = draw(st.sampled_from(POSITIONS))
+    markers = draw(
+        st.sampled_from([[""], [""], ["tool "], ["M1 ", "M2 "], ["prism A.", "prism B."]])
+    )
+    unit, per_m = draw(st.sampled_from([("m", 1.0), ("mm", 1e3), ("in", 1 / 0.0254)]))
+    turn, per_rad = draw(st.sampled_from([("rad", 1.0), ("deg", 180 / np.pi)]))
+    table: dict[str, np.ndarray] = {}
+    for j, (name, row) in enumerate(
+        zip(("q1", "A2", "Joint 3", "axis4"), session.q.T, strict=True)
+    ):
+        factor = 1e3 if j == 2 else 180 / np.pi
+        table[f"{name} [{'mm' if j == 2 else 'deg'}]"] = row * factor
+    parts = split(names)
+    for k, marker in enumerate(markers):
+        for part, numbers in zip(split(position), (session.xyz + k).T, strict=True):
+            table[marker + part] = numbers * per_m
+        is_angle = len(parts) == 3
+        held = values(turns * turns[:1] ** k) * (per_rad if is_angle else 1.0)
+        for part, numbers in zip(parts, held.T, strict=False):
+            table[marker + part] = numbers
+    for junk in draw(st.sets(st.sampled_from(["Quality", "Mean Marker Error", "Status", "Frame"]))):
+        table[junk] = np.arange(N) + 0.5
+    order = draw(st.permutations(list(table)))
+    frame = pd.DataFrame(table)[order]
+    blank = any(" " in name for name in order)
+    mark = draw(st.sampled_from([",", ";", "\t"] if blank else [",", ";", "\t", "  "]))
+    decimal = "," if mark == ";" and draw(st.booleans()) else "."
+    lines = [mark.join(order)]
+    lines += [
+        mark.join(repr(float(v)).replace(".", decimal) for v in row) for row in frame.to_numpy()
+    ]
+    told: dict[str, object] = {"units": (unit, turn)}
+    head = draw(st.sampled_from(["", "# ", "#", "% "]))
+    if draw(st.booleans()) and len(markers) == 1:
+        told["columns"], lines = tuple(order), lines[1:]
+    else:
+        lines[0] = head + lines[0]
+    how = draw(st.sampled_from(["told", "told", "inverse", "none"])) if names else ""
+    melted = ["" if len(markers) > 1 else markers[0]][0]
+    if how == "none":
+        told["rotation"] = "none"
+    elif how == "inverse" or (how and convention):
+        known = convention or {4: "xyzw", 9: "matrix", 3: "rotvec"}[len(parts)]
+        listed = [melted + part for part in parts]
+        if parts == NOA.split():
+            listed = [melted + f"{c}{axis}" for axis in "xyz" for c in "noa"]
+        told["rotation"] = f"{'-' * (how == 'inverse')}{known}:{','.join(listed)}"
+    gone = not how or how == "none"
+    expected = turns.inv() if how == "inverse" else turns
+    return "\n".join(lines), told, len(markers), session, expected, gone
+
+
+@settings(max_examples=120, deadline=None)
+@given(table=written())
+def test_any_mixture_is_read_to_the_same_numbers_or_refused(
+    table: tuple[str, dict[str, object], int, Session, Turn, bool],
+) -> None:
+    text, told, markers, session, turns, gone = table
+    try:
+        found = read(text, **told)
+    except InputError as error:
+        if markers == 1 or "--rotation" not in str(error):
+            raise  # only of several markers may the columns have other names
+        return
+    assert len(found) == N * markers
+    names = np.unique(found.labels.get("marker", np.full(N, "")))
+    one, last = (found.take(found.labels["marker"] == name) if markers > 1 else found
+                 for name in (names[0], names[-1]))  # fmt: skip
+    np.testing.assert_allclose(one.q, session.q, atol=1e-12)
+    np.testing.assert_allclose(one.xyz, session.xyz, atol=1e-12)
+    np.testing.assert_allclose(last.xyz, session.xyz + markers - 1, atol=1e-12)
+    seen = one.readings.get("orientation")
+    if gone:
+        assert seen is None
+    else:
+        assert seen is not None
+        assert (Turn.from_quat(seen).inv() * turns).magnitude().max() < 1e-7
+
+
+def line(names: str, values: np.ndarray) -> str:
+    joints = ["q1_deg", "q2_deg", "q3_m", "q4_deg"]
+    head = ",".join([*joints, *split(names)])
+    return head + "".join(
+        "\n1,20,0.05,3," + ",".join(repr(float(v)) for v in row) for row in values
+    )
+
+
+POSE = np.array([[0.1, 0.2, 0.3, 0.1, -0.5, 0.7, 0.5], [0.2, 0.2, 0.3, 0.0, 0.6, 0.0, 0.8]])
+
+
+@pytest.mark.parametrize("names", [t[0] for t in TURNS if t[2]])
+def test_names_that_do_not_say_their_convention_are_asked_for_it(names: str, shell: Shell) -> None:
+    size = len(split(names))
+    Path("log.csv").write_text(line(f"tx ty tz {names}", POSE[:, : 3 + size]))
+    call = ("import-data", "log.csv", "--units", "m,rad")
+    assert f"missing for {', '.join(split(names))}" in shell.refused(*call)
+    assert shell(*call, "--rotation", "none") == 0, shell.err
+    assert list(pd.read_csv("samples.csv")) == ["q1", "q2", "q3", "q4", "x", "y", "z"]
+
+
+def test_angles_are_in_no_unit_of_lengths(shell: Shell) -> None:
+    Path("log.csv").write_text(line("x|y|z|rx [mm]|ry|rz", POSE[:, :6]))
+    call = ("import-data", "log.csv", "--units", "m,rad", "--rotation", "rotvec:rx,ry,rz")
+    assert 'column rx [mm]: "no angle\'s unit"' in shell.refused(*call)
+
+
+def test_half_an_orientation_is_asked_for_and_no_marker(shell: Shell) -> None:
+    Path("log.csv").write_text(line("px py pz qx qy qz", POSE[:, :6]))
+    said = shell.refused("import-data", "log.csv", "--units", "m")
+    assert "missing for qx, qy, qz" in said
+    Path("log.csv").write_text(line("x y z tool_qx tool_qy tool_qz tool_qw", POSE))
+    assert shell("import-data", "log.csv", "--units", "m") == 0, shell.err  # one pose, two headings
+    assert "qw" in pd.read_csv("samples.csv")
+
+
+def test_left_and_right_markers_are_markers(shell: Shell) -> None:
+    for names in ("L_x L_y L_z R_x R_y R_z", "L x|L y|L z|R x|R y|R z"):
+        Path("log.csv").write_text(line(names, POSE[:, :6]))
+        assert shell("import-data", "log.csv", "--units", "m") == 0, shell.err
+        assert pd.read_csv("samples.csv")["marker"].tolist() == ["L", "R"] * 2
+
+
+def test_no_orientation_is_left_where_none_is_wanted(shell: Shell) -> None:
+    """Also by the mapping of an earlier file."""
+    Path("log.csv").write_text(line("x y z qx qy qz qw", POSE))
+    none = ("import-data", "log.csv", "--units", "m", "--rotation", "none")
+    assert shell(*none) == 0, shell.err
+    assert "left out: qx, qy, qz, qw" in shell.err
+    assert "qw" not in pd.read_csv("samples.csv")
+    like = ("--like", "samples.mapping.yaml", "-o", "again.csv")
+    assert shell("import-data", "log.csv", *like) == 0, shell.err
+    assert Path("again.csv").read_text() == Path("samples.csv").read_text()
+
+
+def test_two_ways_of_writing_one_orientation(shell: Shell) -> None:
+    """The fuller one is read; two of the same form are asked for."""
+    turn = Turn.from_quat(POSE[:, 3:])
+    both = np.hstack([POSE, turn.as_euler("xyz")])
+    Path("log.csv").write_text(line("x y z qx qy qz qw roll pitch yaw", both))
+    assert shell("import-data", "log.csv", "--units", "m") == 0, shell.err
+    assert "left out: roll, pitch, yaw" in shell.err
+    twice = np.hstack([POSE, POSE[:, 3:]])
+    Path("log.csv").write_text(line("x y z qx qy qz qw quat_x quat_y quat_z quat_w", twice))
+    assert "missing for qx, qy, qz, qw, quat_x" in shell.refused(
+        "import-data", "log.csv", "--units", "m"
+    )
+
+
+def test_markers_orientations_in_several_forms_are_refused(shell: Shell) -> None:
+    names = "M1 x|M1 y|M1 z|M1 qx|M1 qy|M1 qz|M1 qw|M2 x|M2 y|M2 z|M2 rv_x|M2 rv_y|M2 rv_z"
+    Path("log.csv").write_text(line(names, np.hstack([POSE, POSE[:, :6]])))
+    call = ("import-data", "log.csv", "--units", "m")
+    assert "one form for all markers" in shell.refused(*call)
+    assert shell(*call, "--rotation", "none") == 0, shell.err
+    assert list(pd.read_csv("samples.csv"))[-4:] == [*"xyz", "marker"]
+    mixed = "M1 x [mm]|M1 y|M1 z|M2 x|M2 y|M2 z"
+    Path("log.csv").write_text(line(mixed, POSE[:, :6]))
+    assert "units: 'M1 x [mm], M2 x'; allowed: one for all markers" in shell.refused(*call)
+    names = "M1 x|M1 y|M1 z|M2 x|M2 y|M2 z|M2 qx|M2 qy|M2 qz|M2 qw"  # the first has none
+    Path("log.csv").write_text(line(names, np.hstack([POSE[:, :3], POSE])))
+    assert shell(*call) == 0, shell.err
+    made = pd.read_csv("samples.csv")
+    assert made["qy"].tolist()[1::2] == pytest.approx(POSE[:, 4]) and made["qy"][::2].isna().all()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda m: m * 1.1, "row 1: nine numbers that are no rotation"),
+        (lambda m: m * np.where(np.arange(9) < 3, -1, 1), "row 1: nine numbers"),  # mirrored
+        (lambda m: np.where(np.eye(2, 9, -1, dtype=bool), np.nan, m), "row 2: partly blank"),
+    ],
+)  # fmt: skip
+def test_nine_numbers_must_be_a_rotation(
+    change: Callable[[np.ndarray], np.ndarray], said: str, shell: Shell
+) -> None:
+    values = change(Turn.from_quat(POSE[:, 3:]).as_matrix().reshape(-1, 9))
+    names = "x y z R00 R01 R02 R10 R11 R12 R20 R21 R22"
+    Path("log.csv").write_text(line(names, np.hstack([POSE[:, :3], values])))
+    assert said in shell.refused("import-data", "log.csv", "--units", "m")
+
+
+# ------------------------------------------------------------------ headers
+
+
+def test_a_header_may_be_a_remark_or_missing(shell: Shell) -> None:
+    table = line("x y z", POSE[:, :3])
+    Path("log.csv").write_text(table)
+    assert shell("import-data", "log.csv", "--units", "m") == 0, shell.err
+    plain = Path("samples.csv").read_text()
+    head, rest = table.split("\n", 1)
+    for told in (f"# {head}\n{rest}", f"#{head}\n{rest}", f"% made by hand\n%{head}\n{rest}"):
+        Path("log.csv").write_text(told)
+        assert shell("import-data", "log.csv", "--units", "m", "--force") == 0, shell.err
+        assert Path("samples.csv").read_text() == plain
+    Path("log.csv").write_text(rest)
+    call = ("import-data", "log.csv", "--units", "m,deg", "--force")
+    assert "or --columns" in shell.refused(*call)
+    assert "--columns: '2 names'; allowed: 7 names" in shell.refused(*call, "--columns", "q1,q2")
+    named = ("--columns", "q1,q2,q3_m,q4,x,y,z")
+    assert shell(*call, *named) == 0, shell.err
+    assert Path("samples.csv").read_text() == plain
+    like = ("import-data", "log.csv", "--like", "samples.mapping.yaml", "-o", "again.csv")
+    assert shell(*like) == 0, shell.err
+    assert Path("again.csv").read_text() == plain
+    row = rest.split("\n")[0]
+    Path("log.csv").write_text(f"{head}\n{row}\n# {row}\n{row}\n")  # a row that was taken out
+    call = ("import-data", "log.csv", "--units", "m", "-o", "out.csv")
+    assert "line 3: '# 1,20," in shell.refused(*call)
+    Path("log.csv").write_text(f"{head}\n{row}\n#{row}\n")
+    assert "line 3, q1_deg: '#1'" in shell.refused(*call)
+    Path("log.csv").write_text("#,q1_deg,x_m,y_m,z_m\n7,1,2,3,4\n")  # a name: numbers of rows
+    assert shell("import-data", "log.csv", "-o", "third.csv") == 0, shell.err
+    assert "left out: #" in shell.err
+
+
+MOTION = """Format Version,1.23,Take Name,Take,Rotation Type,Quaternion
+
+,Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,,
+,Name,tool,tool,tool,tool,tool,tool,tool,,
+,ID,{0},{0},{0},{0},{0},{0},{0},,
+,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,,
+Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,A1_deg,A2_deg
+0,0.0,0,0,0.6,0.8,1,2,3,10,20
+1,0.5,0,0.6,0,0.8,4,5,6,11,21
+"""
+
+
+@pytest.mark.parametrize("number", ["506381AA", "1", "2003"])
+def test_a_line_of_ids_is_a_heading(number: str, shell: Shell) -> None:
+    Path("log.csv").write_text(MOTION.format(number))
+    assert shell("import-data", "log.csv", "--units", "m") == 0, shell.err
+    made = pd.read_csv("samples.csv")
+    np.testing.assert_allclose(made[[*"xyz"]], [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_allclose(made[["qx", "qy", "qz", "qw"]], [[0, 0, 0.6, 0.8], [0, 0.6, 0, 0.8]])
+    assert made["t_s"].tolist() == [0, 0.5]
+    mapping = Path("samples.mapping.yaml").read_text()
+    assert f"from: Rigid Body tool {number} Position X" in mapping
+
+
+def test_no_row_of_numbers_is_lost_above_a_header(shell: Shell) -> None:
+    head, row = "Point,A1_deg,x_m,y_m,z_m", "P7,1,2,3,4"
+    for above in (row, "P7,1.5,2,3,4", "7,1,2,3,4"):
+        for below in (head, "Point,A1_deg,u_m,v_m,w_m"):
+            if above == row and below != head:
+                continue  # ids
+            Path("log.csv").write_text(f"{head}\n{above}\n{below}\n{row}\n")
+            assert "line 2: 'numbers above a header'" in shell.refused("import-data", "log.csv")
+    Path("log.csv").write_text(f"{head}\n{row}\nP8,lost,,,\n{row}\n")  # no line of names
+    assert "line 3, A1_deg: 'lost'" in shell.refused("import-data", "log.csv")
+
+
+def test_joints_that_count_from_0_are_no_quaternion(shell: Shell) -> None:
+    Path("log.csv").write_text("q0_deg,q1_deg,q2_deg,q3_deg,x_m,y_m,z_m\n1,2,3,4,5,6,7\n")
+    assert "joints: 'q0, q1, q2, q3'" in shell.refused("import-data", "log.csv")
+    Path("log.csv").write_text("q0,q1,q2,q3,x_m,y_m,z_m\n1,2,3,4,5,6,7\n")
+    call = ("import-data", "log.csv", "--units", "deg")
+    assert "joints: 'q0, q1, q2, q3'" in shell.refused(*call)
+    assert shell(*call, "--map", "q0=q1,q1=q2,q2=q3,q3=q4") == 0, shell.err
+    assert "qw" not in pd.read_csv("samples.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "raw", "said"),
+    [
+        ("log.xls", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "XLSX: save it as such"),
+        ("log.json", b'[{"q1": 1, "x": 2}]', "file: 'JSON'"),
+        ("log.csv", b' {"q1": [1, 2]}', "pandas.read_json"),
+        ("log.mat", b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(200), "writematrix"),
+        ("log.mat", b"\x89HDF\r\n\x1a\n" + bytes(50), "file: 'MAT'"),
+        ("log.npy", b"\x93NUMPY\x01\x00v\x00", "numpy.savetxt"),
+        ("log.mcap", b"\x89MCAP0\r\n", "longarm bag to-csv"),
+        ("log.db3", b"SQLite format 3\x00", "longarm bag to-csv"),
+    ],
+)
+def test_other_files_are_refused_with_the_export_to_make(
+    name: str, raw: bytes, said: str, shell: Shell
+) -> None:
+    Path(name).write_bytes(raw)
+    assert said in shell.refused("import-data", name)
+
+
+# ------------------------------------------------------------------ several bodies, two clocks
+
+
+def test_the_orientation_is_that_of_the_chosen_body(shell: Shell) -> None:
+    parts = [*(f"Position {a}" for a in "XYZ"), *(f"Rotation {a}" for a in "XYZW")]
+    bodies = [f"{body} {part}" for body in ("base", "tool") for part in parts]
+    turned = POSE.copy()
+    turned[:, 3:] = Turn.from_quat(POSE[:, 3:]).inv().as_quat()
+    turned[:, :3] += 1
+    Path("log.csv").write_text(line("|".join(bodies), np.hstack([POSE, turned])))
+    assert "choose it with --map" in shell.refused("import-data", "log.csv", "--units", "m")
+    bodies += [*"xyz"]  # a marker without a heading has not the orientation of another
+    Path("log.csv").write_text(line("|".join(bodies), np.hstack([POSE, turned, POSE[:, :3] + 2])))
+    assert shell("import-data", "log.csv", "--units", "m") == 0, shell.err
+    assert "qw" not in pd.read_csv("samples.csv")
+    for body, expected in (("base", POSE), ("tool", turned)):
+        mapped = ",".join(f"{body} Position {a}={a.lower()}" for a in "XYZ")
+        assert shell("import-data", "log.csv", "--units", "m", "--map", mapped, "--force") == 0
+        made = pd.read_csv("samples.csv")[[*"xyz", "qx", "qy", "qz", "qw"]].to_numpy()
+        made[:, 3:] *= np.sign(made[:, 6:]) * np.sign(expected[:, 6:])
+        np.testing.assert_allclose(made, expected, atol=1e-12)
+
+
+def clocks(one: list[float], two: list[float], names: tuple[str, str]) -> None:
+    head, other = names
+    Path("arm.csv").write_text(
+        "".join([f"{head},A1_deg\n", *(f"{t!r},{k}\n" for k, t in enumerate(one))])
+    )
+    Path("seen.csv").write_text(
+        "".join([f"{other},x_m,y_m,z_m\n", *(f"{t!r},{k},0,0\n" for k, t in enumerate(two))])
+    )
+
+
+def test_numbers_of_two_clocks_are_joined_by_the_nearest(shell: Shell) -> None:
+    start = 1785175389.65
+    one = [start + 2.0 * k for k in range(6)]
+    two = [t + d for t, d in zip(one, [0.01, -0.02, 0.015, 0, 0.4, 0.02], strict=True)]
+    del two[3]
+    clocks(one, two[::-1], ("Timestamp", "Timestamp"))
+    call = ("import-data", "arm.csv", "seen.csv", "--join")
+    assert shell(*call, "Timestamp", "--units", "s") == 0, shell.err
+    made = pd.read_csv("samples.csv")
+    np.testing.assert_allclose(np.degrees(made["q1"]), [0, 1, 2, 4, 5])
+    assert made["x"].tolist() == [4, 3, 2, 1, 0]
+    assert "nearest Timestamp within 1; the farthest are 0.4 apart" in shell.err
+    assert f"arm.csv: no partner of Timestamp {one[3]!r}" in shell.err
+
+
+def test_units_of_two_clocks(shell: Shell) -> None:
+    clocks([0.0, 1.0, 2.0], [10.0, 1010.0, 1990.0], ("Time [s]", "Time [ms]"))
+    call = ("import-data", "arm.csv", "seen.csv", "--force", "--join")
+    assert shell(*call, "Time") == 0, shell.err
+    assert pd.read_csv("samples.csv")["x"].tolist() == [0, 1, 2]
+    clocks([0.0, 1.0], [0.0, 1.0], ("Time [s]", "Time"))
+    assert "seen.csv: --join Time: 'no unit'" in shell.refused(*call, "Time")
+    clocks([0.0, 1.0], [50.0, 51.0], ("t_s", "t_s"))
+    assert "times of one clock, within 0.5" in shell.refused(*call, "t_s")
+
+
+def test_a_fast_tracker_beside_slow_joints_and_rows_of_one_time(shell: Shell) -> None:
+    fast = [0.01 * k for k in range(1000)]
+    clocks([1.234, 5.002, 7.777], fast, ("Time", "Time"))
+    call = ("import-data", "arm.csv", "seen.csv", "--force", "--units", "s", "--join", "Time")
+    assert shell(*call) == 0, shell.err
+    assert pd.read_csv("samples.csv")["x"].tolist() == [123, 500, 778]
+    clocks([1.0, 1.0, 2.0], [1.1, 1.9], ("Time", "Time"))
+    assert shell(*call) == 0, shell.err
+    assert pd.read_csv("samples.csv")["x"].tolist() == [0, 0, 1]
+
+
+def test_numbers_that_are_no_times_are_joined_by_their_like_only(shell: Shell) -> None:
+    clocks([10.0, 20.0, 40.0], [12.0, 30.0, 40.0], ("Point", "Point"))
+    assert shell("import-data", "arm.csv", "seen.csv", "--join", "Point") == 0, shell.err
+    assert pd.read_csv("samples.csv")["x"].tolist() == [2]
+
+
+# ------------------------------------------------------------------ what the rows say
+
+
+def of_an_arm(names: str, values: Callable[[Turn], np.ndarray]) -> str:
+    """A table of 40 poses of the arm with a tool anyhow on it, seen by a tracker anywhere."""
+    rng = np.random.default_rng(3)
+    q = ARM.lower + rng.random((40, ARM.n)) * (ARM.upper - ARM.lower)
+    pose, base = Model(ARM).pose(q), Turn.from_euler("xyz", [0.3, -0.5, 2.0])
+    turns = base * Turn.from_matrix(pose[:, :3, :3]) * Turn.from_euler("zx", [0.7, 1.1])
+    xyz = base.apply(pose[:, :3, 3]) + np.array([1.0, -2.0, 0.5]) + rng.normal(0, 1e-4, (40, 3))
+    table = np.hstack([q, xyz, values(turns)])
+    head = ",".join(["q1_rad", "q2_rad", "q3_m", "q4_rad", "tx", "ty", "tz", *split(names)])
+    return "\n".join([head, *(",".join(repr(float(v)) for v in row) for row in table)])
+
+
+WRITTEN: tuple[tuple[str, Callable[[Turn], np.ndarray], str], ...] = (
+    ("Q0 Q1 Q2 Q3", lambda t: t.as_quat(scalar_first=True), "wxyz"),
+    ("Q0 Q1 Q2 Q3", quaternion, "xyzw"),
+    ("Q0 Q1 Q2 Q3", lambda t: t.inv().as_quat(), "-xyzw"),
+    ("rx ry rz", Turn.as_rotvec, "rotvec"),
+    ("rx ry rz", lambda t: t.inv().as_rotvec(), "-rotvec"),
+    ("roll pitch yaw", angles("xyz"), "xyz"),
+    ("A B C", angles("ZYX"), "ZYX"),
+    ("A B C", angles("ZYZ"), "ZYZ"),
+)
+
+
+@pytest.mark.parametrize(("names", "values", "convention"), WRITTEN)
+def test_the_rows_say_the_convention(
+    names: str, values: Callable[[Turn], np.ndarray], convention: str, work: Path, shell: Shell
+) -> None:
+    Path("log.csv").write_text(of_an_arm(names, values))
+    call = ("import-data", "log.csv", "--units", "m,rad", "--arm", work / "arm.yaml", "--rotation")
+    columns = ",".join(split(names))
+    fit = f"the rows fit {convention}:{columns} (it leaves "
+    assert fit in shell.refused(*call[:-1])
+    assert shell(*call, f"{convention}:{columns}") == 0, shell.err
+    other = convention[1:] if convention[0] == "-" else f"-{convention}"
+    assert fit in shell.refused(*call, f"{other}:{columns}", "-o", "other.csv")
+    assert not Path("other.csv").exists()
+
+
+def test_names_that_say_a_convention_are_held_against_the_rows(work: Path, shell: Shell) -> None:
+    for names, values, fit in (
+        ("qx qy qz qw", lambda t: t.inv().as_quat(), "-xyzw:qx,qy,qz,qw"),
+        ("qx qy qz qw", lambda t: t.as_quat(scalar_first=True), "wxyz:qx,qy,qz,qw"),
+        ("R00 R01 R02 R10 R11 R12 R20 R21 R22", by_columns, "-matrix:R00,R01"),
+    ):
+        Path("log.csv").write_text(of_an_arm(names, values))
+        call = ("import-data", "log.csv", "--units", "m", "--force")
+        assert f"the rows fit {fit}" in shell.refused(*call, "--arm", work / "arm.yaml")
+        assert shell(*call) == 0, shell.err  # without an arm nobody can know
+
+
+def test_rows_of_no_convention(work: Path, shell: Shell) -> None:
+    """Numbers of another body are not the arm's in any convention: nothing is claimed of them."""
+    rng = np.random.default_rng(0)
+    call = ("import-data", "log.csv", "--units", "m,rad", "--arm", work / "arm.yaml")
+    Path("log.csv").write_text(
+        of_an_arm("rx ry rz", lambda t: Turn.random(40, rng=rng).as_rotvec())
+    )
+    assert "no convention fits (the best leaves " in shell.refused(*call)
+    assert shell(*call, "--rotation", "rotvec:rx,ry,rz") == 0, shell.err  # calibrate refuses them
+    text = of_an_arm("rx ry rz", Turn.as_rotvec).split("\n")
+    Path("log.csv").write_text("\n".join(text[:10]))  # too few rows to tell
+    assert "the rows fit" not in shell.refused(*call)
+    Path("log.csv").write_text("\n".join(text[:11]))
+    assert "the rows fit rotvec:" in shell.refused(*call)
