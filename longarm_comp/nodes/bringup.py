@@ -119,6 +119,7 @@ class BringUp:
 
     Attributes:
         arm, model, predictor: files. Without a model the declared arm is used.
+        network: file or name of the predictor's network, if it is not the paper's.
         effects: Python files that define further effects, executed by `kinematics`.
         sim: run the simulated arm instead of hardware.
         config: folder of parameter files ``<node>.yaml`` that replace the package's own; None: the
@@ -133,6 +134,7 @@ class BringUp:
     arm: Path
     model: Path | None = None
     predictor: Path | None = None
+    network: str = ""
     effects: tuple[Path, ...] = ()
     sim: bool = False
     namespace: str = ""
@@ -203,11 +205,12 @@ class BringUp:
         trimmed = {"trimmed": True} if driver.get("trim") else {}
         shaped = {"shaped": True} if self.shaping else {}
         shaping = {"shaping": True} | model if self.shaping else {}
+        network = {"network": self.network} if self.network else {}
         wire = bus if self.sim else self.port
         port = {"bus.port": wire} if wire else {}
         values: dict[str, Any] = {
             "kinematics": arm | servos | model | effects | trimmed | shaped,
-            "error_predictor": arm | model | _path("predictor", self.predictor),
+            "error_predictor": arm | model | _path("predictor", self.predictor) | network,
             "servo_driver": arm | shaping | port | (_PATIENT if self.sim else {}),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
             PATHS: arm | model | effects,

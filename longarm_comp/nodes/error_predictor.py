@@ -28,6 +28,9 @@ PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm that the predictor must belong to"),
     Param("model", "", "model.yaml that it must have been trained with; empty: none"),
     Param("predictor", "", "predictor file (npz); empty: none, every question is refused"),
+    Param(
+        "network", "", "its network, if not the paper's: a file, executed, or a name; with torch"
+    ),
     Param("base_frame", "base", "frame of the predicted errors"),
     WATCH,
     PERIOD,
@@ -118,6 +121,10 @@ class _ErrorPredictor(ArmNode):
         if not self._path:
             return False, "no predictor file is configured"
         self._model.reload()
+        if self.p["network"]:
+            from longarm_comp.core.learn.others import chosen  # with torch: only where it is wanted
+
+            chosen(self.p["network"])
         model = self._model.loaded.file_hash
         try:
             predictor = load(self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names)
@@ -133,9 +140,11 @@ class _ErrorPredictor(ArmNode):
         return True, f"{self._path} {self._loaded.hash[:12]}"
 
     def _report(self) -> Report:
+        network = self._loaded.predictor.network if self._loaded else None
         facts = {
             "file": self._path,
             "sha256": self._loaded.hash if self._loaded else "",
+            **({"network": f"{network.name}, with torch"} if network else {}),
             **self.tally.facts,
         }
         if self._loaded is None:

@@ -1,4 +1,4 @@
-"""Training of a predictor: encode, train an ensemble, judge it at rows left out, calibrate sigma."""
+"""Training of a predictor: encode, train an ensemble, judge it at rows left out, scale sigma."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,6 +171,9 @@ class _Learner:
         from longarm_comp.core.learn.stack import Stack, TanhStack
         from longarm_comp.core.learn.training import Samples, back_propagate
 
+        # These products are small: threads would wait for each other, for long on a busy computer
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
         many = len(units)
         longest = max(int(one.sum()) for one in rows)
         x, target = np.zeros((many, longest, self.x.shape[1])), np.zeros((many, longest, 3))
@@ -206,6 +209,7 @@ class _Learner:
             fitness = stack.squared_error(samples.x, samples.y, samples.used)
             start = stack.starts(self.init, busy, fitness, rng, SparrowSearch(*self.search))
         found = back_propagate(stack, start, samples, busy)
+        torch.set_num_threads(threads)
 
         def one_of(place: int) -> _Fit:
             index, h = own[place], units[place]

@@ -111,7 +111,7 @@ class TanhMembers:
         hidden, output = self._products
         z = np.tanh(x @ hidden[:-1] + hidden[-1])
         bend, rates = 1.0 - z * z, hidden[:-1][moved]
-        # |tanh''| bounds the error of a step of at most 1 in every column, summed without cancelling
+        # |tanh''| bounds the error of a step of at most 1 in every column, without cancelling
         bent = np.minimum(2.0 * np.abs(z) * bend, 0.77) * np.abs(rates).sum(axis=0) ** 2
         curvature = float((bent @ np.abs(output)).max())
         return ((rates * bend) @ output).T, (2.0 * error / max(curvature, 1e-12)) ** 0.5

@@ -211,7 +211,7 @@ def _packed(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
 
     check_regular(path)
     with safe_open(path, framework="numpy") as data:
-        said, arrays = data.metadata(), {name: data.get_tensor(name) for name in data.keys()}
+        said, arrays = data.metadata(), {name: data.get_tensor(name) for name in data.keys()}  # noqa: SIM118
     if said["sha256"] != _digest(said["header"], arrays):
         raise InputError(path, "sha256", "does not match", "an undamaged file")
     return {**arrays, "header": np.frombuffer(said["header"].encode(), dtype=np.uint8)}

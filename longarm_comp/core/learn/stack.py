@@ -7,6 +7,8 @@ Gram matrix ``B U B'`` serves all outputs. Rows are last: inputs (M, d, N), outp
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor
 from torch.func import functional_call, jacrev, vmap
@@ -93,7 +95,7 @@ class TanhNetwork(torch.nn.Module):
     @staticmethod
     def units(v: Tensor, x1: Tensor) -> Tensor:
         """``tanh(v x1)`` (..., H, N); as ``2 / (1 + exp(-2a)) - 1`` torch takes a tenth as long."""
-        return (v @ x1).mul_(2.0).sigmoid_().mul_(2.0).sub_(1.0)
+        return (v @ x1).mul_(2.0).sigmoid_().mul(2.0).sub_(1.0)
 
 
 class TanhStack(Stack):
@@ -216,7 +218,7 @@ def _with_ones(x: Tensor) -> Tensor:
 def _add_gram(gram: Tensor, basis: Tensor) -> None:
     """Add ``B B'`` (M, C, C) of ``B`` (M, C, N)."""
     edges = [gram.shape[1] * i // _STRIPS for i in range(_STRIPS + 1)]
-    for low, high in zip(edges, edges[1:], strict=False):
+    for low, high in pairwise(edges):
         product = basis[:, low:high] @ basis[:, low:].mT
         gram[:, low:high, low:] += product
         if high > low:

@@ -95,12 +95,11 @@ def back_propagate(
 ) -> Fits:
     """Train from ``start`` (M, D), whose weights that are not ``busy`` are 0 and stay it."""
     groups = torch.nn.functional.one_hot(stack.groups).to(start) * busy[..., None]
-    many, rows = samples.used.shape
-    full = start.new_ones(many)
+    full = start.new_ones(len(start))
     state = _Going(
-        torch.arange(many, device=start.device), samples.x, samples.y, samples.used, groups,
-        (~busy).to(start), start, samples.used, start.new_full((many, groups.shape[2]), 0.1), 10.0 * full,
-        _TAILS[-1] * full, 1e-2 * full, 0.0 * full,
+        torch.arange(len(start), device=start.device), samples.x, samples.y, samples.used,
+        groups, (~busy).to(start), start, samples.used, 0.1 * torch.ones_like(groups[:, 0]),
+        10.0 * full, _TAILS[-1] * full, 1e-2 * full, 0.0 * full,
         *stack.normal_equations(start, samples.x, samples.y, samples.used),
     )  # fmt: skip
     parts: list[tuple[Tensor, Fits]] = []
@@ -135,7 +134,11 @@ def _move(stack: Stack, state: _Going) -> Tensor:
     diagonal = curvature.diagonal(dim1=1, dim2=2) + prior
     before = _cost(state.residual, state.weights, state.robust, prior, state.beta)
     open_ = torch.arange(len(pull), device=pull.device)
-    weights, damping, residual = state.weights.clone(), state.damping.clone(), state.residual.clone()
+    weights, damping, residual = (
+        state.weights.clone(),
+        state.damping.clone(),
+        state.residual.clone(),
+    )
     for attempt in range(_TRIES):
 
         def at(value: Tensor, whole: bool = attempt == 0, rows: Tensor = open_) -> Tensor:
