@@ -17,7 +17,7 @@ from longarm_comp.nodes.bringup import SIMULATED
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.share import folder
 
-HEAVY = ("sklearn", "matplotlib", "cv2", "numba", "rclpy", "scipy", "rosbags")
+HEAVY = ("sklearn", "matplotlib", "cv2", "numba", "rclpy", "scipy", "rosbags", "torch")
 _TELL = f"""
 import json, sys
 print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))
@@ -57,7 +57,8 @@ def test_help_and_the_list_of_commands_load_nothing_heavy() -> None:
 
 def test_the_core_of_a_control_program_is_light() -> None:
     code = "import longarm_comp.core.compensation.compensate, longarm_comp.core.model.model_file\n"
-    assert loaded(code + "import longarm_comp.core.learn.predictor_file\n") == set()
+    code += "import longarm_comp.core.learn.predictor_file, longarm_comp.core.learn.ensemble\n"
+    assert loaded(code) == set()
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="no ROS")
@@ -82,4 +83,14 @@ def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
     code += command_line("train", str(arm), str(csv), "--model", model, "-o", predictor,
                          "--ensemble", "1", "--hidden", "3")  # fmt: skip
     code += command_line("evaluate", str(arm), "--test", str(csv), "--model", model)
-    assert not {"sklearn", "cv2", "rclpy"} & loaded(code)
+    found = loaded(code)
+    assert not {"sklearn", "cv2", "rclpy"} & found
+    assert "torch" in found, "what trains loads it; if nothing does, the tests below test nothing"
+    with_predictor = ("--model", model, "--predictor", predictor)
+    for words in (
+        ("check", str(arm)),
+        ("evaluate", str(arm), "--test", str(csv), *with_predictor),
+        ("compensate", str(arm), "0.9", "-0.1", "0.2", "--position-only", *with_predictor,
+         "-o", str(tmp_path / "commands.csv")),
+    ):  # fmt: skip
+        assert "torch" not in loaded(command_line(*words)), words

@@ -4,24 +4,39 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-from bench.smooth import smooth_set
-from longarm_comp.core.learn.ensemble import back_propagate
-from longarm_comp.core.learn.network import (
-    NetworkShape,
-    forward,
-    hidden_alike,
-    normal_equations,
-    output_jacobian,
-    separate,
-    sparrow_start,
-    squared_error,
-    with_ones,
-    xavier_start,
-)
+from bench.ssa_problem import SsaProblem
+from longarm_comp.core.learn.network import NetworkShape, TanhMembers
 from longarm_comp.core.learn.sparrow import SparrowSearch
+from longarm_comp.core.learn.stack import Stack, TanhNetwork, TanhStack, hidden_alike
+from longarm_comp.core.learn.training import Samples, back_propagate
 
 SHAPE = NetworkShape(4, 5, 3)
+CPU = torch.device("cpu")
+
+
+def stack(shape=SHAPE):
+    return TanhStack(shape, CPU)
+
+
+def busy(shape, many=1):
+    return torch.ones(many, shape.size, dtype=torch.bool)
+
+
+def samples(x, y, many=1):
+    """Of rows (N, d) and (N, k), the same for many networks."""
+    x, y = (torch.tensor(np.ascontiguousarray(a.T)).repeat(many, 1, 1) for a in (x, y))
+    return Samples(x, y, torch.ones_like(x[:, 0]))
+
+
+def xavier(shape, seed, many=1):
+    chance = torch.Generator().manual_seed(seed)
+    return stack(shape).starts("xavier", busy(shape, many), None, chance, SparrowSearch())
+
+
+def outputs(shape, weights, x):
+    return TanhMembers(shape, np.asarray(weights)).outputs(x)
 
 
 @pytest.fixture
@@ -29,109 +44,200 @@ def problem():
     rng = np.random.default_rng(0)
     x = rng.normal(size=(40, 4))
     y = rng.normal(size=(40, 3))
-    return x, y, rng.normal(size=SHAPE.size)
+    return x, y, rng.normal(size=(2, SHAPE.size))
+
+
+def test_the_module_the_stack_and_what_is_served_are_one_network(problem):
+    x, _, weights = problem
+    served = TanhMembers(SHAPE, weights).outputs(x)
+    columns = torch.tensor(x.T.copy()).repeat(2, 1, 1)
+    many = stack().outputs(torch.tensor(weights), columns).mT
+    module = TanhNetwork(SHAPE).double()
+    torch.nn.utils.vector_to_parameters(torch.tensor(weights[1]), module.parameters())
+    np.testing.assert_allclose(many, served, atol=1e-14)
+    np.testing.assert_allclose(module(torch.tensor(x)).detach(), served[1], atol=1e-14)
 
 
 def test_jacobian_is_the_central_difference(problem):
     x, _, weights = problem
-    x1, step = with_ones(x), 1e-6
+    step = 1e-6
     numeric = np.stack(
         [
-            (forward(SHAPE, weights + e, x1) - forward(SHAPE, weights - e, x1)) / (2 * step)
+            (outputs(SHAPE, weights[:1] + e, x)[0] - outputs(SHAPE, weights[:1] - e, x)[0])
+            / (2 * step)
             for e in step * np.eye(SHAPE.size)
         ],
         axis=2,
     )
-    np.testing.assert_allclose(output_jacobian(SHAPE, weights, x1), numeric, atol=1e-8)
+    np.testing.assert_allclose(TanhMembers(SHAPE, weights).jacobian(x), numeric, atol=1e-8)
 
 
-def test_normal_equations_are_those_of_the_explicit_jacobian(problem):
+def test_slope_is_the_central_difference_and_its_step_keeps_the_error(problem):
+    x, _, weights = problem
+    members, moved = TanhMembers(SHAPE, weights), np.array([True, False, True, True])
+
+    def mean(at):
+        return members.outputs(at[None])[:, 0].mean(axis=0)
+
+    for at in x[:5]:
+        slope, step = members.slope(at, moved, 1e-4)
+        h = 1e-6 * np.eye(4)[moved]
+        numeric = np.stack([(mean(at + e) - mean(at - e)) / 2e-6 for e in h], axis=1)
+        np.testing.assert_allclose(slope, numeric, atol=1e-8)
+        for corner in step * np.random.default_rng(1).choice([-1.0, 1.0], (20, 3)):
+            moved_by = np.zeros(4)
+            moved_by[moved] = corner
+            assert np.abs(mean(at + moved_by) - mean(at) - slope @ corner).max() < 1e-4
+
+
+@pytest.mark.parametrize("kind", ["the paper's own", "any module's"])
+def test_normal_equations_are_those_of_the_explicit_jacobian(problem, kind):
     x, y, weights = problem
-    x1, row = with_ones(x), np.random.default_rng(1).uniform(0, 2, 40)
-    matrix, gradient, residual = normal_equations(SHAPE, weights, x1, y, row)
-    jacobian = output_jacobian(SHAPE, weights, x1)
-    weighted = jacobian * row[:, None, None]
-    np.testing.assert_allclose(matrix, np.einsum("nki,nkj->ij", weighted, jacobian), atol=1e-10)
-    np.testing.assert_allclose(gradient, np.einsum("nki,nk->i", weighted, residual), atol=1e-10)
-    np.testing.assert_allclose(residual, y - forward(SHAPE, weights, x1), atol=1e-14)
+    s = samples(x, y, 2)
+    row = torch.rand(2, 40, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    of = stack() if kind == "the paper's own" else Stack(TanhNetwork(SHAPE))
+    matrix, gradient, residual = of.normal_equations(torch.tensor(weights), s.x, s.y, row)
+    for k in range(2):
+        jacobian = TanhMembers(SHAPE, weights[k : k + 1]).jacobian(x)
+        weighted = jacobian * row[k].numpy()[:, None, None]
+        left = y - outputs(SHAPE, weights[k : k + 1], x)[0]
+        np.testing.assert_allclose(
+            matrix[k], np.einsum("nki,nkj->ij", weighted, jacobian), atol=1e-10
+        )
+        np.testing.assert_allclose(gradient[k], np.einsum("nki,nk->i", weighted, left), atol=1e-10)
+        np.testing.assert_allclose(residual[k].T, left, atol=1e-13)
+
+
+def test_normal_equations_in_blocks_of_rows_are_the_same(problem, monkeypatch):
+    x, y, weights = problem
+    s = samples(x, y, 2)
+    whole = stack().normal_equations(torch.tensor(weights), s.x, s.y, s.used)
+    monkeypatch.setattr("longarm_comp.core.learn.stack._block", lambda *_: 7)
+    for of in (stack(), Stack(TanhNetwork(SHAPE))):
+        for a, b in zip(whole, of.normal_equations(torch.tensor(weights), s.x, s.y, s.used),
+                        strict=True):  # fmt: skip
+            np.testing.assert_allclose(a, b, atol=1e-10)
 
 
 def test_population_fitness_is_the_mean_squared_error_of_each(problem):
     x, y, _ = problem
-    population = np.random.default_rng(2).normal(size=(70, SHAPE.size)) * 3
-    one_by_one = [np.mean((forward(SHAPE, w, with_ones(x)) - y) ** 2) for w in population]
-    np.testing.assert_allclose(squared_error(SHAPE, x, y)(population), one_by_one, rtol=2e-6)
+    rng = np.random.default_rng(2)
+    population = rng.normal(size=(2, 70, SHAPE.size)) * 3
+    s = samples(x, y, 2)
+    s.used[1, 30:] = 0.0  # rows that the second network lacks
+    found = stack().squared_error(s.x, s.y, s.used)(torch.tensor(population))
+    for network, rows in ((0, 40), (1, 30)):
+        each = outputs(SHAPE, population[network], x[:rows]) - y[:rows]
+        np.testing.assert_allclose(found[network], np.mean(each**2, axis=(1, 2)), rtol=1e-5)
 
 
 def test_population_fitness_survives_saturated_units(problem):
     x, y, weights = problem
-    huge = np.stack((weights * 1e4, -weights * 1e4))
-    assert np.all(np.isfinite(squared_error(SHAPE, x, y)(huge)))
+    s = samples(x, y)
+    huge = torch.tensor(np.stack((weights[0] * 1e4, -weights[0] * 1e4))[None])
+    assert stack().squared_error(s.x, s.y, s.used)(huge).isfinite().all()
 
 
 def test_groups_cover_every_weight_once_per_input():
-    group = SHAPE.groups()
+    group = SHAPE.groups
     assert len(group) == SHAPE.size
     v, w, b = SHAPE.split(group)
     for i in range(5):
         assert set(v[i]) == {i}
     assert set(w.ravel()) == {5} and set(b) == {6}
+    own = Stack(TanhNetwork(SHAPE)).groups.numpy()
+    assert [set(part.ravel()) for part in SHAPE.split(own)] == [{0}, {1}, {2}]
+
+
+def bent(rng, x, noise):
+    truth = np.stack((np.sin(x[:, 0]), x[:, 0] * x[:, 1], np.cos(x[:, 1])), axis=1)
+    return truth, truth + noise * rng.normal(size=truth.shape)
 
 
 def test_training_finds_the_noise_and_the_input_that_does_not_matter():
     rng = np.random.default_rng(3)
     x = rng.normal(size=(400, 3))
-    truth = np.stack((np.sin(x[:, 0]), x[:, 0] * x[:, 1], np.cos(x[:, 1])), axis=1)
-    y = truth + 0.1 * rng.normal(size=truth.shape)
+    truth, y = bent(rng, x, 0.1)
     shape = NetworkShape(3, 10, 3)
-    fit = back_propagate(shape, xavier_start(shape, rng), x, y)
-    error = forward(shape, fit.weights, with_ones(x)) - truth
+    fit = back_propagate(stack(shape), xavier(shape, 3), samples(x, y), busy(shape))
+    error = outputs(shape, fit.weights, x)[0] - truth
     assert np.sqrt(np.mean(error**2)) < 0.05
-    assert 0.085 < fit.sigma < 0.115
-    assert fit.relevance[2] > 20 * fit.relevance[:2].max()
-    assert 10 < fit.effective < shape.size
-    np.testing.assert_allclose(fit.row_weights, 1.0, atol=0.2)
+    assert 0.085 < fit.sigma[0] < 0.115
+    assert fit.relevance[0, 2] > 20 * fit.relevance[0, :2].max()
+    assert 10 < fit.effective[0] < shape.size
+    np.testing.assert_allclose(fit.row_weights[0], 1.0, atol=0.2)
 
 
 def test_gross_outliers_are_weighted_down_and_do_not_spoil_the_fit():
     rng = np.random.default_rng(4)
     x = rng.uniform(-1.5, 1.5, size=(400, 2))
-    truth = np.stack((np.sin(x[:, 0]), x[:, 0] * x[:, 1], np.cos(x[:, 1])), axis=1)
-    y = truth + 0.05 * rng.normal(size=truth.shape)
-    shape, start = NetworkShape(2, 8, 3), xavier_start(NetworkShape(2, 8, 3), rng)
-    clean = back_propagate(shape, start, x, y)
-    bad = rng.permutation(400)[:12]  # 3 %
-    y[bad] += rng.choice([-3.0, 3.0], (12, 3))
-    spoiled = back_propagate(shape, start, x, y)
+    truth, y = bent(rng, x, 0.05)
+    shape = NetworkShape(2, 8, 3)
+    wrong, bad = y.copy(), rng.permutation(400)[:12]  # 3 %
+    wrong[bad] += rng.choice([-3.0, 3.0], (12, 3))
+    both = Samples(*(
+        torch.cat([getattr(samples(x, one), name) for one in (y, wrong)])
+        for name in ("x", "y", "used")
+    ))  # fmt: skip
+    fit = back_propagate(stack(shape), xavier(shape, 4).repeat(2, 1), both, busy(shape, 2))
+    robust = fit.row_weights[1].numpy()
+    assert robust[bad].max() < 0.1 < np.delete(robust, bad).min()
+    clean, spoiled = np.sqrt(np.mean((outputs(shape, fit.weights, x) - truth) ** 2, axis=(1, 2)))
+    assert spoiled < 1.5 * clean
+    assert fit.sigma[1] < 1.2 * fit.sigma[0]
 
-    def rms(fit):
-        return np.sqrt(np.mean((forward(shape, fit.weights, with_ones(x)) - truth) ** 2))
 
-    assert spoiled.row_weights[bad].max() < 0.1 < np.delete(spoiled.row_weights, bad).min()
-    assert rms(spoiled) < 1.5 * rms(clean)
-    assert spoiled.sigma < 1.2 * clean.sigma
+def test_a_batch_trains_each_network_as_if_it_were_alone():
+    """Networks of other sizes and with fewer rows beside it: idle units and rows change nothing."""
+    rng = np.random.default_rng(5)
+    x = rng.normal(size=(60, 3))
+    _, y = bent(rng, x, 0.1)
+    large, sizes, rows = NetworkShape(3, 6, 3), (4, 6), (60, 50)
+    batch, idle = samples(x, y, 2), torch.zeros(2, large.size, dtype=torch.bool)
+    batch.used[1, 50:] = 0.0
+    start, alone = torch.zeros(2, large.size, dtype=torch.float64), []
+    for k, (hidden, n) in enumerate(zip(sizes, rows, strict=True)):
+        shape = NetworkShape(3, hidden, 3)
+        begun, place = xavier(shape, k), torch.tensor(shape.within(large))
+        idle[k, place], start[k, place] = True, begun[0]
+        fit = back_propagate(stack(shape), begun, samples(x[:n], y[:n]), busy(shape), 20)
+        alone.append((place, fit))
+    fits = back_propagate(stack(large), start, batch, idle, 20)
+    for k, (place, fit) in enumerate(alone):
+        np.testing.assert_allclose(fits.weights[k, place], fit.weights[0], rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(fits.evidence[k], fit.evidence[0], rtol=1e-6)
+        np.testing.assert_allclose(fits.posterior[k][place][:, place], fit.posterior[0], atol=1e-5)
+        assert not fits.weights[k][~idle[k]].any()
 
 
 def test_sixty_sparrow_starts_have_no_collapsed_units():
-    data = smooth_set(300, 0)
-    x = (data.q - data.q.mean(0)) / data.q.std(0)
-    y = (data.residual - data.residual.mean(0)) / data.residual.std()
-    shape, search = NetworkShape(7, 12, 3), SparrowSearch(20, 20)
-    fitness = squared_error(shape, x, y)
-    for seed in range(60):
-        start = sparrow_start(shape, fitness, np.random.default_rng(seed), search)
-        assert not hidden_alike(shape, start).any()
+    problem, shape = SsaProblem.of(300), NetworkShape(7, 12, 3)
+    s, many = problem.samples, 60
+    x, y = (each.expand(many, -1, -1) for each in (s.x, s.y))
+    fitness = problem.stack.squared_error(x, y, s.used.expand(many, -1))
+    chance = torch.Generator().manual_seed(0)
+    starts = problem.stack.starts("ssa", busy(shape, many), fitness, chance, SparrowSearch(20, 20))
+    assert not hidden_alike(shape.split(starts)[0]).any()
+    assert len(starts.unique(dim=0)) == many
 
 
 def test_a_collapsed_start_is_found_and_separated_without_touching_the_rest():
-    rng = np.random.default_rng(6)
-    weights = xavier_start(SHAPE, rng)
-    v, _, _ = SHAPE.split(weights)
-    v[:, 3] = v[:, 1]
-    v[:, 4] = -v[:, 1]
-    np.testing.assert_array_equal(hidden_alike(SHAPE, weights), [False, False, False, True, True])
-    apart = separate(SHAPE, weights, rng)
-    assert not hidden_alike(SHAPE, apart).any()
-    np.testing.assert_array_equal(SHAPE.split(apart)[0][:, :3], v[:, :3])
-    assert hidden_alike(SHAPE, np.ones(SHAPE.size)).sum() == 4
-    assert not hidden_alike(SHAPE, separate(SHAPE, np.ones(SHAPE.size), rng)).any()
+    collapsed = xavier(SHAPE, 6)
+    v = SHAPE.split(collapsed)[0]
+    v[0, :, 3], v[0, :, 4] = v[0, :, 1], -v[0, :, 1]
+    np.testing.assert_array_equal(hidden_alike(v)[0], [False, False, False, True, True])
+    assert hidden_alike(torch.ones(1, 5, 5)).sum() == 4
+
+    class Found(SparrowSearch):
+        """A search that finds the collapsed start."""
+
+        def minimise(self, fitness, lower, upper, rng):
+            class At:
+                position = collapsed
+
+            return At
+
+    chance = torch.Generator().manual_seed(7)
+    apart = SHAPE.split(stack().starts("ssa", busy(SHAPE), None, chance, Found()))[0]
+    assert not hidden_alike(apart).any()
+    np.testing.assert_array_equal(apart[0, :, :3], v[0, :, :3])
