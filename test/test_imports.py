@@ -87,8 +87,10 @@ def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
     assert not {"sklearn", "cv2", "rclpy"} & found
     assert "torch" in found, "what trains loads it; if nothing does, the tests below test nothing"
     with_predictor = ("--model", model, "--predictor", predictor)
+    mine = str(tmp_path / "mine")
     for words in (
-        ("check", str(arm)),
+        ("init", mine, "--like", "demo"),
+        ("check", mine),
         ("evaluate", str(arm), "--test", str(csv), *with_predictor),
         ("compensate", str(arm), "0.9", "-0.1", "0.2", "--position-only", *with_predictor,
          "-o", str(tmp_path / "commands.csv")),

@@ -121,12 +121,12 @@ class _ErrorPredictor(ArmNode):
         if not self._path:
             return False, "no predictor file is configured"
         self._model.reload()
-        if self.p["network"]:
-            from longarm_comp.core.learn.others import chosen  # with torch: only where it is wanted
-
-            chosen(self.p["network"])
         model = self._model.loaded.file_hash
         try:
+            if self.p["network"]:
+                from longarm_comp.core.learn.others import chosen  # with torch: where it is wanted
+
+                chosen(self.p["network"])
             predictor = load(self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names)
             belongs(predictor, self._path, model, f"the model in use: {model[:12] or 'none'}")
             digest = file_hash(self._path)

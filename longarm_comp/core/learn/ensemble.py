@@ -226,16 +226,12 @@ class _Learner:
     def likeliest(
         self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
     ) -> list[_Fit]:
-        """Networks of rising size until the evidence falls, the likeliest first.
-
-        On a CPU, where idle units take as long as busy ones, a batch is the networks of one size;
-        on a GPU it is those of all sizes.
-        """
+        """Networks of rising size until the evidence falls, the likeliest first."""
         few = [
             h for h in sizes
             if h == sizes[0] or NetworkShape(self.x.shape[1], h, 3).size <= 1.5 * len(self.x)
         ]  # fmt: skip
-        turns = [[h] for h in few] if self.device.type == "cpu" else [few]
+        turns = [few] if _together(self.device) else [[h] for h in few]
         every, fits = np.ones(len(self.x), bool), list[_Fit]()
         for turn in turns:
             units = [h for h in turn for _ in range(starts)]
@@ -246,6 +242,12 @@ class _Learner:
             if max(each.evidence for each in networks) < best - _UNLIKELY:
                 break
         return sorted(fits, key=lambda each: -each.evidence)
+
+
+def _together(device: torch.device) -> bool:
+    """Whether networks of all sizes are one batch. On a CPU idle units take as long as busy ones,
+    so there a batch is the networks of one size."""
+    return device.type != "cpu"
 
 
 def _device(wanted: str) -> torch.device:
