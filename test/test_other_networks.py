@@ -205,4 +205,4 @@ def test_the_page_runs_as_it_is_written(shell: Shell) -> None:
             assert shell(*words[1:], *more) == 0, f"{shlex.join(words)}\n{shell.err}"
     rows = [line for line in shell.out.splitlines() if "│" in line]
     mean = {row.split("│")[1].strip(): float(row.split("│")[3]) for row in rows}
-    assert mean["with_network"] < 0.5 * mean["deflection"], mean
+    assert mean["network"] < 0.5 * mean["deflection"], mean
