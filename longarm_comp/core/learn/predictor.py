@@ -16,7 +16,7 @@ chance: a network that learned noise adds it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.expansion import LINEAR_M, Expansion
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.inputs import Encoding, check_rows, raw_names
@@ -197,33 +198,6 @@ class Predictor:
         return ~bad, away, reason
 
 
-LINEAR_M = 5e-6
-"""Accuracy of an expansion within its reach, m."""
-
-
-@dataclass(frozen=True)
-class Expansion:
-    """Expected residual at joints (n,) and its linear expansion.
-
-    A compensation needs the error at joints that differ by a few millirad: with the slope one
-    request is enough, which matters when it is a round trip to another process.
-
-    Attributes:
-        error, sigma: (3,) m.
-        in_domain, reason: as in `Prediction`.
-        jacobian: (3, n), m per rad or m of each joint.
-        reach: (n,) rad or m. If no joint moves farther, the joints stay inside the training data
-            and ``error + jacobian @ step`` is accurate to `LINEAR_M`. Zero: valid only at q.
-    """
-
-    error: np.ndarray
-    sigma: np.ndarray
-    in_domain: bool
-    reason: str
-    jacobian: np.ndarray
-    reach: np.ndarray
-
-
 class Expander:
     """Computes expansions of one predictor."""
 
@@ -254,32 +228,3 @@ class Expander:
             found.error[0], found.sigma[0], bool(found.in_domain[0]), found.reason[0],
             jacobian, reach,
         )  # fmt: skip
-
-
-class Nearby:
-    """A predictor for one target, which reuses its last expansion within its reach."""
-
-    def __init__(self, ask: Callable[[np.ndarray, Context], Expansion]) -> None:
-        self._ask = ask
-        self._held: tuple[np.ndarray, Context, Expansion] | None = None
-
-    def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
-        """Expected residual at joints (N, n); as `Predictor.predict`.
-
-        The expansion is around the first of them. The others are extrapolated from it, also
-        beyond its reach.
-        """
-        joints, given = q[0], context or Context()
-        held = self._held
-        if held is None or not (
-            (np.abs(joints - held[0]) <= held[2].reach).all() and given == held[1]
-        ):
-            held = self._held = joints.copy(), given, self._ask(joints, given)
-        at, _, found = held
-        count = len(q)
-        return Prediction(
-            found.error + (q - at) @ found.jacobian.T,
-            np.repeat(found.sigma[None], count, axis=0),
-            np.full(count, found.in_domain),
-            [found.reason] * count,
-        )
