@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from bench.calibration import synthetic_session
+from bench.dummy_predictor import train_dummy
 from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.nodes.bringup import SIMULATED
@@ -86,8 +87,8 @@ def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
     found = loaded(code)
     assert not {"sklearn", "cv2", "rclpy"} & found
     assert "torch" in found, "what trains loads it; if nothing does, the tests below test nothing"
-    with_predictor = ("--model", model, "--predictor", predictor)
-    mine = str(tmp_path / "mine")
+    train_dummy(Arm.load(arm), Path(predictor))  # what was learned above does not help
+    with_predictor, mine = ("--model", model, "--predictor", predictor), str(tmp_path / "mine")
     for words in (
         ("init", mine, "--like", "demo"),
         ("check", mine),

@@ -96,9 +96,9 @@ def train(
         if progress is not None:
             progress(networks, len(sizes) * starts + _FOLDS)
 
-    fits = learner.likeliest(sizes, starts, tell)[:ensemble]
     folds = _folds(q, np.random.default_rng([seed, _FOLDS]))
-    without = learner.fits([fits[0].units] * len(folds), [~out for out in folds])
+    fits, without = learner.likeliest(sizes, starts, folds, tell)
+    fits = fits[:ensemble]
     tell(len(sizes) * starts + _FOLDS)
     shape = NetworkShape(x.shape[1], max(each.units for each in fits), 3)
     probe = _probe(x, encoding, np.random.default_rng([seed]))
@@ -224,29 +224,44 @@ class _Learner:
         return [one_of(place) for place in range(many)]
 
     def likeliest(
-        self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
-    ) -> list[_Fit]:
-        """Networks of rising size until the evidence falls, the likeliest first."""
+        self,
+        sizes: Sequence[int],
+        starts: int,
+        folds: Sequence[NDArray[np.bool_]],
+        tell: Callable[[int], None],
+    ) -> tuple[list[_Fit], list[_Fit]]:
+        """Networks of rising size until the evidence falls, the likeliest first; and one of the
+        likeliest size without each of the folds."""
         few = [
             h for h in sizes
             if h == sizes[0] or NetworkShape(self.x.shape[1], h, 3).size <= 1.5 * len(self.x)
         ]  # fmt: skip
-        turns = [few] if _together(self.device) else [[h] for h in few]
-        every, fits = np.ones(len(self.x), bool), list[_Fit]()
-        for turn in turns:
-            units = [h for h in turn for _ in range(starts)]
-            networks = self.fits(units, [every] * len(units))
+        every, without = [np.ones(len(self.x), bool)] * starts, [~out for out in folds]
+        if _together(self.device) or len(few) == 1:
+            rows = [*every, *without]
+            found = self.fits([h for h in few for _ in rows], rows * len(few))
+            batches = [found[i : i + len(rows)] for i in range(0, len(found), len(rows))]
+            best = max(batches, key=lambda batch: max(f.evidence for f in batch[:starts]))
+            return _sorted([fit for batch in batches for fit in batch[:starts]]), best[starts:]
+        fits = list[_Fit]()
+        for h in few:
+            networks = self.fits([h] * starts, every)
             fits += networks
             tell(len(fits))
-            best = max(each.evidence for each in fits)
-            if max(each.evidence for each in networks) < best - _UNLIKELY:
+            best_yet = max(each.evidence for each in fits)
+            if max(each.evidence for each in networks) < best_yet - _UNLIKELY:
                 break
-        return sorted(fits, key=lambda each: -each.evidence)
+        fits = _sorted(fits)
+        return fits, self.fits([fits[0].units] * len(folds), without)
+
+
+def _sorted(fits: list[_Fit]) -> list[_Fit]:
+    return sorted(fits, key=lambda each: -each.evidence)
 
 
 def _together(device: torch.device) -> bool:
-    """Whether networks of all sizes are one batch. On a CPU idle units take as long as busy ones,
-    so there a batch is the networks of one size."""
+    """Whether all networks are one batch. On a CPU, where idle units take as long as busy ones, it
+    is those of one size."""
     return device.type != "cpu"
 
 
