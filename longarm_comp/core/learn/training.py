@@ -24,7 +24,7 @@ _TAILS = (2.5, 3.0, 4.0, 6.0, 9.0, 15.0, 30.0, 100.0, 1e4)  # nu; the last is Ga
 _PLAIN_STEPS = 5  # steps before the evidence and the robust weights join in
 _ALPHA = (1e-4, 1e6)
 _SETTLED, _SETTLED_STEPS = 7e-4, 8  # change of log beta, and number of successive steps
-_TRIES = 10  # of a step, each with more damping
+_TRIES = 5  # of a step, each with more damping
 
 
 @dataclass(frozen=True)
@@ -139,25 +139,24 @@ def _move(stack: Stack, state: _Going) -> Tensor:
         state.damping.clone(),
         state.residual.clone(),
     )
-    for attempt in range(_TRIES):
-
-        def at(value: Tensor, whole: bool = attempt == 0, rows: Tensor = open_) -> Tensor:
-            return value if whole else value[rows]
-
-        system = curvature.clone() if attempt == 0 else curvature[open_]
-        system.diagonal(dim1=1, dim2=2).add_(at(prior) + at(damping)[:, None] * at(diagonal))
+    for _ in range(_TRIES):
+        each = open_.repeat_interleave(2)  # two dampings at once: every other step needs the second
+        damped = (damping[open_, None] * damping.new_tensor((1.0, 4.0))).flatten()
+        system = curvature[each]
+        system.diagonal(dim1=1, dim2=2).add_(prior[each] + damped[:, None] * diagonal[each])
         factor, _ = torch.linalg.cholesky_ex(system)
-        there = at(weights) + torch.cholesky_solve(at(pull)[..., None], factor)[..., 0]
-        left = at(state.y) - stack.outputs(there, at(state.x))
-        cost = _cost(left, there, at(state.robust), at(prior), at(state.beta))
-        lower = cost < at(before)
-        good = open_[lower]
-        weights[good], residual[good] = there[lower], left[lower]
-        damping[good] = (damping[good] / 5.0).clamp(min=1e-9)
-        open_ = open_[~lower]
+        there = weights[each] + torch.cholesky_solve(pull[each, :, None], factor)[..., 0]
+        left = state.y[each] - stack.outputs(there, state.x[each])
+        cost = _cost(left, there, state.robust[each], prior[each], state.beta[each])
+        best, second = cost.nan_to_num(nan=torch.inf).view(-1, 2).min(dim=1)
+        lower = best < before[open_]
+        pick = (2 * torch.arange(len(open_), device=open_.device) + second)[lower]
+        good, open_ = open_[lower], open_[~lower]
+        weights[good], residual[good] = there[pick], left[pick]
+        damping[good] = (damped[pick] / 5.0).clamp(min=1e-9)
         if not len(open_):
             break
-        damping[open_] = (damping[open_] * 4.0).clamp(max=1e8)
+        damping[open_] = (damping[open_] * 16.0).clamp(max=1e8)
     state.weights, state.damping, state.residual = weights, damping, residual
     stuck = torch.zeros_like(state.beta)
     stuck[open_] = 1.0
