@@ -14,6 +14,7 @@ from bench.calibration import synthetic_session
 from bench.dummy_predictor import train_dummy
 from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes.bringup import SIMULATED
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.share import folder
@@ -88,12 +89,14 @@ def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
     assert not {"sklearn", "cv2", "rclpy"} & found
     assert "torch" in found, "what trains loads it; if nothing does, the tests below test nothing"
     train_dummy(Arm.load(arm), Path(predictor))  # what was learned above does not help
+    demo = Arm.load(arm)
+    target = [f"{each:.4f}" for each in declared_model(demo).tip(demo.mid)]
     with_predictor, mine = ("--model", model, "--predictor", predictor), str(tmp_path / "mine")
     for words in (
         ("init", mine, "--like", "demo"),
         ("check", mine),
         ("evaluate", str(arm), "--test", str(csv), *with_predictor),
-        ("compensate", str(arm), "0.9", "-0.1", "0.2", "--position-only", *with_predictor,
+        ("compensate", str(arm), *target, "--position-only", "--predictor", predictor,
          "-o", str(tmp_path / "commands.csv")),
     ):  # fmt: skip
         assert "torch" not in loaded(command_line(*words)), words

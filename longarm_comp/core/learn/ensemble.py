@@ -237,7 +237,7 @@ class _Learner:
             if h == sizes[0] or NetworkShape(self.x.shape[1], h, 3).size <= 1.5 * len(self.x)
         ]  # fmt: skip
         every, without = [np.ones(len(self.x), bool)] * starts, [~out for out in folds]
-        if _together(self.device) or len(few) == 1:
+        if _together(self.device):
             rows = [*every, *without]
             found = self.fits([h for h in few for _ in rows], rows * len(few))
             batches = [found[i : i + len(rows)] for i in range(0, len(found), len(rows))]

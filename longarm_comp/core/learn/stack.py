@@ -22,7 +22,7 @@ _STRIPS = 4
 
 def _block(columns: int, device: torch.device) -> int:
     """Rows of so many columns held at once: within the cache of a CPU, the memory of a GPU."""
-    return max(1, (2**20 if device.type == "cpu" else 2**27) // columns)
+    return max(1, (2**18 if device.type == "cpu" else 2**27) // columns)
 
 
 class Stack:
@@ -146,9 +146,9 @@ class TanhStack(Stack):
 
         The sparrows of all networks go through one product, in single precision.
         """
-        x1, y, used = _with_ones(x).float(), y.float(), used.float()[:, None, None]
-        share = 1.0 / (y.shape[1] * used.sum(dim=3))
-        step = _block(2 * len(x) * self.shape.hidden * x.shape[2] // 4, x.device)
+        x1, y, used = _with_ones(x).float(), y.float(), used.float()[..., None]
+        share = 1.0 / (y.shape[1] * used.sum(dim=1))
+        step = _block(len(x) * self.shape.hidden * x.shape[2], x.device)
 
         def fitness(position: Tensor) -> Tensor:
             parts = [one(p) for p in position.float().split(step, dim=1)]
@@ -161,7 +161,8 @@ class TanhStack(Stack):
             z = z.view(many * sparrows, self.shape.hidden, -1)
             out = torch.baddbmm(b.reshape(-1, b.shape[-1], 1), w.flatten(0, 1).mT, z)
             error = out.view(many, sparrows, *y.shape[1:]).sub_(y[:, None])
-            return (error.square_().mul_(used).flatten(2).sum(2)) * share[..., 0]
+            square = error.square_().view(many, -1, x1.shape[2]) @ used
+            return square.view(many, sparrows, -1).sum(2) * share
 
         return fitness
 
