@@ -78,7 +78,7 @@ def test_a_network_of_others_is_served_and_said(
     said = stage.collect(graph.DIAGNOSTICS)
     files = {"arm": demo_arm_path, "predictor": path, "network": small}
     stage.start("error_predictor", files, namespace="other")
-    ask = graph.PREDICT_ERROR.client(stage.node, "other")
+    ask = stage.node.create_client(PredictError, "/other/predict_error")
     answer = stage.call(ask, question(arm, arm.mid))
     assert answer.success, answer.message
     told = np.array([answer.error.x, answer.error.y, answer.error.z])
