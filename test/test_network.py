@@ -168,6 +168,20 @@ def test_training_finds_the_noise_and_the_input_that_does_not_matter():
     np.testing.assert_allclose(fit.row_weights[0], 1.0, atol=0.2)
 
 
+def test_evidence_of_a_linear_network_is_its_exact_marginal_likelihood():
+    rng = np.random.default_rng(8)
+    x = rng.normal(size=(50, 2))
+    y = x @ [[1.0], [-0.5]] + 0.3 + 0.2 * rng.normal(size=(50, 1))
+    line = Stack(torch.nn.Linear(2, 1).double())
+    start = torch.zeros(1, 3, dtype=torch.float64)
+    fit = back_propagate(line, start, samples(x, y), torch.ones(1, 3, dtype=torch.bool))
+    of_weight, of_bias = 1.0 / fit.relevance[0].numpy()
+    spread = of_weight * x @ x.T + of_bias + float(fit.sigma[0]) ** 2 * np.eye(50)
+    _, log = np.linalg.slogdet(2 * np.pi * spread)
+    exact = -0.5 * (log + (y.T @ np.linalg.solve(spread, y)).item())
+    assert float(fit.evidence[0]) == pytest.approx(exact, abs=0.1)
+
+
 def test_gross_outliers_are_weighted_down_and_do_not_spoil_the_fit():
     rng = np.random.default_rng(4)
     x = rng.uniform(-1.5, 1.5, size=(400, 2))

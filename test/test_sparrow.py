@@ -75,6 +75,8 @@ def test_printed_starving_sparrows_have_nearly_equal_coordinates():
     assert (range_of(printed) / printed.abs().mean(-1)).median() < 0.05
     early = CANONICAL.starve(chance(5), position[:, :2], torch.ones(2, **DOUBLE), flock())
     assert (range_of(early) / early.abs().mean(-1) > 0.5).all()
+    quantity = chance(5).normal(1, 2, 1)
+    torch.testing.assert_close(early, quantity * torch.exp(flock().worst - position[:, :2]))
 
 
 def test_vigilantes_fly_to_the_best_per_dimension_and_equal_worst_stays():
