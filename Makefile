@@ -1,8 +1,10 @@
 # Everything runs from .venv, which `make setup` builds from nothing out of the package registry.
 PYTHON ?= python3
-# Four on two cores: tests of graphs wait for each other's nodes while others compute.
+# Four on two cores: tests of graphs wait for each other's nodes while others compute. A worker that
+# dies ends the run with its name and test: pytest-xdist gives a new one the same test, and hangs.
 WORKERS ?= 4
-PYTEST_ARGS ?= -m 'not long' -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+SPREAD := -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+PYTEST_ARGS ?= -m 'not long' $(SPREAD)
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -14,7 +16,7 @@ STAMPS := $(VENV)/stamps
 # Where this is set, every process would compile anew all that it imports: a second and more each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup test long fuzz soak lint demo docs pictures bench figures format system colcon clean
+.PHONY: setup browser test long fuzz soak lint demo docs pictures bench figures release format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -70,12 +72,19 @@ $(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins
 	$(INSTALL) --no-build-isolation --editable '.[dev]'
 	@touch $@
 
-test: setup
+# What tests look at pages with is installed where that asks for no password; else they are skipped.
+browser:
+	@for name in chromium chromium-browser google-chrome; do command -v $$name >/dev/null && exit 0; done; \
+	case $$(id -u) in 0) may=;; *) may='sudo -n';; esac; \
+	$$may $(MAKE) -s system PACKAGES=chromium >/dev/null 2>&1 || \
+	  echo 'No browser, and none may be installed: tests of pages are skipped. To run them: sudo make system'
+
+test: setup browser
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 # Every test: those that take a minute, and those that ask the same in another form, too.
-long: setup
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+long: setup browser
+	$(BIN)/python -m pytest $(SPREAD)
 
 # Damaged files given to every command that reads one; `make test` runs a few.
 fuzz: setup
@@ -111,6 +120,11 @@ pictures: setup build/demo/report.html
 build/demo/report.html: | $(STAMPS)/package
 	$(BIN)/longarm demo --out build/demo
 
+# Version and changelog, written where other tools look for them (CONTRIBUTING.md), and what is released: dist/.
+release: setup
+	$(BIN)/python docs/made_by/release.py
+	rm -rf dist && $(BIN)/python -m build --no-isolation -o dist .
+
 # What benchmarks compare with; the tests run without.
 $(STAMPS)/bench: $(STAMPS)/dev
 	$(INSTALL) --no-build-isolation --editable '.[bench]'
@@ -124,15 +138,15 @@ FIGURES_ARGS ?=
 figures: $(STAMPS)/bench
 	$(BIN)/python docs/made_by/figures.py $(FIGURES_ARGS)
 
-# Debian packages: a compiler for the ROS interfaces, a browser for the test of the report's page.
+# Debian packages: a compiler for the ROS interfaces, a browser for the tests of pages.
+PACKAGES := build-essential python3-venv chromium
 system:
 	apt-get update -qq
-	DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
-	  build-essential python3-venv chromium
+	DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(PACKAGES)
 
 # A colcon workspace of both packages beside the sources, against the ROS of .venv.
 colcon: setup
 	. $(BIN)/activate && colcon build
 
 clean:
-	rm -rf $(VENV) build install log
+	rm -rf $(VENV) build dist install log

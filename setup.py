@@ -62,6 +62,7 @@ EXTRAS = {
         *VIEW,
         *PATH,
         "PyNiteFEA",
+        "build",
         "catkin-pkg",
         "colcon-common-extensions",
         "dynamixel-sdk",
@@ -105,7 +106,7 @@ def programs():
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=(ROOT / NAME / "version.py").read_text("utf-8").split('"')[-2],  # its only place
     description="Kinematics and error compensation of long, compliant robot arms, for ROS 2",
     long_description=(ROOT / "README.md").read_text("utf-8"),
     long_description_content_type="text/markdown",

@@ -64,11 +64,11 @@ def _commands(folder: Path, nodes: Sequence[str]) -> dict[str, list[str]]:
     train_dummy(demo_arm(), predictor)
     space = f"longarm_bench_{os.getpid()}"
     graph = BringUp(demo_arm_file(), predictor=predictor, sim=True, namespace=space)
-    commands = {"bare": [sys.executable, "-m", "bench.bare_node"]}
+    commands = {"bare": [sys.executable, "-P", "-m", "bench.bare_node"]}
     started = graph.commands(folder)
     for node in nodes:
-        python, flag, module, *rest = started[node]
-        commands[node] = [python, flag, "bench.ready_node", module, *rest]
+        python, safe, flag, module, *rest = started[node]
+        commands[node] = [python, safe, flag, "bench.ready_node", module, *rest]
     return commands
 
 
@@ -88,5 +88,5 @@ def _ready(command: Sequence[str], folder: str) -> float:
         taken = time.perf_counter() - begin
         error = process.communicate(timeout=60)[1]
     if said.strip() != "ready":
-        raise JobError(f"{' '.join(command[2:4])} did not come up: {error.strip()[-300:]}")
+        raise JobError(f"{' '.join(command[3:5])} did not come up: {error.strip()[-300:]}")
     return taken

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.memory import Register
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 from longarm_comp.sim.servo_emulator.motor import Motor
 from longarm_comp.sim.servo_emulator.wire import Device, Wire
@@ -36,6 +37,7 @@ class MakerServo(Dialect):
     torque = Block(4, 1)
     goal = Block(5, 4)
     state = Block(9, 9)
+    registers = (Register("turns", 3, factory=0, allowed=(0, 1), otherwise="it takes no goals"),)
 
     def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
         """Each servo answers when those before it in the list have answered."""

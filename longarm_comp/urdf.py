@@ -23,8 +23,8 @@ _NO_LENGTH = 1e-10
 def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
     """What arm.yaml holds for the chain from link `base` to link `tip`.
 
-    Continuous joints get +-180 deg; a joint whose limits coincide is fixed there.  Every link's
-    mass is lumped at its centre of mass; what hangs beside the chain (a gripper, another arm) is
+    Continuous joints are endless; a joint whose limits coincide is fixed there.  Every link's mass
+    is lumped at its centre of mass; what hangs beside the chain (a gripper, another arm) is
     carried with its own joints at zero.
     """
     robot = UrdfRobot(path)
@@ -120,9 +120,19 @@ def _row(robot: UrdfRobot, joint: UrdfJoint, number: int) -> dict[str, Any]:
         return {**row, "mimic": joint.mimic}
     if joint.limits is None:
         raise robot.error(f"joint {joint.name} limit", "missing", "lower and upper")
+    geared = any(_geared(other, joint.name) for other in robot.joints.values())
+    if joint.type == "continuous" and not geared:
+        row["endless"] = True
     if row["type"] == "revolute":
-        return {**row, "limits_deg": [_tidy(math.degrees(v)) for v in joint.limits]}
+        return {**row, "limits_deg": [round(math.degrees(v), 9) + 0.0 for v in joint.limits]}
     return {**row, "limits_m": list(joint.limits)}
+
+
+def _geared(joint: UrdfJoint, leader: str) -> bool:
+    """Whether it mimics a leader so that it stands elsewhere after a whole turn of that."""
+    if joint.mimic is None or joint.mimic["joint"] != leader or not joint.moves:
+        return False
+    return MOVING[joint.type] != "revolute" or joint.mimic["multiplier"] % 1 != 0
 
 
 def _carried(

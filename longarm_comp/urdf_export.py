@@ -181,7 +181,8 @@ def _screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np
 
 def _joint(root: ET.Element, arm: Arm, placed: Placed, parent: str) -> None:
     joint, origin, axis = placed
-    node = ET.SubElement(root, "joint", {"name": joint_name(joint), "type": joint.type})
+    kind = "continuous" if joint.endless else joint.type
+    node = ET.SubElement(root, "joint", {"name": joint_name(joint), "type": kind})
     _ends(node, origin, parent, link_name(joint))
     if joint.type == "fixed":
         return

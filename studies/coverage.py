@@ -30,7 +30,7 @@ from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes
 from longarm_comp.sessions.read import read_session
 from studies.loop_cases import Case
 from studies.loop_setting import set_up
-from studies.real_sessions import Measured, justin, laser_tracked
+from studies.real_sessions import every_robot
 from studies.touch import EXAMPLE
 
 HALVED = 3
@@ -117,18 +117,14 @@ def real(folder: Path, say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
     """The public data sets: their own splits, and places.
 
     Args:
-        folder: holds ``dlr_justin`` and ``wam_ur5``.
+        folder: holds ``dlr_justin``, ``wam_ur5`` or both.
         say: called with each set.
 
     Raises:
-        InputError: a data set is missing.
+        InputError: it holds no data set.
     """
-    robots: dict[str, tuple[list[Measured], Terms]] = {
-        "dlr_justin": (justin(folder), _bends),
-        "wam": (laser_tracked(folder, "wam"), _rigid),
-        "ur5": (laser_tracked(folder, "ur5"), _rigid),
-    }
-    for robot, (parts, terms) in robots.items():
+    for robot, parts in every_robot(folder).items():
+        terms = _bends if robot == "dlr_justin" else _rigid
         for part in parts:
             say(f"{robot}: its own split")
             yield judge(f"{robot}, its own split", _fitted(part.arm, part.train, terms), part.test)

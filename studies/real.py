@@ -35,7 +35,7 @@ from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import CALIBRATED, Diagnosis
 from longarm_comp.core.model.model import Model, Slot
 from studies.interval import mean_ci95
-from studies.real_sessions import Measured, justin, laser_tracked
+from studies.real_sessions import Measured, every_robot
 
 Terms = tuple[Effect | Bias, ...]
 Progress = Callable[[str], None]
@@ -96,21 +96,16 @@ def study(folder: Path, progress: Progress | None = None) -> dict[str, list[Line
     """Every data set of a folder.
 
     Args:
-        folder: holds ``dlr_justin`` and ``wam_ur5``.
+        folder: holds ``dlr_justin``, ``wam_ur5`` or both.
         progress: called with the name of the model being fitted.
 
     Raises:
-        InputError: a data set is missing.
+        InputError: it holds no data set.
     """
     say = progress or (lambda _: None)
-    robots = {
-        "dlr_justin": justin(folder),
-        "wam": laser_tracked(folder, "wam"),
-        "ur5": laser_tracked(folder, "ur5"),
-    }
     return {
         name: judged(parts, lambda text, name=name: say(f"{name}: {text}"))  # type: ignore[misc]
-        for name, parts in robots.items()
+        for name, parts in every_robot(folder).items()
     }
 
 

@@ -15,6 +15,9 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
+JUSTIN = "dlr_justin/samples.csv"
+TRACKED = "wam_ur5/{}_samples.csv"
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -38,13 +41,33 @@ def _table(path: Path) -> list[dict[str, str]]:
         raise InputError(str(path), "file", type(error).__name__, "the public data set") from error
 
 
+def every_robot(folder: Path) -> dict[str, list[Measured]]:
+    """The sets that a folder holds, by robot: ``dlr_justin``, ``wam``, ``ur5``.
+
+    Raises:
+        InputError: it holds none.
+    """
+    readers = {
+        "dlr_justin": (JUSTIN, justin),
+        "wam": (TRACKED.format("wam"), lambda at: laser_tracked(at, "wam")),
+        "ur5": (TRACKED.format("ur5"), lambda at: laser_tracked(at, "ur5")),
+    }
+    held = {
+        name: read(folder) for name, (file, read) in readers.items() if (folder / file).exists()
+    }
+    if not held:
+        allowed = f"one that holds {' or '.join(file for file, _ in readers.values())}"
+        raise InputError("--data", "folder", folder, allowed)
+    return held
+
+
 def justin(folder: Path) -> list[Measured]:
     """DLR Agile Justin, right and left arm (split: default_rng(0), 350 postures to train).
 
     The other arm loads the torso with its own posture; its weight is one mass at its rigid
     centre of mass in the last torso frame.
     """
-    rows = _table(folder / "dlr_justin" / "samples.csv")
+    rows = _table(folder / JUSTIN)
     order = np.random.default_rng(0).permutation(500)
     sessions = []
     chains = {side: declared(f"justin_{side}") for side in ("right", "left")}
@@ -85,7 +108,7 @@ def _centre_of_mass(arm: Arm, q: np.ndarray) -> np.ndarray:
 
 def laser_tracked(folder: Path, name: str) -> list[Measured]:
     """Barrett WAM or UR5 by laser tracker (split by the authors: grid to train, random to test)."""
-    rows = _table(folder / "wam_ur5" / f"{name}_samples.csv")
+    rows = _table(folder / TRACKED.format(name))
     arm = declared(name)
     session = Session.record(
         np.array([[float(r[f"q{j + 1}"]) for j in range(arm.n)] for r in rows]),

@@ -82,8 +82,9 @@ def asked(put: Any, t: float, q: np.ndarray, target: np.ndarray, refused: str = 
             return header(t)
         if name == "geometry_msgs/msg/Point":
             return types[name](*map(float, target))
-        made = {}
-        for field, (node, inner) in message_types().get_msgdef(name).fields:
+        made: dict[str, Any] = {}
+        fields: Any = message_types().get_msgdef(name).fields
+        for field, (node, inner) in fields:
             if node == 2:
                 made[field] = blank(inner)
             elif node > 2:

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from driver_rig import Rig
 
 ROOT = Path(__file__).resolve().parents[1]
-DATA = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data"))
+DATA = Path(__file__).parent / "data"
+NOT_SHIPPED = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data")) / "real"
 
 # Above 101 the ports of a domain fall among those that Linux hands out to other programs.
 ROS_DOMAINS = range(1, 102)
@@ -31,12 +32,13 @@ ROS_DOMAINS = range(1, 102)
 
 LONGEST = (
     *("test_readings_on_the_graph", "test_explain", "test_loop_graph", "test_hidden_effect"),
-    *("test_nodes_servo_driver", "test_functions", "test_package", "test_diagnosed"),
-    *("test_collect", "test_fuzz", "test_arm_folder_graph", "test_open_catalogue"),
-    *("test_view", "test_python_api", "test_tip_on_the_graph", "test_fleet"),
-    *("test_nodes_predictor", "test_readings", "test_nodes_away", "test_study_real"),
+    *("test_nodes_servo_driver", "test_nodes_stops", "test_functions", "test_package"),
+    *("test_diagnosed", "test_collect", "test_fuzz", "test_arm_folder_graph"),
+    *("test_open_catalogue", "test_view", "test_python_api", "test_tip_on_the_graph"),
+    *("test_fleet", "test_nodes_predictor", "test_readings", "test_nodes_away", "test_study_real"),
     *("test_touch_graph", "test_diagnose", "test_at_work_graph", "test_belonging"),
     *("test_nodes_kinematics", "test_bench", "test_servo_setup", "test_realisable_arm"),
+    *("test_servo_written_back", "test_servo_memory"),
     *("test_nodes_driver_link", "test_study_touch", "test_demo", "test_study_table1"),
     *("test_collect_run", "test_slides", "test_nodes_ready", "test_report_sentences"),
     *("test_nodes_paths", "test_strict_files", "test_nodes_graph", "test_report_browser"),
@@ -54,12 +56,38 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 Once = Callable[[str, Callable[[Path], object]], Path]
 
 
+@pytest.fixture(scope="session", autouse=True)
+def state_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The folder of stops and setups: none of another run is here, none of these elsewhere."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = tmp_path_factory.mktemp("state")
+        patch.setenv("XDG_STATE_HOME", str(folder))
+        yield folder
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """The folder of real and simulated measurements; the test is skipped where it is absent."""
-    if not DATA.is_dir():
-        pytest.skip(f"no measurements in {DATA}: set LONGARM_DATA to the folder that holds them")
+    """The folder of real and simulated measurements (`test/data/README.md`)."""
     return DATA
+
+
+def not_shipped(name: str) -> Path:
+    """Folder of measurements that have no licence to be shipped; skips where it is absent."""
+    if not (NOT_SHIPPED / name).is_dir():
+        pytest.skip(f"no {NOT_SHIPPED / name}: its owners state no licence, so it is not shipped")
+    return NOT_SHIPPED / name
+
+
+@pytest.fixture(scope="session")
+def justin_data() -> Path:
+    """The folder that holds `dlr_justin`."""
+    return not_shipped("dlr_justin").parent
+
+
+@pytest.fixture(scope="session")
+def photographs() -> Path:
+    """25 stereo pairs of a chessboard."""
+    return not_shipped("stereo_chessboard")
 
 
 @pytest.fixture(scope="session")

@@ -73,7 +73,7 @@ def _gap(text: str, rng: np.random.Generator) -> str:
     return text[:at] + text[at + int(rng.integers(1, 40)) :]
 
 
-def _lines(text: str, rng: np.random.Generator, change: Callable[[list[str], int], None]) -> str:
+def _lines(text: str, rng: np.random.Generator, change: Callable[[list[str], int], object]) -> str:
     lines = text.split("\n")
     change(lines, int(rng.integers(len(lines))))
     return "\n".join(lines)
@@ -84,7 +84,7 @@ def _line_twice(text: str, rng: np.random.Generator) -> str:
 
 
 def _line_lost(text: str, rng: np.random.Generator) -> str:
-    return _lines(text, rng, lambda lines, k: lines.pop(k) and None)
+    return _lines(text, rng, lambda lines, k: lines.pop(k))
 
 
 def _lines_swapped(text: str, rng: np.random.Generator) -> str:

@@ -70,7 +70,7 @@ def panda_7() -> Diagnosis:
 
 
 def justin(data: Path) -> Diagnosis:
-    right, _ = real_sessions.justin(data / "real")
+    right, _ = real_sessions.justin(data)
     return diagnose(right.arm, right.train.take(np.arange(120)))
 
 
@@ -83,7 +83,7 @@ def drawn(seed: int, base: Diagnosis) -> Diagnosis:
     rng = np.random.default_rng(seed)
     found = base.findings[: int(rng.integers(len(base.findings) + 1))]
     written = "calibrated" if not found or rng.random() < 0.1 else "with_effects"
-    network = Network() if rng.random() < 0.3 else None
+    network: Any = Network() if rng.random() < 0.3 else None
     size = 10 ** rng.uniform(-4, -1.5)
     n = len(base.proof.errors["nominal"])
 

@@ -112,6 +112,7 @@ def frame_model(
             loads = []
             for j in range(k, len(beams)):
                 body = beams[j].body_length_m
+                assert body is not None
                 reach = min(max(body - (ends[j] - ends[k]), 0.0), lengths[k])
                 if reach > 0:
                     loads.append((beams[j].mass_kg / body, reach))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
-from longarm_comp.devices.servo_bus.state import ServoState
+from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import (
     EventKind,
@@ -53,7 +53,7 @@ LIMITS = CONFIG.follower
 
 def servo_state(ticks: int, **changes: Any) -> ServoState:
     """A healthy servo at rest, but for the changes."""
-    return replace(ServoState(ticks, 0.0, 0.0, 7.4, 30.0, False), **changes)
+    return replace(ServoState(ticks, 0.0, 0.0, 7.4, 30.0, ServoAlarm.NONE), **changes)
 
 
 class Rig:

@@ -44,10 +44,11 @@ class Bench:
         self.said: dict[subprocess.Popen[str], IO[str]] = {}
 
     def start(
-        self, node: str, params: Mapping[str, Any] | None = None, namespace: str = ""
-    ) -> subprocess.Popen[str]:
-        """Start a node of ``longarm_comp.nodes``."""
-        args = ["-m", f"longarm_comp.nodes.{node}", "--ros-args"]
+        self, node: str, params: Mapping[str, Any] | None = None, namespace: str = "",
+        words: tuple[str, ...] = (),
+    ) -> subprocess.Popen[str]:  # fmt: skip
+        """Start a node of ``longarm_comp.nodes``, with words of its own."""
+        args = ["-m", f"longarm_comp.nodes.{node}", *words, "--ros-args"]
         if namespace:
             args += ["-r", f"__ns:=/{namespace}"]
         alone = {"compiled": False, "acknowledged": False}  # there is no driver
@@ -140,7 +141,7 @@ class Bench:
 
     def state(self) -> str:
         """What every process says, for a failed test."""
-        return "\n".join(f"{p.args} {p.poll()}:\n{self.output(p)}" for p in self.processes)
+        return "\n".join(f"{p.args!r} {p.poll()}:\n{self.output(p)}" for p in self.processes)
 
     def end_processes(self) -> None:
         """End every process, gently first."""

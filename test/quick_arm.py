@@ -1,10 +1,11 @@
-"""An arm on a graph that goes where it is sent at once: driver and cameras of a test's own."""
+"""An arm on a graph that goes where it is sent in no time: driver and cameras of a test's own."""
 
 from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,14 @@ import rclpy
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import Temperature
 from trajectory_msgs.msg import JointTrajectory
+from walking import Walk
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.msg import DriverState, Motion
 
@@ -25,7 +28,7 @@ _PERIOD_S = 0.03
 
 
 class QuickArm:
-    """Takes a step of every trajectory a cycle; a sighting a cycle, where the marker is seen.
+    """Takes a step of its way a cycle; a sighting a cycle, where the marker is seen.
 
     Args:
         arm: whose joints.
@@ -44,9 +47,8 @@ class QuickArm:
         self.heard: list[Any] = []
         model = declared_model(arm)
         self.tip = tip or (lambda q, side: model.tip(q))
-        self._q, self._side = arm.mid, np.ones(arm.n)
-        self.stand(arm.mid)
-        self._way: list[np.ndarray] = []
+        self._walk, self._side = Walk(arm), np.ones(arm.n)
+        self._look(arm.mid)
         self._id = ""
         self._state = DriverState.READY
         self.context = rclpy.Context()
@@ -63,16 +65,26 @@ class QuickArm:
         self.hold(False)
 
     def stand(self, q: np.ndarray) -> None:
-        """Stand at joints (n,)."""
-        self._side = np.where(q == self._q, self._side, np.sign(q - self._q))
-        self._q = q.copy()
+        """Have gone to joints (n,), as somebody moves it by hand."""
+        self.move([q])
+        while self._walk.ahead:
+            time.sleep(_PERIOD_S)
+
+    def move(self, way: Iterable[np.ndarray]) -> None:
+        """Be on a way of joints (n,)."""
+        self._walk.go(way)
+
+    def _look(self, was: np.ndarray) -> None:
+        """See the tip where the arm stands now, after it was at joints ``was`` (n,)."""
+        q = self._walk.q
+        self._side = np.where(q == was, self._side, np.sign(q - was))
         self._tip = self.tip(q, self._side) if self.sees(q) else np.full(3, np.nan)
 
     def hold(self, on: bool, state: int = DriverState.HOLDING) -> None:
         """Hold the arm where it is, or let it go on; or another state in which it is stopped."""
         self._state = state if on else DriverState.READY
         if on:
-            self._way.clear()
+            self._walk.ahead.clear()
         self._tell()
 
     def _tell(self) -> None:
@@ -84,22 +96,21 @@ class QuickArm:
             told.event, told.message = Motion.REFUSED, "held"
         else:
             self._id = told.id
-            self._way = [np.array(point.positions) for point in message.points]
-            told.start = JointState(name=list(self.arm.joint_names), position=self._q.tolist())
+            self._walk.go(np.array(point.positions) for point in message.points)
+            told.start = joints_message(self.arm, self._walk.q)
             told.points = message.points
-            self.visited.append(self._way[-1])
+            self.visited.append(self._walk.ahead[-1])
         self._motions.publish(told)
 
     def _cycle(self) -> None:
-        if self._way:
-            self.stand(self._way.pop(0))
-            if not self._way:
+        was = self._walk.q
+        if self._walk.step():
+            self._look(was)
+            if not self._walk.ahead:
                 self._motions.publish(Motion(id=self._id, event=Motion.REACHED))
         self._tell()
         now = self.node.get_clock().now().to_msg()
-        joints = JointState(name=list(self.arm.joint_names), position=self._q.tolist())
-        joints.header.stamp = now
-        self._joints.publish(joints)
+        self._joints.publish(joints_message(self.arm, self._walk.q, now))
         warm = Temperature(temperature=22.0)
         warm.header.stamp = now
         self._temperature.publish(warm)

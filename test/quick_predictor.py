@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 
-FAST = {"hidden": 6, "ensemble": 2, "iterations": 5, "population": 10}
+FAST: dict[str, Any] = {"hidden": 6, "ensemble": 2, "iterations": 5, "population": 10}
 ORIGIN = Provenance("arm-1", "session-1", tuple(f"joint{i}" for i in range(1, 8)))
 
 

@@ -71,7 +71,7 @@ def held_out_rows(rng: np.random.Generator, n: int = 60, network: bool = True) -
 
 def error_rows(rows: SeenRows) -> list[dict[str, Any]]:
     """The table of report.json from the errors."""
-    made = []
+    made: list[dict[str, Any]] = []
     for stage, error in rows.errors_m.items():
         length = np.linalg.norm(error, axis=1) * 1e3
         rms = float(np.sqrt((length**2).mean()))
@@ -109,7 +109,7 @@ def held_out(
 
 def candidates(accepted: Mapping[tuple[str, str], float]) -> list[dict[str, Any]]:
     """Fifty-odd candidates; those named are accepted with their score."""
-    made = [
+    made: list[dict[str, Any]] = [
         {
             "effect": e,
             "where": w,

@@ -100,6 +100,17 @@ def test_a_urdf_is_narrowed_about_its_home(shell: Shell) -> None:
     assert "shoulder_pan_joint" in shell.refused("init", "no", *_urdf(), "--home", "knee=2")
 
 
+def test_turned_through_all_of_its_range_a_marker_hides_from_any_head(shell: Shell) -> None:
+    """That is to be known, not to be mended; a head that sees less than another could is both."""
+    folder = made(shell, "whole", *UR5, "--range", "0")
+    assert "limits_deg: [-360.0, 360.0]" in (folder / "arm.yaml").read_text()
+    assert shell("check", folder / "arm.yaml") == 0, shell.out
+    assert re.search(r"unmeasured .*the marker is seen at (2|3)\d of 64 poses.*--seen", shell.out)
+    replaced(folder / "simulated_arm.yaml", r"position: .*", "position: [50.0, 0.0, 0.0]")
+    assert shell("check", folder) == 3
+    assert re.search(r"implausible .* of 64 poses, .*: \d+ could be seen", shell.out)
+
+
 def test_an_arm_that_others_drive_and_measure_is_one_file(shell: Shell) -> None:
     folder = made(shell, "ur5", *UR5, "--only-arm")
     assert [file.name for file in folder.iterdir()] == ["arm.yaml"]

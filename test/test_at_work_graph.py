@@ -113,7 +113,7 @@ def started(stage: Bench, folder: Path) -> None:
         {
             "arm": arm, "model": folder / "model.yaml", "learning": True,
             "acknowledged": True, "diagnostics_period_s": 0.2, "method": "deflection",
-            "monitor.settle_s": 0.1, "monitor.sightings": 1, "joints_max_rate": 1e6,
+            "monitor.settle_s": 0.1, "monitor.sightings": 1,
         },
     )  # fmt: skip
 

@@ -123,7 +123,7 @@ def test_nothing_is_written_for_rows_that_do_not_belong(
 
 @pytest.mark.parametrize("name", ["wam", "ur5"])
 def test_real_rows_are_told_from_spoilt_ones(data_dir: Path, name: str) -> None:
-    (part,) = laser_tracked(data_dir / "real", name)
+    (part,) = laser_tracked(data_dir, name)
     arm, rows = wide(part.arm), part.train
     admit(rows, arm)
     admit(part.test, arm)
@@ -144,7 +144,7 @@ def test_a_sign_that_does_not_move_the_tip_is_said_to_be_untold(
     data_dir: Path, name: str, last: str
 ) -> None:
     """Negated, the last joint of either arm calibrates as well on unseen rows."""
-    (part,) = laser_tracked(data_dir / "real", name)
+    (part,) = laser_tracked(data_dir, name)
     said = [f for f in admit(part.train, part.arm).findings if f.check == "sign"]
     assert [f.field for f in said] == [last] and "does not show" in said[0].message
     negated = joint(part.arm.n - 1, np.negative)
@@ -180,3 +180,21 @@ def test_joints_beyond_their_limits_are_told_what_fits(rng: np.random.Generator)
         admit(swap(1, 2)(rows), SMALL)
     with pytest.raises(InputError, match=r"q4.*looks like degrees"):
         admit(joint(3, np.degrees)(rows), SMALL)
+
+
+@pytest.mark.parametrize(("noise_m", "between", "told"), [(0.11, (0.6, 0.69), True),
+                                                          (0.14, (0.71, 0.8), False)])  # fmt: skip
+def test_a_mistake_is_told_where_it_explains_half_of_the_squared_misfit(
+    demo: Arm, noise_m: float, between: tuple[float, float], told: bool
+) -> None:
+    """Joint 6 is negated, under noise that hides it more and more."""
+    rng = np.random.default_rng(5)
+    q = rng.uniform(demo.lower, demo.upper, (100, demo.n))
+    xyz = Model(demo).tip(q) + noise_m * rng.standard_normal((100, 3))
+    rows = joint(5, np.negative)(Session.record(q, xyz))
+    own = register(Sightings.of(Model(demo), rows)).misfit
+    undone = [register(Sightings.of(Model(demo), s)).misfit for _, s in mistakes(demo, rows)]
+    assert between[0] < min(undone) / own < between[1]
+    belief = believe(Model(demo), rows)
+    assert belief is not None and bool(belief.mistake) == told
+    assert belief.misfit == pytest.approx(own)

@@ -213,11 +213,10 @@ def test_what_there_is_can_be_asked(capsys: pytest.CaptureFixture[str]) -> None:
 def test_outside_of_a_checkout_the_command_says_where_it_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No benchmarks beside the package: those of the folder that it is run in, else one line."""
+    """No benchmarks beside the package: one line, whatever the folder holds it is run in."""
     monkeypatch.setattr(registry, "__file__", str(tmp_path / "a" / "b" / "c" / "registry.py"))
     monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.chdir(tmp_path)
-    assert run(["bench", "--list"]) == 3
-    assert "run from a checkout of the project" in capsys.readouterr().err
-    monkeypatch.chdir(Path(__file__).parents[1])
-    assert run(["bench", "--list", "--json"]) == 0
+    for folder in (tmp_path, Path(__file__).parents[1]):
+        monkeypatch.chdir(folder)
+        assert run(["bench", "--list"]) == 3
+        assert "run from a checkout of the project" in capsys.readouterr().err

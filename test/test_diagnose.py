@@ -103,11 +103,25 @@ def test_python_writes_the_bytes_that_the_command_wrote(work: Path) -> None:
     """The same seed gives the same, too."""
     arm = Arm.load(work / "arm.yaml")
     rows, held_out = (la.read_session(work / name, arm) for name in ("samples.csv", "test.csv"))
-    la.diagnose(arm, rows, test=held_out, network=False).save(work / "python")
+    made = la.diagnose(arm, rows, test=held_out, network=False)
+    made.save(work / "python")
     files = sorted(p.relative_to(work / "python") for p in (work / "python").rglob("*.*"))
     assert {"model.yaml", "report.html", "report.json"} <= set(map(str, files))
     for file in files:
         assert (work / "python" / file).read_bytes() == (work / "out" / file).read_bytes(), file
+
+    mine = {name: work / "mine" / name for name in ("predictor.npz", "plots/mine.svg", "a.txt")}
+    for path in mine.values():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("mine")
+    words = (work / "arm.yaml", work / "samples.csv", "--no-network", "-o", work / "mine")
+    assert diagnosed(*words) == 2  # a network is there that no diagnosis wrote
+    made.save(work / "mine")
+    assert all(path.read_text() == "mine" for path in mine.values())
+    (work / "mine" / "next_poses.csv").write_text("of an earlier diagnosis")
+    made.save(work / "mine")  # now the folder is a diagnosis'
+    assert not mine["predictor.npz"].exists() and mine["plots/mine.svg"].exists()
+    assert "earlier" not in "".join(p.read_text() for p in (work / "mine").glob("next_poses.csv"))
 
 
 def test_a_second_diagnosis_adds_nothing_and_undo_restores_every_byte(work: Path) -> None:
@@ -208,9 +222,9 @@ def test_the_mixed_twin_is_traced(data_dir: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_gravity_compliance_of_a_real_arm(data_dir: Path) -> None:
+def test_gravity_compliance_of_a_real_arm(justin_data: Path) -> None:
     """DLR Justin, right arm: torsion and lateral compliance, and nothing else."""
-    part = justin(data_dir / "real")[0]
+    part = justin(justin_data)[0]
     rigid = declared_model(part.arm, deflection=False)
     half = part.train.take(np.arange(0, len(part.train), 2))
     found = diagnose(part.arm, half, test=part.test, model=rigid)
@@ -228,7 +242,7 @@ def test_gravity_compliance_of_a_real_arm(data_dir: Path) -> None:
 @pytest.mark.long
 def test_a_stiff_real_arm_is_not_said_to_be_understood(data_dir: Path) -> None:
     """UR5: a tenth of a millimetre; what is named gains on the hold-out, and never is all of it."""
-    part = laser_tracked(data_dir / "real", "ur5")[0]
+    part = laser_tracked(data_dir, "ur5")[0]
     rigid = declared_model(part.arm, deflection=False)
     found = diagnose(part.arm, part.train, test=part.test, model=rigid)
     assert found.verdict not in ("named", "set")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from walking import Walk
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.online import JointTrust, check_inside
@@ -26,6 +27,14 @@ def test_joints_that_move_as_joints_do_are_believed(arm: Arm) -> None:
         assert trust.read(arm.lower + (k / 40) * range_, k * DT)
     assert trust.read(arm.lower - 0.019 * range_, 100.0)  # beside a limit, after a long time
     assert not trust.doubt
+
+
+def test_an_arm_of_a_tests_own_is_believed_however_late_it_is_heard(arm: Arm) -> None:
+    trust, walk = JointTrust(arm, rate=1.0), Walk(arm)
+    walk.go([arm.upper, arm.lower, arm.mid])
+    trust.read(walk.q, 0.0)
+    assert all(trust.read(walk.q, 0.0) for _ in iter(walk.step, False))
+    np.testing.assert_array_equal(walk.q, arm.mid)
 
 
 @pytest.mark.parametrize("share", [0.03, -1.03])

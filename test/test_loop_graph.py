@@ -24,6 +24,7 @@ from small_arm import ARM
 from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.errors import JobError
+from longarm_comp.core.files import write_text
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.jobs.apply import apply_on_graph, files_at_work, reload
@@ -51,7 +52,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Qu
 
     at_work = {"arm": arm, "model": folder / "model.yaml", "diagnostics_period_s": 0.2}
     with own_graph(folder), bench() as stage, quick_arm(ARM, lambda q: True, seen) as quick:
-        kinematics = {"acknowledged": True, "move_time_s": 0.05, "joints_max_rate": 1e6}
+        kinematics = {"acknowledged": True, "move_time_s": 0.05}
         stage.start("kinematics", at_work | kinematics)
         stage.start("error_predictor", at_work | {"predictor": folder / "predictor.npz"})
         yield folder, quick
@@ -150,6 +151,16 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     assert "as in the first call" in shell.refused(*words, *QUICK[:-1], "0.06", "--resume")
     session = sorted((out / "session").iterdir())
     made = [file.stat().st_mtime_ns for file in session]
+
+    def killed(path: Path, text: str) -> None:
+        if path.name == "steps.json" and "applied 1" in text:
+            raise KeyboardInterrupt
+        write_text(path, text)
+
+    with pytest.MonkeyPatch.context() as patch:  # the model is replaced, and nobody knows it yet
+        patch.setattr("longarm_comp.jobs.loop.write_text", killed)
+        assert shell(*words, *QUICK, "--resume", "--yes") == 130
+    assert (files / "model.yaml").read_bytes() == (out / "diagnosis" / "model.yaml").read_bytes()
     report = shell.json(*words, *QUICK, "--resume", "--yes")
     assert [file.stat().st_mtime_ns for file in session] == made  # not collected again
     names = [row["run"] for row in report["rows"]]

@@ -21,13 +21,14 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import read_yaml
 from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import GUARD, SIMULATED, BringUp
 from longarm_comp.nodes.params import Param
 from longarm_comp.share import folder
 
 ROOT = Path(__file__).parents[1]
-GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "effects", "servos", "port", "hidden"}
+GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "servos", "port", "hidden"}
 
 
 def table(node: str) -> dict[str, Param]:
@@ -114,6 +115,7 @@ def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path
     scaled = fast.parameters("servo_driver", "/tmp/bus")
     assert scaled["joints.joint1.max_velocity"] == pytest.approx(1.6)
     assert scaled["bus.port"] == "/tmp/bus"
+    assert Path(scaled["state"]).parent == state_folder() / "simulated"  # not the real arm's stops
     assert scaled["follower.lost_error_ticks"] == pytest.approx(1600.0)
     assert scaled["follower.max_step_s"] == pytest.approx(0.04)  # two cycles
     (tmp_path / "servo_driver.yaml").write_text("joints: {}\n")
@@ -126,9 +128,10 @@ def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path
 def test_files_with_effects_reach_the_node_that_loads_models() -> None:
     files = (ROOT / "examples" / "custom_effect.py", Path("mine.py"))
     graph = BringUp(arm=folder("config") / "arm_demo.yaml", effects=files)
-    given = graph.parameters("kinematics", "")["effects"]
-    assert given.split(os.pathsep) == [str(files[0]), str(Path.cwd() / "mine.py")]
-    assert "effects" not in graph.parameters("error_predictor", "")
+    words = ["--effects", str(files[0]), "--effects", str(Path.cwd() / "mine.py")]
+    assert graph.arguments("kinematics") == graph.arguments("trajectory_compensator") == words
+    assert graph.arguments("error_predictor") == []
+    assert "effects" not in graph.parameters("kinematics", "")
 
 
 def test_the_calibration_of_a_folder_reaches_real_cameras_only(tmp_path: Path) -> None:
@@ -173,7 +176,8 @@ def test_a_launch_starts_every_node_with_what_it_takes(monkeypatch: pytest.Monke
     module = launched(ROOT / "launch" / "longarm.launch.py", monkeypatch)
     arguments = {name: default or "" for name, default, _ in module.ARGUMENTS}
     arm = str(folder("config") / "arm_demo.yaml")
-    given = {**arguments, "arm": arm, "sim": "true", "rviz": "true"}
+    mine = "mine.py"
+    given = {**arguments, "arm": arm, "sim": "true", "rviz": "true", "effects": mine}
     module.LaunchConfiguration = lambda name: types.SimpleNamespace(
         perform=lambda context: given[name]
     )
@@ -188,6 +192,8 @@ def test_a_launch_starts_every_node_with_what_it_takes(monkeypatch: pytest.Monke
     passed = {}
     for call in calls:
         assert call["name"] == call["executable"]
+        told = ["--effects", str(Path.cwd() / mine)] if call["name"] == "kinematics" else []
+        assert call["arguments"] == told
         assert call["additional_env"] == {GUARD: str(os.getpid())}  # it ends when launch was killed
         *listed, written = call["parameters"]
         for file, (node, values) in zip(listed, read_yaml(Path(written)).items(), strict=True):

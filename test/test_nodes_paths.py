@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
@@ -19,8 +21,10 @@ from geometry_msgs.msg import PointStamped
 from nodes_bench import Bench, bench
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
+from test_circle import declared, through_pi, wrapped
 from test_nodes_driver_link import ARM
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from walking import Walk
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
@@ -48,12 +52,12 @@ def stage(ros_domain: int) -> Iterator[Bench]:
 
 
 class Controller:
-    """A joint trajectory controller that is where it is sent to, and ends as it is told to."""
+    """A joint trajectory controller that goes where it is sent to, and ends as it is told to."""
 
     def __init__(self, stage: Bench, arm: Arm) -> None:
-        self.arm, self.got, self.q = arm, [], arm.mid.copy()
+        self.arm, self.got, self.walk = arm, [], Walk(arm)
         self.ends, self.waits = GoalStatus.STATUS_SUCCEEDED, False
-        self.ticks = Ticks(stage.node, 0.02)
+        self.node, self.ticks = stage.node, Ticks(stage.node, 0.02)
         self.joints = graph.JOINT_STATES.publisher(stage.node)
         self.timer = stage.node.create_timer(0.05, self.tell)
         self.server = ActionServer(
@@ -62,17 +66,20 @@ class Controller:
         )  # fmt: skip
 
     def tell(self) -> None:
-        self.joints.publish(joints_message(self.arm, self.q))
+        self.walk.step()
+        now = self.node.get_clock().now().to_msg()
+        self.joints.publish(joints_message(self.arm, self.walk.q, now))
 
     async def serve(self, goal: Any) -> Any:
         self.got.append(goal.request)
         goal.publish_feedback(TYPE.Feedback(joint_names=["fed back"]))
-        while self.waits and not goal.is_cancel_requested:
+        self.walk.go(point.positions for point in goal.request.trajectory.points)
+        while (self.waits or self.walk.ahead) and not goal.is_cancel_requested:
             await self.ticks.next()
         if goal.is_cancel_requested:
+            self.walk.ahead.clear()
             goal.canceled()
             return TYPE.Result(error_string="halted by the controller")
-        self.q = np.array(goal.request.trajectory.points[-1].positions)
         if self.ends == GoalStatus.STATUS_SUCCEEDED:
             goal.succeed()
             return TYPE.Result()
@@ -205,6 +212,41 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
     stage.spin(lambda: len(controller.got) == 4)
     goal.cancel_goal_async()
     assert "halted" in planner.ends(goal, GoalStatus.STATUS_CANCELED).error_string
+
+
+@pytest.mark.parametrize("endless", [False, True])
+def test_a_plan_through_pi_goes_on_live_or_is_refused(
+    stage: Bench, tmp_path: Path, endless: bool
+) -> None:
+    """A planner wraps angles into -pi..pi; the controller gets them as the joint goes on."""
+    file = tmp_path / "arm.yaml"
+    on_and_on = {1: {"endless": True, "limits_deg": None}}
+    file.write_text(yaml.safe_dump(declared(180.0, on_and_on) if endless else declared(360.0)))
+    made, (goes, said) = Arm.load(file), through_pi()
+    controller = Controller(stage, made)
+    controller.q = goes[0]
+    stage.start("trajectory_compensator", {
+        "arm": file, "controller": THEIRS, "acknowledged": False, "method": "deflection",
+        "max_velocity": [1.0], "max_acceleration": [5.0], "planned_period_s": 0.05,
+        "diagnostics_period_s": 0.1,
+    })  # fmt: skip
+    planner, names = Planner(stage), list(made.joint_names)
+    planner.ends(planner.send(names, said, 2.0), GoalStatus.STATUS_SUCCEEDED)
+    sent = controller.got[-1].trajectory.points
+    np.testing.assert_allclose([p.positions for p in sent], goes, atol=1e-6)
+    assert np.abs([p.velocities for p in sent]).max() < 0.5
+    assert sent[-1].time_from_start == duration(2.0)
+    far = goes[-1] + np.outer(np.linspace(0.0, 1.0, 21), [4.0, 0, 0, 0, 0, 0])
+    stage.spin(lambda: controller.q[0] > 3.2)
+    goal = planner.send(names, wrapped(far), 20.0)
+    if endless:
+        planner.ends(goal, GoalStatus.STATUS_SUCCEEDED)
+        sent = controller.got[-1].trajectory.points
+        np.testing.assert_allclose([p.positions for p in sent], far, atol=1e-6)
+        return
+    result = planner.ends(goal, GoalStatus.STATUS_ABORTED)
+    assert "way-point 16: bad_target: joint1 from" in result.error_string
+    assert len(controller.got) == 1
 
 
 def test_without_limits_nothing_goes_to_a_controller_that_is_not_ours(stage: Bench) -> None:

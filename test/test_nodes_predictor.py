@@ -76,8 +76,8 @@ def test_a_network_of_others_is_served_and_said(
     made = train(q, residual, ensemble=2, network=load_file(small), provenance=origin)
     save(made, path)
     said = stage.collect(graph.DIAGNOSTICS)
-    files = {"arm": demo_arm_path, "predictor": path, "network": small}
-    stage.start("error_predictor", files, namespace="other")
+    files = {"arm": demo_arm_path, "predictor": path}
+    stage.start("error_predictor", files, namespace="other", words=("--network", str(small)))
     ask = stage.node.create_client(PredictError, "/other/predict_error")
     answer = stage.call(ask, question(arm, arm.mid))
     assert answer.success, answer.message

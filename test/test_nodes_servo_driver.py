@@ -223,6 +223,27 @@ def test_servos_that_come_after_the_driver_are_no_error(rig: Rig) -> None:
     assert "waiting for the servos" in said
 
 
+def test_a_servo_that_means_another_position_is_not_driven(rig: Rig) -> None:
+    """Somebody stored an offset; then the file says so too."""
+    rig.ends()
+    rig.emulator._devices[1].put(31, 2, 1 << 11 | 300)
+    rig.start()
+    rig.stage.spin(lambda: rig.said and "homing_offset" in rig.said[-1].message)
+    said = rig.is_in(DriverState.UNCONFIGURED).message
+    assert "servo 1 of shoulder: homing_offset = -300 (register 31); allowed: 0" in said
+    rig.send("blind", shoulder=0.3)
+    rig.becomes("blind", Motion.REFUSED)
+    assert rig.free()
+    rig.ends()
+    text, there = rig.file.read_text(), "full_effort: 8.0"
+    rig.file.write_text(text.replace(there, f"{there}, stored: {{homing_offset: -300}}"))
+    rig.start()
+    rig.is_idle()
+    rig.ends()
+    rig.file.write_text(text)
+    rig.emulator._devices[1].put(31, 2, 0)
+
+
 def test_servos_that_stay_away_are_an_error(rig: Rig) -> None:
     process = rig.begins_without_servos(patience_s=0.0)
     rig.stage.spin(lambda: "ERROR" in rig.stage.output(process))

@@ -10,6 +10,7 @@ import pytest
 from small_arm import ARM
 
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.arm.parts import Payload
 from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.compensation.online import Readings, StaleContext
@@ -25,7 +26,7 @@ WARM = Model(ARM, (ThermalGrowth(8e-5),))
 
 
 def told(**columns: float) -> Readings:
-    made = Readings(started_s=90.0)
+    made = Readings()
     for name, value in columns.items():
         made = made.told(name, {name: value}, 100.0)
     return made
@@ -33,12 +34,41 @@ def told(**columns: float) -> Readings:
 
 def test_only_what_the_model_needs_must_be_fresh() -> None:
     made = told(temperature_c=30.0)
-    assert made.context(WARM, 105.0, 10.0).columns == {"t_s": 15.0, "temperature_c": 30.0}
+    assert made.context(WARM, 105.0, 10.0).columns == {"temperature_c": 30.0}
     with pytest.raises(StaleContext, match=r"temperature_c is 20\.0 s old"):
         made.context(WARM, 120.0, 10.0)
     with pytest.raises(StaleContext, match="temperature_c was never published"):
         told().context(WARM, 100.0, 10.0)
-    assert made.context(Model(ARM), 120.0, 10.0).columns == {"t_s": 30.0}
+    assert made.context(Model(ARM), 120.0, 10.0).columns == {}
+
+
+def test_a_payload_that_was_told_holds_for_a_while_and_then_says_so() -> None:
+    """Never told, it is the declared one; told long ago, nobody knows what hangs there."""
+    carrying = Model(ARM.model_copy(update={"payload": Payload(mass_kg=0.2, frame=4)}))
+    made = told(payload_kg=0.1)
+    assert made.context(carrying, 110.0, 10.0).columns == {"payload_kg": 0.1}
+    for model, now_s in ((carrying, 110.1), (carrying, 1e6)):
+        with pytest.raises(StaleContext, match=r"payload_kg is \S+ s old"):
+            made.context(model, now_s, 10.0)
+    assert Readings().context(carrying, 1e6, 10.0).columns == {}
+    assert made.context(Model(ARM), 1e6, 10.0).columns == {}, "it carries nothing"
+
+
+def test_circumstances_that_an_arm_cannot_be_in_are_a_doubt_until_better_ones_are_told() -> None:
+    wrong = told(temperature_c=30.0).told("temperature_c", {"temperature_c": 900.0}, 101.0, "hot!")
+    assert wrong.fresh("temperature_c", 101.0, 10.0) == {}
+    for now_s in (102.0, 1e6):
+        with pytest.raises(StaleContext, match="hot!"):
+            wrong.context(WARM, now_s, 10.0)
+    assert wrong.context(Model(ARM), 102.0, 10.0).columns == {}, "nothing needs it"
+    better = wrong.told("temperature_c", {"temperature_c": 31.0}, 102.0)
+    assert better.context(WARM, 102.0, 10.0).columns == {"temperature_c": 31.0}
+    weighed = told(payload_kg=9.0).told("payload_kg", {"payload_kg": 9.0}, 101.0, "too heavy")
+    carrying = Model(ARM.model_copy(update={"payload": Payload(mass_kg=0.2, frame=4)}))
+    with pytest.raises(StaleContext, match="too heavy"):
+        weighed.context(carrying, 102.0, 10.0)
+    felt = weighed.told("load", {"payload_kg": 0.3}, 102.0)
+    assert felt.context(carrying, 102.0, 10.0).columns == {"payload_kg": 0.3}, "what is felt counts"
 
 
 def test_an_inclinometer_belongs_to_its_frame() -> None:

@@ -62,6 +62,7 @@ def test_a_scan_finds_its_servos(site: Path, emulator: ServoEmulator) -> None:
     assert [(s["servo_id"], s["model"], s["firmware"]) for s in found["servos"]] == [
         (1, "maker-12bit", "3"), (2, "maker-12bit", "3"),
     ]  # fmt: skip
+    assert [s["memory"] for s in found["servos"]] == [{"turns": 0}, {"turns": 0}]
 
 
 DRIVE = """
@@ -75,6 +76,13 @@ end = time.monotonic() + 300
 while (now := {i: s.position_ticks for i, s in bus.read([1, 2]).items()}) != {1: 2100, 2: 940}:
     assert time.monotonic() < end, now
 print(bus.read([1])[1].voltage_v, bus.counters.checksum_errors)
+bus.close()
+"""
+BEGIN = """
+import sys
+from longarm_comp.devices.servo_arm import ServoArm
+from longarm_comp.devices.servo_config import ServoConfig
+ServoArm(ServoConfig.load(sys.argv[1])).close()
 """
 
 
@@ -92,6 +100,10 @@ def test_a_configuration_names_it_and_its_servos_move(
     done = run(site, "-c", DRIVE, tmp_path / "servos.yaml")
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["7.4", "0"]
+    assert run(site, "-c", BEGIN, tmp_path / "servos.yaml").returncode == 0
+    emulator._devices[2].memory[3] = 9
+    done = run(site, "-c", BEGIN, tmp_path / "servos.yaml")
+    assert "servo 2 of b: turns = 9 (register 3); allowed: 0 or 1: it takes no goals" in done.stderr
 
 
 SIMULATED = """

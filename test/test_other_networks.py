@@ -6,6 +6,7 @@ import os
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,17 @@ def test_an_edited_or_unknown_network_is_refused(small: Path, tmp_path: Path) ->
     small.write_text(SMALL)
     others.load_file(small)
     load(file)
+
+
+def test_a_predictor_that_names_a_file_executes_nothing(small: Path, tmp_path: Path) -> None:
+    predictor, file = trained(small), tmp_path / "predictor.safetensors"
+    evil = tmp_path / "evil.py"
+    evil.write_text(f"import pathlib\npathlib.Path({str(tmp_path / 'executed')!r}).touch()\n")
+    assert predictor.network is not None
+    save(replace(predictor, network=replace(predictor.network, name=str(evil))), file)
+    with pytest.raises(InputError, match=r"not known.*give it with --network"):
+        load(file)
+    assert not (tmp_path / "executed").exists()
 
 
 def test_damaged_files_never_get_through(small: Path, tmp_path: Path) -> None:

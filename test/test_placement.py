@@ -156,9 +156,11 @@ def test_several_bases_and_markers_metres_off(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("name", ["justin", "wam", "ur5"])
-def test_real_arms_are_calibrated_alike(data_dir: Path, name: str) -> None:
-    real = data_dir / "real"
-    part = justin(real)[0] if name == "justin" else laser_tracked(real, name)[0]
+def test_real_arms_are_calibrated_alike(request: pytest.FixtureRequest, name: str) -> None:
+    if name == "justin":
+        part = justin(request.getfixturevalue("justin_data"))[0]
+    else:
+        (part,) = laser_tracked(request.getfixturevalue("data_dir"), name)
     known = ladder(part.arm, part.train, part.test)
     rows = (moved(session, TURNS[0]) for session in (part.train, part.test))
     free = ladder(undeclared(part.arm), *rows)

@@ -18,6 +18,7 @@ from report_pages import page_of, sample
 from report_samples import VERDICTS
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import InputError
 from longarm_comp.report import cards, record, words
 from longarm_comp.report.detail import Input, SeenRows
 from longarm_comp.report.noise_floor import floor_of
@@ -101,9 +102,18 @@ def test_same_diagnosis_gives_same_bytes_whatever_the_order_of_keys(
 
 def test_plots_of_an_earlier_report_go(tmp_path: Path) -> None:
     (tmp_path / "plots").mkdir()
-    (tmp_path / "plots" / "against_q5.svg").write_text("<svg/>")
+    (tmp_path / "plots" / "against_q5.svg").write_text("<svg>longarm</svg>")
+    (tmp_path / "plots" / "place_1.svg").write_text("<svg>mine</svg>")
     write_report(*sample("bad_data"), tmp_path)
-    assert not list((tmp_path / "plots").iterdir())
+    assert [path.name for path in (tmp_path / "plots").iterdir()] == ["place_1.svg"]
+    with pytest.raises(InputError, match=r"place_1\.svg: plot: 'exists and is no plot"):
+        write_report(*sample("named"), tmp_path)
+    assert (tmp_path / "plots" / "place_1.svg").read_text() == "<svg>mine</svg>"
+    (tmp_path / "plots" / "place_1.svg").unlink()
+    write_report(*sample("named"), tmp_path)
+    made = [path for path in (tmp_path / "plots").iterdir() if path.stem.startswith("place")]
+    write_report(*sample("bad_data"), tmp_path)
+    assert made and not list((tmp_path / "plots").iterdir())  # all that it drew before
 
 
 # The page

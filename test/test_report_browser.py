@@ -101,7 +101,7 @@ def visit(tmp_path: Path) -> Visit:
         )
         profile = f"--user-data-dir={tmp_path / 'profile'}"
         command = [browser(), *FLAGS, profile, *flags, "--dump-dom", copy.as_uri()]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
         left = re.search(r'<pre id="visit">(.+?)</pre>', done.stdout, re.DOTALL)
         assert left, f"the page did not finish: {done.stderr[-2000:]}"
         seen: dict[str, Any] = json.loads(html.unescape(left[1]))

@@ -75,7 +75,7 @@ SIMULATED = pytest.mark.parametrize("told", ["simulated"], indirect=True)
 def told(request: pytest.FixtureRequest) -> list[Told]:
     """The generated reports, and their pages without figures."""
     made_of, seeds = SETS[request.param]
-    data = [request.getfixturevalue("data_dir")] if request.param == "Justin" else []
+    data = [request.getfixturevalue("justin_data")] if request.param == "Justin" else []
     bases = [one(*data) for one in made_of]
     every, made = {}, []
     for base in bases:

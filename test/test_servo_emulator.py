@@ -151,6 +151,44 @@ def test_dynamixel_library_sees_the_faults(dynamixel) -> None:
     assert not emulator.torques_on()[1]
 
 
+def test_offset_reverse_mode_and_profile_of_a_dynamixel(dynamixel) -> None:
+    emulator, port, packet = dynamixel
+    for address, length, value in ((10, 1, 1 | 4), (20, 4, 5000), (52, 4, 100), (44, 4, 100)):
+        write = packet.write1ByteTxRx if length == 1 else packet.write4ByteTxRx
+        assert write(port, 1, address, value) == (dxl.COMM_SUCCESS, 0)
+    assert packet.read4ByteTxRx(port, 1, 132)[0] == 5000 - 2048
+    packet.write1ByteTxRx(port, 1, 64, 1)
+    assert packet.write4ByteTxRx(port, 1, 116, 99)[1] == 6
+    assert packet.write4ByteTxRx(port, 1, 116, 3000) == (dxl.COMM_SUCCESS, 0)
+    assert _until(lambda: abs(emulator.positions()[1] - 2000) < 0.5)
+    packet.write4ByteTxRx(port, 1, 116, 2000)
+    packet.write4ByteTxRx(port, 1, 112, 10000)
+    with emulator.motor(1) as motor:  # in 10 s
+        assert 90 < motor.speed_limit <= 100 and motor.goal == 3000
+    packet.write1ByteTxRx(port, 1, 64, 0)
+    packet.write1ByteTxRx(port, 1, 10, 0)
+    packet.write1ByteTxRx(port, 1, 64, 1)
+    packet.write4ByteTxRx(port, 1, 112, 10000)
+    with emulator.motor(1) as motor:
+        assert motor.speed_limit == pytest.approx(100 * 0.229 * 4096 / 60)
+
+
+def test_offset_and_modes_of_a_feetech(feetech) -> None:
+    emulator, servo = feetech
+    device = emulator._devices[1]
+    device.put(31, 2, 1 << 11 | 500)
+    assert servo.ReadPos(1)[0] == 2548
+    servo.WritePosEx(1, 2600, 0, 0)
+    assert _until(lambda: abs(emulator.positions()[1] - 2100) < 0.5)
+    device.put(33, 1, 3)
+    servo.WritePosEx(1, 100, 0, 0)
+    assert _until(lambda: abs(emulator.positions()[1] - 2200) < 0.5)
+    device.put(33, 1, 1)
+    servo.WritePosEx(1, 3000, 0, 0)
+    with emulator.motor(1) as motor:
+        assert motor.goal == pytest.approx(2200, abs=1.0)
+
+
 def test_motor_keeps_its_speed_limit_and_settles_as_first_order_lag() -> None:
     motor = Motor(MotorSpec(max_speed_ticks_s=1000.0, lag_s=0.05), 0.0)
     motor.torque_on, motor.goal = True, 500.0

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds
 
-from longarm_comp.core.errors import JobError
 from longarm_comp.core.vibration.modes import Modes
 from longarm_comp.core.vibration.ring import amplitudes
 from longarm_comp.devices.joint_path import JointTrajectory
@@ -119,20 +118,17 @@ def test_twenty_new_targets_a_second_stay_within_every_bound(rig: Rig) -> None:
         assert np.abs(np.diff(values)).max() <= joint.max_velocity * 0.08 * (1 + 1e-6)
 
 
-def test_hold_brakes_holds_and_takes_nothing_until_it_is_released(rig: Rig) -> None:
+def test_broken_off_it_brakes_and_holds_where_it_is(rig: Rig) -> None:
     rig.send((2.0, {"turn": 0.9}))
     rig.run(1.0)
     before = rig.column("turn")
-    rig.follower.hold(True)
+    rig.follower.break_off(EventKind.HELD, "held")
     steps = rig.run(1.0)
     assert kinds(steps) == [EventKind.HELD]
     after = rig.column("turn")[len(before) :]
     assert 0.0 < after[-1] - before[-1] < 0.1
     assert np.all(np.diff(after) >= -1e-12)
     assert steps[-1].goals is not None  # it goes on to hold
-    with pytest.raises(JobError, match="hold"):
-        rig.send((1.0, {"turn": 0.0}))
-    rig.follower.hold(False)
     rig.send((1.0, {"turn": 0.0}))
     assert EventKind.ARRIVED in kinds(rig.run(3.0))
 
@@ -221,7 +217,7 @@ def test_what_replaces_a_running_move_is_not_shaped_and_a_hold_brakes_at_once() 
     assert len(told) == 2 and told[0].message[:12] == told[1].message[:12]
     before = rig.column("turn")
     assert np.abs(np.diff(before, 2)).max() < 0.02  # no jump of speed
-    rig.follower.hold(True)
+    rig.follower.break_off(EventKind.HELD, "held")
     rig.run(0.3)
     assert np.ptp(rig.column("turn")[-4:]) == 0.0
 

@@ -69,6 +69,23 @@ def test_a_bad_trajectory_is_refused_with_a_reason_and_changes_nothing(
     assert rig.column("turn")[-1] == pytest.approx(0.6)
 
 
+@pytest.mark.parametrize("end", [0, 1])
+@pytest.mark.parametrize("name", ["turn", "slide"])
+def test_an_order_beyond_a_limit_is_refused_not_clipped(rig: Rig, name: str, end: int) -> None:
+    """Half a tick beyond is the limit itself: no servo can tell them apart."""
+    joint = CONFIG.joints[name]
+    limit, outward = (joint.lower, joint.upper)[end], (-1.0, 1.0)[end] * joint.si_per_tick
+    for ticks in (0.55, 1.0, 20.0, 4096.0):
+        with pytest.raises(InputError, match=f"of {name}: "):
+            rig.send((1.0, {name: limit + ticks * outward}))
+        with pytest.raises(InputError, match="position: "):
+            joint.to_ticks(limit + ticks * outward)
+    rig.send((1.0, {name: limit + 0.45 * outward}))
+    goals = rig.run(3.0)[-1].goals
+    assert goals is not None and goals[joint.servo_id] in joint.tick_limits
+    assert joint.to_si(goals[joint.servo_id]) == pytest.approx(limit, abs=joint.si_per_tick)
+
+
 def test_nothing_is_taken_before_every_servo_was_heard() -> None:
     follower = TrajectoryFollower(CONFIG)
     target = _points((1.0, (0.1, 0.01)))

@@ -231,10 +231,20 @@ def test_torque_is_on_only_where_that_was_asked_for_and_nothing_speaks_against_i
     with pytest.raises(JobError, match="overheated"):
         arm.release(time.monotonic())
     assert driven() == {True} and arm.powered  # a heavy arm would drop
+    emulator.faults.silent.add(2)
+    with pytest.raises(IncompleteReply):
+        arm.estop()
+    assert arm.owing_off and arm.bus is not None  # nobody knows whether it heard
+    emulator.faults.silent.clear()
+    until(lambda cycle: not arm.owing_off)
     emulator.unplug()
     until(lambda cycle: arm.bus is None)
+    with emulator.motor(1) as one, emulator.motor(2) as two:
+        one.torque_on = two.torque_on = True
     with pytest.raises(BusUnplugged):
         arm.power(False)
+    with pytest.raises(BusUnplugged):
+        arm.power(True)  # this was not done, so off is still owing
     assert driven() == {True}  # nobody can reach them
     emulator.start()
     until(lambda cycle: arm.bus is not None)

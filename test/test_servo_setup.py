@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from cli_shell import Shell
 from faulty_bus import FaultyBus
-from servo_bench import POSE, POSE_FLAGS, TRUE, bus, folder, off_by
+from servo_bench import MODELS, POSE, POSE_FLAGS, TRUE, bus, folder, off_by
 
 from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.measured import read_measured
@@ -26,7 +26,6 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_setup import ServoSetup
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 
-MODELS = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
 RIGHT = ("--direction", "joint1=-", "--direction", "joint2=+", "--direction", "joint3=-",
          "--yes", "--ids", "1-3")  # fmt: skip
 
@@ -209,6 +208,12 @@ class Terminal:
             if select.select([self._master], [], [], 0.05)[0]:
                 with contextlib.suppress(OSError):
                     self._text += os.read(self._master, 4096).decode(errors="replace")
+
+    def kill(self) -> None:
+        """SIGKILL: nothing is put right."""
+        self.process.kill()
+        self.process.wait()
+        os.close(self._master)
 
     def stop(self) -> int:
         """SIGTERM until it ends: one that comes just before a read of the terminal waits for it."""

@@ -72,7 +72,7 @@ def test_reads_the_twin_as_a_plain_reader_does(case: str, data_dir: Path) -> Non
 @pytest.mark.parametrize(("name", "rows"), [("wam", 236), ("ur5", 1020)])
 def test_reads_public_measurements_as_they_are(name: str, rows: int, data_dir: Path) -> None:
     arm = declared(name)
-    session = read_csv(data_dir / "real" / "wam_ur5" / f"{name}_samples.csv", arm)
+    session = read_csv(data_dir / "wam_ur5" / f"{name}_samples.csv", arm)
     assert len(session) == rows
     assert len(session.where("set", "random")) == 20
     target = np.stack([session.columns[f"target_{c}"] for c in "xyz"], -1)
@@ -343,3 +343,53 @@ def test_a_name_is_taken_for_another_one_where_a_letter_is_wrong(
     name: str, meant: str | None
 ) -> None:
     assert nearest(name, ("x", "run_up_q1", "read_q1", "payload_kg", "anchor")) == meant
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("x_mm,y,z", "column x: 'missing (is it x_mm?)'"),
+        ("x [mm],y,z", "column x: 'missing (is it x [mm]?)'"),
+        ("x,y,zz", "column z: 'missing (is it zz?)'"),
+        ("x,y,z1", "column z: 'missing (is it z1?)'"),
+        ("x,pos_y,z", "column y: 'missing (is it pos_y?)'"),
+        ("x,y,pz", "column z: 'missing (is it pz?)'"),
+        (
+            "x,y,z,x_mm",
+            "x_mm: 'unknown, close to x'; allowed: x, or another name; other units",
+        ),
+        ("x,y,z,payload_g", "unknown, close to payload_kg"),
+        ("x,y,z,t_ms", "unknown, close to t_s"),
+        ("x,y,z,temperature_f", "unknown, close to temperature_c"),
+        ("x,y,z,q1_deg", "unknown, close to q1"),
+    ],
+)
+def test_no_coordinate_is_lost_by_its_name(header: str, words: str, tmp_path: Path) -> None:
+    row = ",".join(["0"] * (4 + header.count(",") + 1))
+    with pytest.raises(InputError) as caught:
+        read_csv(written(tmp_path / "s.csv", f"q1,q2,q3,q4,{header}", row), ARM)
+    assert words in str(caught.value)
+
+
+def test_a_coordinate_that_nobody_measured_is_said(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    session = measured(40, rng, columns={"zone_number": np.zeros(40), "size": np.zeros(40)})
+    write_csv(session, tmp_path / "s.csv")
+    lines = (tmp_path / "s.csv").read_text().splitlines()
+    at = lines[0].split(",").index("z")
+    rows = [line.split(",") for line in lines]
+    text = "\n".join(",".join(row[:at] + row[at + 1 :]) for row in rows)
+    (tmp_path / "s.csv").write_text(text)
+    (finding,) = [
+        f for f in admit(read_csv(tmp_path / "s.csv", ARM), ARM).findings if f.field == "z"
+    ]
+    assert str(finding) == "z: measured in no row"
+    whole = admit(measured(40, rng), ARM).findings
+    assert not [f for f in whole if f.field in ("x", "y", "z")]
+
+
+def test_an_inclinometer_beside_two_coordinates_is_none_of_them(tmp_path: Path) -> None:
+    lines = ("q1,q2,q3,q4,y,z,incl_0_x,incl_0_y", "0,0,0,0,1,2,0,0")
+    session = read_csv(written(tmp_path / "s.csv", *lines), ARM)
+    assert np.isnan(session.xyz[:, 0]).all() and "incl_0_x" in session.columns

@@ -6,7 +6,6 @@ Lengths are in squares. A quick script with OpenCV's own corners and linear tria
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import cv2
@@ -26,15 +25,11 @@ Views = dict[int, tuple[Corners, Corners]]
 
 
 @pytest.fixture(scope="module")
-def views() -> Views:
-    default = Path(__file__).parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("LONGARM_DATA", default)) / "real" / "stereo_chessboard"
-    if not (folder / "left01.jpg").is_file():
-        pytest.skip(f"no stereo photographs in {folder} (set LONGARM_DATA to the data folder)")
+def views(photographs: Path) -> Views:
     found = {}
     for number in range(1, 26):
         names = (f"{side}{number:02d}.jpg" for side in ("left", "right"))
-        images = [cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE) for name in names]
+        images = [cv2.imread(str(photographs / name), cv2.IMREAD_GRAYSCALE) for name in names]
         found[number] = (BOARD.detect(images[0]), BOARD.detect(images[1]))
     return found
 

@@ -161,6 +161,7 @@ def test_an_absurd_arm_reaches_nothing_on_any_engine(
 def test_a_target_that_bends_the_arm_without_bound_says_so(work: Path, shell: Shell) -> None:
     data = arm_data()
     data["links"][0] |= {"section": {"type": "tube", "od_m": 2e-3}}
+    data["payload"]["most_kg"] = 1e4
     Path("weak.yaml").write_text(yaml.safe_dump(data))
     Path("t.csv").write_text("x,y,z,payload_kg\n0.5,0,0.3,9999\n")
     line = shell.refused("compensate", "weak.yaml", "--targets", "t.csv", code=3)

@@ -1,4 +1,4 @@
-"""The ladder on real arms, on the stated splits (data that is used here and shipped nowhere)."""
+"""The ladder on real arms, on the stated splits (Justin's data are not shipped)."""
 
 from __future__ import annotations
 
@@ -12,43 +12,45 @@ from click.testing import CliRunner
 from longarm_comp.core.errors import InputError
 from studies import real
 from studies.commands.real import command
-from studies.real_sessions import declared, justin, laser_tracked
+from studies.real_sessions import JUSTIN, TRACKED, declared, every_robot, justin
 
 RUNGS = [
     "frames_only", "joint_zeros", "rigid", "joint_compliance", "lateral_compliance", "diagnosed",
 ]  # fmt: skip
 
 
-def printed_of(data_dir: Path) -> dict[str, dict[str, dict]]:
-    done = CliRunner().invoke(command, ["--data", str(data_dir / "real"), "--json"])
+def printed_of(folder: Path, file: Path) -> dict[str, dict]:
+    """What ``longarm study real --json`` prints of a folder with this file alone, by model."""
+    at = folder / file.parent.name
+    at.mkdir()
+    (at / file.name).symlink_to(file)
+    done = CliRunner().invoke(command, ["--data", str(folder), "--json"])
     assert done.exit_code == 0, done.output
     printed = json.loads(done.stdout)
-    assert all([line["model"] for line in lines] == RUNGS for lines in printed.values())
-    return {robot: {line["model"]: line for line in lines} for robot, lines in printed.items()}
+    (lines,) = printed.values()
+    assert [line["model"] for line in lines] == RUNGS
+    return {line["model"]: line for line in lines}
 
 
 @pytest.fixture(scope="module")
-def study(data_dir: Path) -> dict[str, dict[str, dict]]:
-    """What ``longarm study real --json`` prints, by robot and model."""
-    return printed_of(data_dir)
+def dlr_justin(justin_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict]:
+    return printed_of(tmp_path_factory.mktemp("justin"), justin_data / JUSTIN)
 
 
 @pytest.fixture(scope="module")
-def wam(data_dir: Path) -> dict[str, dict]:
-    """The same of the one robot with few rows."""
+def wam(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict]:
+    return printed_of(tmp_path_factory.mktemp("wam"), data_dir / TRACKED.format("wam"))
 
-    def alone(folder: Path, say: real.Progress) -> dict[str, list[real.Line]]:
-        return {"wam": real.judged(laser_tracked(folder, "wam"), say)}
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(real, "study", alone)
-        return printed_of(data_dir)["wam"]
+@pytest.fixture(scope="module")
+def ur5(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict]:
+    return printed_of(tmp_path_factory.mktemp("ur5"), data_dir / TRACKED.format("ur5"))
 
 
 @pytest.mark.long
-def test_justin(study: dict[str, dict[str, dict]]) -> None:
+def test_justin(dlr_justin: dict[str, dict]) -> None:
     """Published 10.5, 5.64, 3.12 mm; both arms' 150 held-out postures each."""
-    lines = study["dlr_justin"]
+    lines = dlr_justin
     assert lines["frames_only"]["n"] == 300
     assert 15 < lines["frames_only"]["mean_mm"] < 25
     assert lines["joint_zeros"]["mean_mm"] < lines["frames_only"]["mean_mm"]
@@ -71,9 +73,9 @@ def test_wam(wam: dict[str, dict]) -> None:
 
 
 @pytest.mark.long
-def test_ur5_is_rigid(study: dict[str, dict[str, dict]]) -> None:
+def test_ur5_is_rigid(ur5: dict[str, dict]) -> None:
     """The negative control: a tenth of a millimetre, and nothing that gives under load."""
-    lines = study["ur5"]
+    lines = ur5
     assert lines["rigid"]["mean_mm"] <= 0.10
     assert lines["diagnosed"]["mean_mm"] <= lines["rigid"]["mean_mm"]
     soft = {"joint_compliance", "bearing_tilt", "servo_droop", "base_compliance", "link_bending"}
@@ -90,14 +92,14 @@ def no_worse(line: dict) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("robot", ["dlr_justin", "wam", "ur5"])
 def test_commands_are_never_worse_than_calibrated(
-    study: dict[str, dict[str, dict]], robot: str
+    request: pytest.FixtureRequest, robot: str
 ) -> None:
-    no_worse(study[robot]["diagnosed"])
+    no_worse(request.getfixturevalue(robot)["diagnosed"])
 
 
-def test_no_stiffness_is_negative_and_the_torso_is_one(data_dir: Path) -> None:
+def test_no_stiffness_is_negative_and_the_torso_is_one(justin_data: Path) -> None:
     """Fitted compliances of both arms; what they share is one value."""
-    parts = justin(data_dir / "real")
+    parts = justin(justin_data)
     terms = [
         (
             *real.geometry(p.arm, p.train),
@@ -124,15 +126,20 @@ def test_no_stiffness_is_negative_and_the_torso_is_one(data_dir: Path) -> None:
     assert values[0][elbow] != values[1][elbow]
 
 
-def test_train_and_test_rows_are_the_stated_ones(data_dir: Path) -> None:
-    """350 postures of the permutation for both arms; grid and random for the others."""
-    right, left = justin(data_dir / "real")
+def test_justins_rows_are_split_as_published(justin_data: Path) -> None:
+    """350 postures of the permutation train both arms."""
+    right, left = justin(justin_data)
     order = np.random.default_rng(0).permutation(500)
     for part in (right, left):
         assert set(part.train.index) == set(order[:350])
         assert set(part.test.index) == set(order[350:])
-    (wam,) = laser_tracked(data_dir / "real", "wam")
-    assert (len(wam.train), len(wam.test)) == (216, 20)
+
+
+def test_a_folder_is_read_for_what_it_holds(data_dir: Path) -> None:
+    """Grid rows train, random ones test; a set that is absent is no error."""
+    held = every_robot(data_dir)
+    rows = {name: (len(part.train), len(part.test)) for name, (part,) in held.items()}
+    assert rows == {"wam": (216, 20), "ur5": (1000, 20)}
 
 
 @pytest.mark.parametrize("name", ["justin_left", "justin_right", "wam", "ur5"])

@@ -79,7 +79,7 @@ def test_a_session_is_recorded_key_by_key(tmp_path: Path, monkeypatch: pytest.Mo
 def test_a_row_is_what_the_joints_read_after_they_came_to_rest() -> None:
     with quick_arm(ARM, lambda q: False) as arm, ArmClient(ARM, "", None, "touch") as client:
         ways = ARM.mid + np.linspace(0.0, 0.4, 12)[:, None] * np.ones(ARM.n)
-        arm._way = [q.copy() for q in ways]  # it moves while it is asked
+        arm.move(ways)  # it moves while it is asked
         found = resting(client)
     np.testing.assert_allclose(found, ways[-1], atol=1e-9)
     assert READINGS > 1

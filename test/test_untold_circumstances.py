@@ -86,4 +86,4 @@ def test_the_graph_serves_the_model_without_what_no_topic_tells(
     assert files.loaded.model.effects == still.effects == as_commanded(sways).effects
     assert files.loaded.model.biases == sways.biases
     assert "left out discovered (a circumstance that no command knows)" in files.report().message
-    Readings(started_s=0.0).context(files.loaded.model, 1.0, 5.0)
+    Readings().context(files.loaded.model, 1.0, 5.0)

@@ -1,7 +1,7 @@
 """`longarm view` in a real browser, on a graph of the real kinematics and a driver of this test's.
 
-The driver jumps to where it is sent and says what it is asked; its camera sees the tip 1 mm beside
-where the model has it, so that the page's numbers are known.
+The driver hurries to where it is sent and says what it is asked; its camera sees the tip 1 mm
+beside where the model has it, so that the page's numbers are known.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,12 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from browser import browser
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import PATIENCE_S, Bench, bench, own_graph
 from playwright.sync_api import Page, ViewportSize, sync_playwright
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
+from walking import Walk
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
@@ -38,14 +39,13 @@ from longarm_comp.core.vibration.ring import MoveRing
 from longarm_comp.jobs.collect.run import Progress, progress_message
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, RING_SAID, Health, Report
-from longarm_comp.nodes.messages import pose_message
+from longarm_comp.nodes.messages import joints_message, pose_message
 from longarm_comp.view.scene import BLUE, GREEN, ORANGE
 from longarm_interfaces.msg import DriverState
 
 NAMESPACE = "left_arm"
 BESIDE = np.array([0.0008, -0.0006, 0.0])
 MEAN_WORDS = '<img src="x" onerror="window.planted = true">'
-PATIENCE_S = 60.0
 FEW_FRAMES = (
     "window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 700)"
 )
@@ -66,7 +66,7 @@ class Driver:
     state: int = DriverState.READY
 
     def __post_init__(self) -> None:
-        self.model, self.q = declared_model(self.arm), self.arm.mid.copy()
+        self.model, self.walk = declared_model(self.arm), Walk(self.arm)
         self.joints = graph.JOINT_STATES.publisher(self.node)
         self.states = graph.DRIVER_STATE.publisher(self.node)
         self.tips = graph.TIP_MEASURED.publisher(self.node)
@@ -81,19 +81,17 @@ class Driver:
         self.timer = self.node.create_timer(0.1, self.speak)
 
     def speak(self) -> None:
-        names = list(self.arm.joint_names)
+        self.walk.step()
         now = self.node.get_clock().now().to_msg()
-        joints = JointState(name=names, position=self.q.tolist())
-        joints.header.stamp = now
-        self.joints.publish(joints)
+        self.joints.publish(joints_message(self.arm, self.walk.q, now))
         self.states.publish(DriverState(state=self.state))
         seen = PoseWithCovarianceStamped()
         seen.header.stamp = now
-        seen.pose.pose = pose_message(self.model.tip(self.q) + BESIDE)
+        seen.pose.pose = pose_message(self.model.tip(self.walk.q) + BESIDE)
         self.tips.publish(seen)
 
     def on_trajectory(self, message: JointTrajectory) -> None:
-        self.q = np.array(message.points[-1].positions)
+        self.walk.go(point.positions for point in message.points)
 
     def on_estop(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
         self.asked.append(("estop", request.data))
@@ -164,6 +162,7 @@ class Stand:
 
 @pytest.fixture
 def stand(tmp_path: Path, demo_arm_path: Path) -> Iterator[Stand]:
+    seen_by = browser()
     with own_graph(tmp_path), bench() as stage, sync_playwright() as play:
         quick = {"arm": demo_arm_path, "markers.period_s": 0.2, "diagnostics_period_s": 0.3}
         stage.start("kinematics", quick | {"monitor.settle_s": 0.1}, NAMESPACE)
@@ -172,7 +171,7 @@ def stand(tmp_path: Path, demo_arm_path: Path) -> Iterator[Stand]:
         node = Node("servo_driver", context=stage.context, namespace=NAMESPACE)
         stage.executor.add_node(node)
         flags = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-angle=swiftshader"]
-        chromium = play.chromium.launch(executable_path=browser(), args=flags)
+        chromium = play.chromium.launch(executable_path=seen_by, args=flags)
         page = chromium.new_page(viewport=WIDE)
         page.add_init_script(FEW_FRAMES)
         page.set_default_timeout(1e3 * PATIENCE_S)
@@ -217,7 +216,8 @@ def test_the_page_shows_the_graph_and_its_buttons_reach_the_driver(stand: Stand)
     stand.view.send_signal(signal.SIGINT)
     assert stand.view.wait(timeout=PATIENCE_S) == 0
     called = ["estop", "hold", "estop", "reset"]
-    assert driver.asked == list(zip(called, [True, True, False, None], strict=True))
+    once = [each for each, _ in groupby(driver.asked)]  # asked again where no answer came
+    assert once == list(zip(called, [True, True, False, None], strict=True))
 
 
 def shows_the_arm_and_its_errors(stand: Stand) -> None:
@@ -247,7 +247,7 @@ def shows_the_arm_and_its_errors(stand: Stand) -> None:
         return rings in stand.words()
 
     stand.until(told, rings)
-    driver.q = driver.q + 0.01
+    driver.walk.go([driver.walk.q + 0.01])
     stand.shows("tip − target: the arm is not at the last target")
     stand.shows("tip − predicted: 1.00 mm")
 

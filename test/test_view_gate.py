@@ -71,11 +71,11 @@ class Page:
                     origin=None if origin is None else Origin(origin),
                     additional_headers=headers,
                     subprotocols=[PROTOCOL],
-                    open_timeout=20,
+                    open_timeout=300,
                     proxy=None,
                 ) as opened,
             ):
-                assert opened.recv(timeout=20)
+                assert opened.recv(timeout=300)
         except InvalidStatus as refused:
             return refused.response.status_code
         return 101

@@ -143,7 +143,7 @@ def test_the_latest_word_on_the_payload_counts(arm: Arm) -> None:
     assert weighed_later.context(model, 25.0, 60.0).columns["payload_kg"] == 0.5
     assert weighed_later.context(model, 75.0, 60.0).columns["payload_kg"] == 0.5, "one is fresh"
     silent = weighed_later.told("payload", {"payload_kg": 0.3}, 21.0).told("load", {}, 21.0)
-    assert silent.context(model, 25.0, 60.0).columns == {"t_s": 25.0, "payload_kg": 0.3}
+    assert silent.context(model, 25.0, 60.0).columns == {"payload_kg": 0.3}
 
 
 def test_what_servos_tell_is_read_from_the_drivers_file(arm: Arm, tmp_path: Path) -> None:
@@ -161,3 +161,15 @@ def test_friction_of_many_rests_is_forgotten(arm: Arm, full: np.ndarray) -> None
     rest = felt(*bench.rest(0.25, 0.01 * full), free)
     now = replace(Weighing(), rests=(rest,) * 50, loads=(0,) * 50).felt(rest)
     assert len(now.rests) == len(now.loads) == 40
+
+
+def test_a_rest_of_a_payload_that_nothing_carries_is_not_finite(arm: Arm, full: np.ndarray) -> None:
+    """It is dropped on the graph: one such rest would leave no estimate ever again."""
+    drives_ = Drives(0.04 * full, 0.001 * full)
+    model, q, known, effort = Bench(arm).rest(0.25, 0.01 * full)
+    assert felt(model, q, known, effort, drives_).finite
+    assert felt(model, q, known, effort, drives_, Wrist(7, np.zeros(3), 1.0)).finite
+    for kg in (1e308, np.inf):
+        there = replace(known, columns={"payload_kg": kg})
+        with np.errstate(all="ignore"):
+            assert not felt(model, q, there, effort, drives_).finite

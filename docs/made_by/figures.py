@@ -261,9 +261,13 @@ def main() -> int:
     """Run what has not run on this code, and write the pages after each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help=f"of {', '.join(COMMANDS)}; default: all")
-    parser.add_argument("--data", default="", help="folder of the public measurements")
+    parser.add_argument("--data", default="", help="folder with dlr_justin and wam_ur5")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "figures")
     given = parser.parse_args()
+    if given.data and not all(
+        (Path(given.data) / name).is_dir() for name in ("dlr_justin", "wam_ur5")
+    ):
+        parser.error(f"--data: {given.data} does not hold both dlr_justin and wam_ur5")
     code, longarm = code_hash(), [sys.executable, "-m", "longarm_comp"]
     left, results = [], {}
     for name in given.names or COMMANDS:

@@ -131,7 +131,8 @@ _SESSIONS = ("samples.csv", "session", "session_1")
 
 
 def check_folder(folder: Path) -> list[_FolderFinding]:
-    """Findings on a folder, what blocks first."""
+    """Findings on a folder, or on that of an arm.yaml; what blocks first."""
+    folder = folder.parent if folder.name == ARM and folder.is_file() else folder
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")
     arm, found = _loaded(folder / ARM, Arm.load)
@@ -256,8 +257,16 @@ def _of_cameras(folder: Path, arm: Arm, known: set[str], look: bool) -> list[_Fo
     off = 1e3 * float(np.median(np.linalg.norm((read_as - tips)[:, :3, 3], axis=1)))
     if seen < 0.5 * len(why):
         said = f"the marker is seen at {seen} of {len(why)} poses, at most others {_mostly(why)}: "
-        said += "move the cameras, turn the marker (marker.mounting) or narrow the limits in "
-        found.append(implausible("simulated_arm.yaml: camera, marker", f"{said}arm.yaml"))
+        best = head_for(arm.model_copy(update={"camera": None}))
+        found_best = View.of(bridge | best["stereo_bridge"], simulated | best["simulated_arm"])
+        most = found_best.unseen(tips).count("")
+        # What no place of the cameras mends is no fault of theirs
+        if seen < 0.5 * most:
+            said += f"move the cameras or turn the marker (marker.mounting): {most} could be seen"
+        else:
+            said += "narrow the limits in arm.yaml, or leave these out (longarm plan --seen)"
+        level = implausible if seen < 0.5 * most else unmeasured
+        found.append(level("simulated_arm.yaml: camera, marker", said))
     elif off > 10.0 and not placed:
         said = f"the tip is measured {off:.0f} mm from where it is: the cameras of "
         said += "simulated_arm.yaml stand elsewhere"

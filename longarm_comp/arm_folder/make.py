@@ -170,7 +170,7 @@ def narrowed(
             continue
         start = min(max(home - range_deg / 2, low), high - range_deg)
         made = [round(start, 6) + 0.0, round(start + range_deg, 6) + 0.0]
-        rows.append({**row, "limits_deg": made})
+        rows.append({key: row[key] for key in row if key != "endless"} | {"limits_deg": made})
         notes[row["id"]] = f"whole range {low:g} to {high:g} deg"
     return {**data, "joints": rows}, notes
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.constants import inch, milli
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.files import write_bytes
 from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
 from longarm_comp.sim.cameras import charuco_plate
 
@@ -56,9 +57,10 @@ def sheet(board: Printed) -> tuple[str, Figure]:
 def write_sheet(board: Printed, path: Path) -> str:
     """Write the page as PDF and return the paper's name."""
     paper, figure = sheet(board)
-    with atomic_path(path) as partial:
-        # As fine as printers: an edge is where it belongs to 0.02 mm
-        figure.savefig(partial, format="pdf", dpi=600, metadata={"Creator": "longarm"})
+    page = io.BytesIO()
+    # As fine as printers: an edge is where it belongs to 0.02 mm
+    figure.savefig(page, format="pdf", dpi=600, metadata={"Creator": "longarm"})
+    write_bytes(path, page.getvalue())
     return paper
 
 

@@ -17,8 +17,8 @@ import yaml
 from longarm_comp.arm_folder.parameter_file import edited, parameters_of
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import write_text
-from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.core.files import write_text, write_texts
+from longarm_comp.core.strict_yaml import read_text, read_yaml
 
 if TYPE_CHECKING:
     from longarm_comp.devices.stereo.calibrate import BoardCalibration
@@ -57,11 +57,16 @@ def read_measured(folder: Path) -> dict[str, Measured]:
 
 def note_measured(folder: Path, file: str, by: str, facts: Mapping[str, Any]) -> None:
     """Add a measurement to the record, in place of an earlier one of the same file."""
+    write_text(folder / FILE, _noted(folder, file, by, facts))
+
+
+def _noted(folder: Path, file: str, by: str, facts: Mapping[str, Any]) -> str:
+    """Text of the record with a measurement."""
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
     known = {**read_measured(folder), file: Measured(now, by, dict(facts))}
     entries = {name: vars(entry) for name, entry in known.items()}
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, width=100)
-    write_text(folder / FILE, _HEAD + text)
+    return _HEAD + text
 
 
 def camera_path(folder: Path, side: str) -> Path:
@@ -124,15 +129,15 @@ def write_head(
         "session": session,
         "before": dict(zip(("xyz", "quaternion"), _numbers(before), strict=True)),
     }
-    # The record first: it says where the head was, if the rest is broken off and done again.
-    note_measured(folder, BRIDGE, "stereo hand-eye", told)
-    _edit(folder / BRIDGE, values)
-    written = [BRIDGE]
+    # The last in place is the record: until then the same session may be given again
+    made = {FILE: _noted(folder, BRIDGE, "stereo hand-eye", told)}
+    made[BRIDGE] = _edited(folder / BRIDGE, values)
     if (folder / SIMULATED).is_file():
         axis = [round(float(v), 9) for v in pose[:3, 2]]
-        _edit(folder / SIMULATED, {"camera.position": xyz, "camera.axis": axis})
-        written.append(SIMULATED)
-    return written
+        camera = {"camera.position": xyz, "camera.axis": axis}
+        made[SIMULATED] = _edited(folder / SIMULATED, camera)
+    write_texts({folder / name: text for name, text in made.items()})
+    return [name for name in made if name != FILE]
 
 
 def _pose(file: Path, field: str, given: Sequence[Any]) -> np.ndarray:
@@ -151,6 +156,7 @@ def _numbers(pose: np.ndarray) -> tuple[list[float], list[float]]:
     return [round(float(v), 7) for v in pose[:3, 3]], [round(float(v), 12) for v in turn]
 
 
-def _edit(file: Path, values: Mapping[str, Sequence[float]]) -> None:
-    text = file.read_text("utf-8")
-    write_text(file, edited(text, {tuple(k.split(".")): v for k, v in values.items()}, file))
+def _edited(file: Path, values: Mapping[str, Sequence[float]]) -> str:
+    """Text of a parameter file with other values."""
+    parameters = {tuple(k.split(".")): v for k, v in values.items()}
+    return edited(read_text(file), parameters, file)

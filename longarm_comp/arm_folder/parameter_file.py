@@ -111,6 +111,9 @@ def edited(text: str, values: Mapping[Keys, Any], where: object) -> str:
     writer = YAML()
     writer.preserve_quotes, writer.width = True, 10**6
     root = writer.load(text)
+    if not isinstance(root, CommentedMap):
+        found = "nothing" if root is None else type(root).__name__
+        raise InputError(where, "document", found, "a mapping of keys")
     _, indent, before_dash = load_yaml_guess_indent(text)
     if before_dash is None:  # no list in lines
         writer.indent(mapping=indent or 2)

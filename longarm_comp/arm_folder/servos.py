@@ -17,7 +17,7 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_joint import JointConfig
 
 SERVOS = "servo_driver.yaml"
-KEYS = ("servo_id", "model", "direction", "zero_ticks")
+KEYS = ("servo_id", "model", "direction", "zero_ticks", "stored")
 """What a setup finds of each joint."""
 
 

@@ -90,11 +90,11 @@ def fleet(folder: Path, output: Path, **how: Any) -> None:
     """
     from longarm_comp.core.files import write_text
     from longarm_comp.report.pages import fleet_page
-    from longarm_comp.workflows.fleet import fleet
+    from longarm_comp.workflows.fleet import PAGE, fleet
 
     with progress("fleet") as show:
         arms = fleet(folder, output, progress=show, **how)
-    write_text(output / "fleet.html", fleet_page(folder.resolve().name, [a.row for a in arms]))
+    write_text(output / PAGE, fleet_page(folder.resolve().name, [a.row for a in arms]))
     if all(arm.verdict == "failed" for arm in arms):
         raise JobError(f"no arm of {folder} could be diagnosed: {arms[0].summary}")
     print_json({"output": output, "arms": [arm.row for arm in arms]})

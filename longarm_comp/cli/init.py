@@ -146,11 +146,12 @@ def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Seq
 def check(folder: Path) -> None:
     """List what an arm's folder lacks (missing, implausible, unmeasured) and what was measured.
 
-    Reads arm.yaml and the servo, camera and marker files beside it, compares them with each
-    other, and computes at how many poses the cameras see the marker. Lists the declared beams and
-    prints the sag of the arm held out; compare both with the real arm. The exit code is 3 if
-    something is missing or implausible, and 0 if values are only unmeasured. Values that `servo
-    setup`, `stereo calibrate` and `stereo hand-eye` wrote count as measured until they are changed.
+    DIR may be its arm.yaml. Reads that and the servo, camera and marker files beside it, compares
+    them with each other, and computes at how many poses the cameras see the marker. Lists the
+    declared beams and prints the sag of the arm held out; compare both with the real arm. The exit
+    code is 3 if something is missing or implausible, and 0 if values are only unmeasured. Values
+    that `servo setup`, `stereo calibrate` and `stereo hand-eye` wrote count as measured until they
+    are changed.
 
     \b
     Example:

@@ -172,7 +172,7 @@ def _effects(expose: bool) -> _Decorator:
     )
 
 
-def _execute_network(_: click.Context, __: click.Parameter, given: str | None) -> Any:
+def _execute_network(_: click.Context, __: click.Parameter, given: str | Path | None) -> Any:
     if given is None:
         return None
     from longarm_comp.core.learn.others import chosen
@@ -180,16 +180,17 @@ def _execute_network(_: click.Context, __: click.Parameter, given: str | None) -
     return chosen(given)
 
 
-def _network(what: str, **more: Any) -> _Decorator:
-    said = f"{what}: a Python file, which is executed, or the name of an installed one."
-    return click.option("--network", metavar="FILE|NAME", help=said, **more)
-
-
-network = _network("Another network to train (docs/your_own_network.md)", callback=_execute_network)
-known_network = _network("Network of the predictor, if not the paper's",
-                         callback=_execute_network, expose_value=False)  # fmt: skip
-"""The same for a command that needs it to be known only."""
-network_name = _network("Network of the predictor, if not the paper's", default="")
+_NETWORK_FILE = "Python file of the predictor's network, if not the paper's; it is executed."
+network = click.option(
+    "--network", metavar="FILE|NAME", callback=_execute_network,
+    help="Another network to train (docs/your_own_network.md): a Python file, which is executed, "
+    "or the name of an installed one.",
+)  # fmt: skip
+known_network = click.option(
+    "--network", type=_PATH, metavar="FILE", callback=_execute_network, expose_value=False,
+    help=_NETWORK_FILE,
+)  # fmt: skip
+network_file = click.option("--network", type=_PATH, metavar="FILE", help=_NETWORK_FILE)
 """The same for a command that passes it on."""
 effects = _effects(expose=False)
 """Option ``--effects``: executes the files before the command, which does not get them."""

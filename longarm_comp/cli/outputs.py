@@ -97,7 +97,7 @@ def session(path: Path) -> bool:
 POSES = table("q1", without="repeat_id")
 COMMANDS = table("q1", "status", "predicted_error_x")
 PICTURE = marked(b"longarm")
-_DIAGNOSED = "report.json", "report.html", "model.yaml", "predictor.npz"
+_DIAGNOSED = "report.json", "report.html", "model.yaml", "predictor.npz", "next_poses.csv"
 DIAGNOSIS = folder(*_DIAGNOSED, told_by="report.json", schema="longarm/diagnosis/1")
 
 

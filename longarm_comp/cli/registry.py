@@ -36,13 +36,13 @@ class Entry(NamedTuple):
 
 
 def _use_checkout(folder: str) -> None:
-    """Make a folder of the checkout importable: from beside the package, else from here."""
-    for root in (Path(__file__).resolve().parents[2], Path.cwd()):
-        if (root / folder / "__init__.py").is_file():
-            if str(root) not in sys.path:
-                sys.path.append(str(root))
-            return
-    raise JobError(f"{folder} can only be run from a checkout of the project")
+    """Make a folder of the checkout importable. It stands beside the package and nowhere else:
+    the folder in which the program is started may hold anything."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / folder / "__init__.py").is_file():
+        raise JobError(f"{folder} can only be run from a checkout of the project")
+    if str(root) not in sys.path:
+        sys.path.append(str(root))
 
 
 COMMANDS = (

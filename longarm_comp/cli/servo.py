@@ -20,7 +20,7 @@ from longarm_comp.cli.signals import ask, by_name, go_on, handled, numbers_by_na
 from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
-    from longarm_comp.devices.servo_bus.registry import Scan
+    from longarm_comp.devices.servo_bus.registry import FoundServo, Scan
     from longarm_comp.devices.servo_config import ServoConfig
     from longarm_comp.devices.servo_joint import JointConfig
     from longarm_comp.devices.servo_setup import ServoSetup
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 )
 @options.as_json
 def scan(port: str | None, **line: Any) -> None:
-    """List the servos on a bus: id, model, firmware, ids that two servos share.
+    """List the servos on a bus: id, model, firmware, ids that two servos share, alarms, and what
+    their memory holds that is not as from the factory (--json: all that matters to commands).
 
     Asks every id alone. Without --protocol and --baud it tries the usual ones, one after the other,
     until a servo answers. Nothing moves and nothing is written. The exit code is 3 if no servo
@@ -44,9 +45,17 @@ def scan(port: str | None, **line: Any) -> None:
       longarm servo scan --port /dev/ttyUSB0
       longarm servo scan --port /dev/ttyUSB0 --protocol feetech --baud 1000000 --ids 1-20 --json
     """
+    from longarm_comp.devices.setup_journal import SetupJournal
+
     found = _scanned("servo scan", port, **line)
     print_json(asdict(found))
     _show(found)
+    left = SetupJournal(found.port)
+    if ids_left := sorted(left.read(found.protocol)):
+        note(f"a setup was broken off: servos {ids_left} have not stored again what they had "
+             f"({left.path}); the next setup or start of the driver sees to it")  # fmt: skip
+    if all(servo.model for servo in found.servos):
+        note("next: longarm servo setup DIR writes each servo's model, zero and direction")
 
 
 def _scanned(
@@ -80,19 +89,33 @@ def _scanned(
 
 def _show(found: Scan) -> None:
     """Print the servos; refuse ids that are not clear."""
-    rows = [
-        (s.servo_id, s.model or f"unknown model {s.model_number}", s.firmware,
-         "two servos with this id, or a bad line" if s.clash else "")
-        for s in found.servos
-    ]  # fmt: skip
+    rows = []
+    for s in found.servos:
+        clash = "two servos with this id, or a bad line" if s.clash else ""
+        alarm = f"alarm: {s.alarm}" if s.alarm else ""
+        said = "; ".join(filter(None, (clash, alarm, s.told)))
+        rows.append((s.servo_id, s.model or f"unknown model {s.model_number}", s.firmware, said))
     title = f"{found.port}: {found.protocol}, {found.baudrate} bit/s"
     print_table(title, ("id", "model", "firmware", ""), rows)
+    for s in found.servos:
+        if not s.model and not s.clash:
+            note(f"next: {_unknown(s, found.protocol)}")
     if found.clashes:
         raise JobError(
             "answers are damaged or doubled: connect these servos one at a time and give each its "
             "own id, or check the cable",
             ids=list(found.clashes),
         )
+
+
+def _unknown(servo: FoundServo, protocol: str) -> str:
+    from longarm_comp.devices.servo_bus.registry import protocols
+
+    known = ", ".join(model.name for model in protocols()[protocol].models)
+    return (
+        f"servo {servo.servo_id} is of the unknown model {servo.model_number} (known: {known}): "
+        "use one of these, or describe it in a file of yours (docs/add_a_protocol.md)"
+    )
 
 
 def _ids(text: str) -> Sequence[int]:
@@ -200,6 +223,7 @@ def setup(
     from longarm_comp.arm_folder.servos import KEYS, SERVOS, with_joints
     from longarm_comp.core.files import write_text
     from longarm_comp.devices.servo_bus.registry import open_bus
+    from longarm_comp.devices.servo_check import check_reach
     from longarm_comp.devices.servo_config import ServoConfig
     from longarm_comp.devices.servo_setup import ServoSetup, shown, zero_from_pose
 
@@ -218,6 +242,8 @@ def setup(
         bus.reply_timeout_s, bus.retries,
     )  # fmt: skip
     with closing(servo_bus), ServoSetup(servo_bus, blind).safely() as bench:
+        for text in bench.said:
+            note(text)
         said = ", ".join(f"{name} {shown(blind[name], v)}" for name, v in held.items())
         wait(f"Put the arm into this pose and hold it still (another: --pose): {said}.")
         rest = bench.rest()
@@ -227,14 +253,19 @@ def setup(
             bench.hold()
             directions |= {name: _nudged(bench, name) for name in unknown}
             wait("The torque goes off again: hold or support the arm.")
-    joints = {}
-    for name, joint in blind.items():
-        turned = joint.having(direction=directions[name])
-        joints[name] = turned.having(zero_ticks=zero_from_pose(turned, rest[name], held[name]))
-    line_found = {key: getattr(found, key) for key in ("protocol", "port", "baudrate")}
-    text = with_joints(file.read_text("utf-8"), line_found, joints, file)
-    wait(f"{file} will be written.")
-    write_text(file, text)
+            bench.let_go()
+        joints = {}
+        for name, joint in blind.items():
+            kept = bench.memory[name]
+            turned = joint.having(direction=directions[name], stored=kept.placing)
+            zero = zero_from_pose(turned, rest[name], held[name])
+            joints[name] = turned.having(zero_ticks=zero)
+            check_reach(name, joints[name], kept)
+        line_found = {key: getattr(found, key) for key in ("protocol", "port", "baudrate")}
+        text = with_joints(file.read_text("utf-8"), line_found, joints, file)
+        wait(f"{file} will be written.")
+        write_text(file, text)
+        bench.keep()
     note_measured(folder, SERVOS, "servo setup", {"zero": "pose"})
     written = ServoConfig.load(file)  # as the driver will read it
     with closing(written.open_bus()) as bus_now:
@@ -292,10 +323,9 @@ def _on_the_bus(config: ServoConfig, found: Scan) -> dict[str, JointConfig]:
                 "correct servo_id", found=list(on_bus),
             )  # fmt: skip
         if not servo.model:
-            number = servo.model_number
-            raise JobError(
-                f"servo {servo.servo_id} of {name} is of an unknown model", number=number
-            )
+            raise JobError(f"{name}: {_unknown(servo, found.protocol)}")
+        if servo.model != joint.model:
+            note(f"{name}: servo {servo.servo_id} is a {servo.model}, and the file will say so")
         joints[name] = joint.having(model=servo.model)
     return joints
 

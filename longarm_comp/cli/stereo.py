@@ -93,7 +93,7 @@ def webcams(frames: Path | None) -> None:
     import cv2
 
     from longarm_comp.core.errors import JobError
-    from longarm_comp.core.files import atomic_path
+    from longarm_comp.core.files import write_bytes
     from longarm_comp.devices.stereo.webcams import driver_lines, picture, webcams
 
     found = webcams()
@@ -101,8 +101,7 @@ def webcams(frames: Path | None) -> None:
         click.echo(f"{camera.device}  {camera.name}")
         if frames is not None:
             file = frames / f"{Path(camera.device).name}.png"
-            with atomic_path(file) as partial:
-                cv2.imwrite(str(partial), picture(camera.device))
+            write_bytes(file, cv2.imencode(".png", picture(camera.device))[1].tobytes())
             note(f"what it sees: {file}")
     if len(found) < 2:
         raise JobError("two webcams are needed", found=len(found))

@@ -8,8 +8,8 @@ import os
 import stat
 import tempfile
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from longarm_comp.core.errors import InputError, JobError
@@ -29,6 +29,18 @@ def check_regular(path: str | os.PathLike[str]) -> None:
         raise InputError(path, "file", "a pipe, a socket or a device", "a regular file")
 
 
+MOST_BYTES = 500_000_000
+"""Of a table: more than 20 million numbers of 20 characters."""
+
+
+def check_size(path: str | os.PathLike[str]) -> None:
+    """Refuse a table of more than `MOST_BYTES`, before it is read: it may be a single line."""
+    with suppress(OSError):  # who opens it says so
+        if (size := os.stat(path).st_size) > MOST_BYTES:
+            allowed = f"at most {MOST_BYTES} bytes: split it"
+            raise InputError(path, "file", f"{size} bytes", allowed)
+
+
 def check_unpacked(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> None:
     """Refuse what would unpack to more than `MOST_UNPACKED`, before anything is unpacked."""
     size = sum(entry.file_size for entry in archive.infolist())
@@ -41,9 +53,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; on a clean exit it replaces ``path`` in one step.
 
     It keeps the suffix of ``path``, for writers that go by it. When the block raises, ``path`` is
-    left as it was. Missing parent folders are made. What a killed writer left is removed.
+    left as it was. Missing parent folders are made. What a killed writer left is removed. A link
+    stays one: what it leads to is replaced.
     """
-    target = Path(path)
+    target = followed(path)
     try:
         folder = target.is_dir()
     except OSError as error:  # not even its folder can be looked into
@@ -65,10 +78,45 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.close(handle)
 
 
+def followed(path: str | os.PathLike[str]) -> Path:
+    """The path itself, or the file that a link leads to, which need not exist."""
+    target = Path(path)
+    if not os.path.islink(target):
+        return target
+    try:
+        return target.resolve()
+    except (OSError, RuntimeError) as error:  # links in a circle
+        raise InputError(target, "link", str(error), "a link that leads to a file") from error
+
+
+@contextmanager
+def atomic_paths(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
+    """As `atomic_path` for files that belong together: none is replaced before all are written."""
+    with ExitStack() as held:
+        partials = [held.enter_context(atomic_path(path)) for path in paths]
+        yield partials
+        for partial in partials:  # a disk may say only now that it is full
+            with partial.open("rb") as file:
+                os.fsync(file.fileno())
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write bytes to ``path``, whole or not at all. Libraries write into memory first: some raise
+    anything on a full disk."""
+    with atomic_path(path) as partial:
+        partial.write_bytes(content)
+
+
+def write_texts(texts: Mapping[Path, str]) -> None:
+    """Write texts as UTF-8, all of them or none."""
+    with atomic_paths(*texts) as partials:
+        for partial, text in zip(partials, texts.values(), strict=True):
+            partial.write_text(text, encoding="utf-8", newline="\n")
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write ``text`` as UTF-8 to ``path``, whole or not at all."""
-    with atomic_path(path) as partial:
-        partial.write_text(text, encoding="utf-8", newline="\n")
+    write_bytes(path, text.encode())
 
 
 def _partial_beside(target: Path) -> tuple[int, Path]:

@@ -72,6 +72,11 @@ _Loader.add_implicit_resolver(
 
 def read_yaml(path: str | Path) -> Any:
     """Parsed YAML of a file."""
+    return parse_yaml(read_text(path), str(path))
+
+
+def read_text(path: str | Path) -> str:
+    """Text of a file that holds YAML: a regular file in UTF-8, of bounded length."""
     where = str(path)
     check_regular(path)
     try:
@@ -83,11 +88,10 @@ def read_yaml(path: str | Path) -> Any:
     if len(raw) > MOST_BYTES:
         raise InputError(where, "file", f"more than {MOST_BYTES} bytes", "a smaller file")
     try:
-        text = raw.decode("utf-8")
+        return raw.decode("utf-8")
     except UnicodeDecodeError as error:
         said = f"byte {error.start} is no text"
         raise InputError(where, "file", said, "text in UTF-8") from error
-    return parse_yaml(text, where)
 
 
 def parse_yaml(text: str, where: str) -> Any:

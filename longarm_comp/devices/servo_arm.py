@@ -18,8 +18,10 @@ from longarm_comp.devices.servo_bus.state import (
     ServoBusError,
     ServoState,
 )
+from longarm_comp.devices.servo_check import check_memory, check_placed, check_reach
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import Accepted, KeepsOut, Shapes, Step, TrajectoryFollower
+from longarm_comp.devices.setup_journal import SetupJournal
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,11 @@ class ServoArm:
 
     Raises:
         BusUnplugged, IncompleteReply: the port or a servo is not there.
-        JobError: a servo is of another model than configured.
+        JobError: a servo is of another model than configured, or must not be commanded by what it
+            has stored.
+
+    Attributes:
+        said: what was changed in servos, to be told.
     """
 
     def __init__(
@@ -61,10 +67,13 @@ class ServoArm:
         self.config = config
         self.follower = TrajectoryFollower(config, keeps_out, shapes, trim)
         self._ids = list(config.ids.values())
+        self._speeds: dict[int, float] = {}
+        self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
-        self._owing_off = False  # torque off is still to be sent to an unplugged bus
+        self.owing_off = False  # torque off was not confirmed yet
         self._cycles = 0
-        self._next_open = 0.0
+        self._next_try = 0.0
+        self._closed = f"{config.bus.port} is unplugged"
         self.bus: SerialServoBus | None = self._open()
 
     def _open(self) -> SerialServoBus:
@@ -74,17 +83,61 @@ class ServoArm:
                 number = bus.ping(joint.servo_id)
                 if number != joint.servo.model_number:
                     raise JobError(
-                        f"{name} is not the configured servo",
-                        servo_id=joint.servo_id, model=joint.model, answers=number,
+                        f"{name} is not the configured servo: `longarm servo setup` writes the "
+                        "model that it finds; or correct servo_id",
+                        servo_id=joint.servo_id, model=joint.model,
+                        answers=bus.model_name(number) or f"unknown model {number}",
                     )  # fmt: skip
-            bus.set_turns({j.servo_id: j.multi_turn for j in self.config.joints.values()})
+            self._check(bus, turned=False)
+            self._set_turns(bus)
         except BaseException:
+            if self.owing_off:  # also to servos that are refused
+                with contextlib.suppress(ServoBusError):
+                    bus.torque(self._ids, on=False)
             bus.close()
             raise
         return bus
 
+    def _check(self, bus: SerialServoBus, turned: bool) -> None:
+        """Refuse servos whose memory gives commands another meaning; take over their own limits.
+
+        ``turned``: whether they have been set for one turn or many.
+        """
+        kept = bus.memory(self._ids)
+        for name, joint in self.config.joints.items():
+            for check in (check_memory, check_placed, check_reach):
+                check(name, joint, kept[joint.servo_id])
+            if turned and kept[joint.servo_id].many_turns is (not joint.multi_turn):
+                raise JobError(
+                    f"servo {joint.servo_id} of {name} was set for other turns meanwhile: "
+                    "configure the driver again"
+                )
+        for servo_id, speed in self.config.speed_limits_ticks_s.items():
+            most = kept[servo_id].speed_ticks_s
+            self._speeds[servo_id] = speed if most is None else min(speed, most)
+
+    def _set_turns(self, bus: SerialServoBus) -> None:
+        """One or many turns as declared. They stay: without them the servos lose count."""
+        many = {j.servo_id: j.multi_turn for j in self.config.joints.values()}
+        others = bus.other_turns(many)
+        driven = [i for i, on in bus.driven(list(others)).items() if on] if others else []
+        if driven:
+            raise JobError(
+                "servos hold the arm and have to be set for other turns, which lets go: support "
+                "the arm and cut their power once", ids=driven,
+            )  # fmt: skip
+        bus.store_turns({i: wanted for i, (_, wanted) in others.items()})
+        self.said += bus.told_turns(many, others)
+        journal = SetupJournal(bus.port)
+        left = journal.read(bus.protocol).keys() & many.keys()
+        if left:
+            journal.end(bus.protocol, left)
+            self.said.append(
+                f"a setup of servos {sorted(left)} was broken off; they are set as configured"
+            )
+
     def power(self, on: bool) -> None:
-        """Switch the torque. With an unplugged bus, off is sent when the bus comes back.
+        """Switch the torque. Where off is not confirmed, `cycle` sends it again until it is.
 
         Where not every servo can be switched on, none of them is left so that was off before.
 
@@ -94,17 +147,19 @@ class ServoArm:
         """
         before = self.powered
         self.powered = self.powered and on
-        self._owing_off = not on
+        self.owing_off = self.owing_off or not on
         if self.bus is None:
             raise BusUnplugged(port=self.config.bus.port, why="the port is gone")
         try:
+            if on:
+                self._check(self.bus, turned=True)
             self.bus.torque(self._ids, on)
         except ServoBusError:
             if on and not before:
                 with contextlib.suppress(ServoBusError):
                     self.power(False)
             raise
-        self.powered, self._owing_off = on, False
+        self.powered, self.owing_off = on, False
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         if not self.powered:
@@ -138,12 +193,12 @@ class ServoArm:
         """Read all servos, step the follower, send goals. Bus errors are not raised."""
         self._cycles += 1
         trouble, states, driven = "", {}, {}
-        if self.bus is None and now >= self._next_open:
-            self._next_open = now + 0.5
-            self._reopen()
+        if (self.bus is None or self.owing_off) and now >= self._next_try:
+            self._next_try = now + 0.5
+            self._mend()
         bus = self.bus
         if bus is None:
-            trouble = f"{self.config.bus.port} is unplugged"
+            trouble = self._closed
         else:
             try:
                 states = bus.read(self._ids)
@@ -157,7 +212,7 @@ class ServoArm:
         step = self.follower.step(now, states, driven)
         if step.goals and self.bus is not None and self.powered:
             try:
-                self.bus.write_goal(step.goals, self.config.speed_limits_ticks_s)
+                self.bus.write_goal(step.goals, self._speeds)
             except ServoBusError as error:
                 trouble = self._lose(error)
         return Cycle(step, self._joints(states), states, trouble)
@@ -191,13 +246,16 @@ class ServoArm:
             self.bus = None
         return str(error)
 
-    def _reopen(self) -> None:
-        """Reopen a lost port. The servos kept their torque unless it was to be switched off."""
+    def _mend(self) -> None:
+        """Reopen a lost port, and switch off what is to be off. Else servos kept their torque."""
         try:
-            self.bus = self._open()
-            if self._owing_off:
+            self.bus = self.bus or self._open()
+            if self.owing_off:
                 self.power(False)
-        except JobError:
-            if self.bus is not None:
-                self.bus.close()
-            self.bus = None
+        except ServoBusError as error:
+            self._lose(error)
+            if self.bus is None:
+                unplugged = isinstance(error, BusUnplugged)
+                self._closed = f"{self.config.bus.port} is unplugged" if unplugged else str(error)
+        except JobError as error:  # what answers there is refused
+            self._closed = str(error)

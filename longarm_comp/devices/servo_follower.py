@@ -44,9 +44,6 @@ class TrajectoryFollower:
         keeps_out: asked of every trajectory; None: nothing is kept out of.
         shapes: asked of every trajectory that begins at rest; None: none is shaped.
         trim: whether moves end with the readings where they were sent (`Trim`).
-
-    Attributes:
-        held: whether trajectories are refused because of `hold`.
     """
 
     def __init__(
@@ -70,7 +67,6 @@ class TrajectoryFollower:
         self._doubting = False
         self._settled = True
         self._still_s = 0.0
-        self.held = False
         self._set: Array | None = None
         self._velocity = np.zeros(len(self._joints))
         self._goals: dict[int, int] | None = None
@@ -144,12 +140,6 @@ class TrajectoryFollower:
         brake = start + 0.5 * self._config.follower.blend_s * self._velocity
         rest = np.clip(brake, self._lower, self._upper)[None]
         return CubicPath(np.zeros(1), rest, np.zeros_like(rest))
-
-    def hold(self, on: bool) -> None:
-        """Stop smoothly, stay with the torque on and take no trajectory, until it is released."""
-        if on and not self.held:
-            self.break_off(EventKind.HELD, "held: it stays where it is")
-        self.held = on
 
     def break_off(self, kind: EventKind, why: str) -> None:
         """Stop smoothly. The trajectory is not followed to its end."""
@@ -290,8 +280,6 @@ class TrajectoryFollower:
     def _check_ready(self, now: float) -> None:
         if self.state in (FollowerState.FAULT, FollowerState.ESTOP):
             raise JobError("no trajectory is taken until the arm is reset", state=self.state.value)
-        if self.held:
-            raise JobError("no trajectory is taken until ~/hold is called with false")
         if not self.fresh(now):
             raise JobError("no fresh reading of every servo", servos=len(self._joints))
         self._check_health(now)

@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_v
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import Declared, Misdeclared
-from longarm_comp.devices.servo_bus.registry import models
+from longarm_comp.devices.servo_bus.registry import models, protocols
 from longarm_comp.devices.servo_bus.state import ServoModel
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -69,6 +69,12 @@ class JointConfig(ServoSettings):
         "not known",
     )
 
+    stored: dict[str, int] = Field(
+        {},
+        description="registers that decide what a position means, as the servo had them when "
+        "zero_ticks was measured, by name; absent: as from the factory",
+    )
+
     @field_validator("model")
     @classmethod
     def _known(cls, value: str) -> str:
@@ -93,6 +99,15 @@ class JointConfig(ServoSettings):
                 else "no screw_lead_m or pinion_radius_m at a revolute joint"
             )
             raise Misdeclared("pinion_radius_m", self.pinion_radius_m, allowed)
+        return self
+
+    @model_validator(mode="after")
+    def _known_registers(self) -> JointConfig:
+        known = [r.name for r in protocols()[self.servo.protocol].registers if r.places]
+        for name, value in self.stored.items():
+            if name not in known:
+                allowed = f"of a {self.model}: {', '.join(known) or 'none'}"
+                raise Misdeclared(f"stored.{name}", value, allowed)
         return self
 
     @property

@@ -10,8 +10,11 @@ from statistics import median
 
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.memory import ServoMemory
 from longarm_comp.devices.servo_bus.state import ServoBusError
+from longarm_comp.devices.servo_check import check_memory
 from longarm_comp.devices.servo_joint import JointConfig
+from longarm_comp.devices.setup_journal import SetupJournal
 
 _PERIOD_S = 0.02
 """Between two readings."""
@@ -19,6 +22,9 @@ _LOOKS, _STILL_TICKS = 15, 8
 """Readings of a held pose, and how much they may differ: a hand trembles."""
 _NEAR_TICKS, _SETTLED_S = 6, 0.3
 """A move is over where the servo rests so near its goal for so long."""
+_LONGEST_STEP_S, _ASIDE_TICKS = 0.1, 24
+"""Longest time by which a goal moves on at once, and how far beside the way led a servo may be:
+2 degrees of its horn, for a gear that gives way."""
 
 
 def shown(joint: JointConfig, value: float) -> str:
@@ -38,23 +44,35 @@ def zero_from_pose(joint: JointConfig, ticks: float, value: float) -> float:
 
 
 class ServoSetup:
-    """Servos of an arm in the operator's hands. The torque is off unless it is switched on."""
+    """Servos of an arm in the operator's hands. The torque is off unless it is switched on.
+
+    Attributes:
+        memory: what each joint's servo has stored. said: what was changed there, to be told.
+    """
 
     def __init__(self, bus: SerialServoBus, joints: Mapping[str, JointConfig]) -> None:
         self._bus, self._joints = bus, joints
         self._ids = [joint.servo_id for joint in joints.values()]
+        self._journal = SetupJournal(bus.port)
+        self.memory: dict[str, ServoMemory] = {}
+        self.said: list[str] = []
 
     @contextmanager
     def safely(self) -> Iterator[ServoSetup]:
-        """Torque off at the end, whatever happens; the servos keep one or many turns as declared.
+        """Torque off at the end, whatever happens; the servos have one or many turns as declared.
+
+        What the servos had stored, also before an earlier setup that was killed, is written back at
+        the end, unless `keep` was called.
 
         Raises:
             ServoBusError: torque off was not confirmed at the start.
-            JobError: it was not at the end.
+            JobError: a servo has an alarm, or must not be commanded by what it has stored; or the
+                torque may still be on at the end, or something could not be written back.
         """
         try:
             self._bus.torque(self._ids, on=False)
-            self._bus.set_turns({j.servo_id: j.multi_turn for j in self._joints.values()})
+            self._check()
+            self._set_turns()
             yield self
         finally:
             try:
@@ -63,6 +81,39 @@ class ServoSetup:
                 raise JobError(
                     "the torque may be on: cut the power of the servos", why=str(error)
                 ) from error
+            left = set(self._journal.write_back(self._bus)) & set(self._ids)
+            if left:
+                raise JobError(
+                    "servos have not stored again what they had: the next `longarm servo setup` on "
+                    "this port sees to it", ids=sorted(left), file=self._journal.path,
+                )  # fmt: skip
+
+    def _check(self) -> None:
+        """Refuse servos with an alarm, or whose memory gives commands another meaning."""
+        alarms, kept = self._bus.alarms(self._ids), self._bus.memory(self._ids)
+        for name, joint in self._joints.items():
+            if alarm := alarms.get(joint.servo_id):
+                who = f"servo {joint.servo_id} of {name}"
+                raise JobError(f"{who} reports {alarm}: remove the cause")
+            check_memory(name, joint, kept[joint.servo_id])
+
+    def _set_turns(self) -> None:
+        many = {j.servo_id: j.multi_turn for j in self._joints.values()}
+        others = self._bus.other_turns(many)
+        if others:
+            self._journal.begin(self._bus.protocol, others)
+            self._bus.store_turns({i: wanted for i, (_, wanted) in others.items()})
+        self.said = self._bus.told_turns(many, others)
+        kept = self._bus.memory(self._ids)
+        self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
+
+    def keep(self) -> None:
+        """The servos keep what was stored: the arm's file says the same from now on."""
+        self._journal.end(self._bus.protocol, self._ids)
+
+    def let_go(self) -> None:
+        """Torque off."""
+        self._bus.torque(self._ids, on=False)
 
     def hold(self) -> None:
         """Torque on; every servo stays where it is."""
@@ -80,6 +131,8 @@ class ServoSetup:
             if max(ticks) - min(ticks) > _STILL_TICKS:
                 raise JobError(f"{name} moves: hold the arm still", ticks=max(ticks) - min(ticks))
             at[name] = float(median(ticks))
+            if why := self.memory[name].beyond(at[name]):
+                raise JobError(f"servo {joint.servo_id} of {name} {why}")
         return at
 
     @contextmanager
@@ -89,30 +142,54 @@ class ServoSetup:
         Yields:
             +1 where the ticks grew: it goes up unless that leads out of the servo's range.
         """
-        joint = self._joints[name]
+        joint, kept = self._joints[name], self.memory[name]
         start = self._at(joint)
         ticks = max(round(5.0 * hand_unit(joint)[0] / joint.si_per_tick), 4 * _NEAR_TICKS)
-        way = 1 if start + ticks <= joint.goal_range[1] else -1
-        self._go(joint, start + way * ticks)
+        low, high = kept.goals or joint.goal_range
+        way = 1 if start + ticks <= high else -1
+        if start + way * ticks < low:
+            raise JobError(
+                f"servo {joint.servo_id} of {name} stands at {start} and takes goals {low} to "
+                f"{high}: no room for a move of {ticks} ({kept.told})"
+            )
+        self._go(name, start + way * ticks)
         moved = self._at(joint) - start
         if abs(moved) < ticks / 2:
-            raise JobError(f"{name} does not move: servo {joint.servo_id}", ticks=moved)
+            what = f"{name} does not move: servo {joint.servo_id}, with {kept.shown}"
+            raise JobError(what, ticks=moved)
         yield 1 if moved > 0 else -1
-        self._go(joint, start)
+        self._go(name, start)
 
-    def _go(self, joint: JointConfig, goal: int) -> None:
-        """Drive one servo to a goal; ends when it rests there, or without it after a while."""
+    def _go(self, name: str, goal: int) -> None:
+        """Lead one servo to a goal; ends when it rests there, or without it after a while.
+
+        The goals creep, so that a servo that takes no notice of the speed is slow too. One that is
+        not on the way that was led so far is let go.
+        """
+        joint = self._joints[name]
         # Speed of a nudge, deg/s or mm/s: to be seen, and to be stepped away from
         speed = min(5.0 * hand_unit(joint)[0], joint.max_velocity) / joint.si_per_tick
-        rested, last = time.monotonic(), self._at(joint)
+        start = last = self._at(joint)
+        far, led = abs(goal - start), 0.0
+        before = rested = time.monotonic()
         # With a move: times one second and the time that it takes
-        limit = time.monotonic() + 3.0 * (1.0 + abs(goal - last) / speed)
-        while time.monotonic() < limit:
-            self._bus.write_goal({joint.servo_id: goal}, {joint.servo_id: speed})
+        limit = before + 3.0 * (1.0 + far / speed)
+        while (now := time.monotonic()) < limit:
+            led = min(far, led + speed * min(now - before, _LONGEST_STEP_S))
+            before = now
+            sent = start + round(math.copysign(led, goal - start))
+            self._bus.write_goal({joint.servo_id: sent}, {joint.servo_id: speed})
             at = self._at(joint)
+            if not min(start, sent) - _ASIDE_TICKS <= at <= max(start, sent) + _ASIDE_TICKS:
+                self._bus.torque([joint.servo_id], on=False)
+                raise JobError(
+                    f"servo {joint.servo_id} of {name} does not move as slowly as asked, or not to "
+                    f"where it is sent: stopped, its torque is off ({self.memory[name].told})",
+                    from_ticks=start, sent=sent, at=at,
+                )  # fmt: skip
             if abs(at - last) > 1:
-                rested, last = time.monotonic(), at
-            if abs(at - goal) <= _NEAR_TICKS and time.monotonic() - rested > _SETTLED_S:
+                rested, last = now, at
+            if abs(at - goal) <= _NEAR_TICKS and now - rested > _SETTLED_S:
                 return
             time.sleep(_PERIOD_S)
 

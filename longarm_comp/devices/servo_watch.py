@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoState
+from longarm_comp.devices.servo_bus.state import ServoState
 from longarm_comp.devices.servo_config import JointConfig, ServoConfig
 
 
@@ -132,8 +132,8 @@ class ServoWatch:
 
     def _health(self, name: str, joint: JointConfig, state: ServoState) -> Iterator[JointFault]:
         if state.error_flags:
-            alarm = ServoAlarm(state.error_flags).name or int(state.error_flags)
-            yield JointFault(ServoTrouble.ALARM, name, f"the servo reports {alarm}")
+            alarm = f"the servo reports {state.error_flags.words}"
+            yield JointFault(ServoTrouble.ALARM, name, alarm)
         if not state.temperature_c <= joint.max_temperature_c:
             hot = f"{state.temperature_c:.0f} C, allowed {joint.max_temperature_c:.0f} C"
             yield JointFault(ServoTrouble.OVERHEATED, name, hot)

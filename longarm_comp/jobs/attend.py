@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -13,6 +13,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.jobs.client import STOPPED
 from longarm_comp.jobs.graph_client import FOUND_S, GraphClient, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import INSTANCE, TIP_SAID
@@ -23,17 +24,10 @@ from longarm_interfaces.msg import DriverState
 DRIVER = "servo_driver"
 _LEVELS = ("ok", "warning", "error", "stale")
 
-_LEAVE: Mapping[int, tuple[Service, Any]] = {
-    DriverState.ESTOP: (graph.ESTOP, SetBool.Request(data=False)),
-    DriverState.FAULT: (graph.RESET, Trigger.Request()),
-    DriverState.HOLDING: (graph.HOLD, SetBool.Request(data=False)),
-}
-"""What leads out of a state in which the arm is stopped."""
-
 _NEXT = {
     DriverState.UNCONFIGURED: "longarm servo scan",
     DriverState.INACTIVE: f"ros2 lifecycle set {DRIVER} activate",
-    **dict.fromkeys(_LEAVE, "longarm reset"),
+    **dict.fromkeys(STOPPED, "longarm reset"),
 }
 
 
@@ -102,15 +96,12 @@ class Attendant:
         return self._ask(graph.ESTOP, SetBool.Request(data=True))
 
     def reset(self) -> str:
-        """Leave an emergency stop, a fault and a hold, whichever there are."""
-        said = "nothing to reset"
+        """End stop, hold and fault, whichever there are. What the driver said."""
         missing = f"no {DRIVER} reports its state: does `longarm up` run, in this namespace?"
-        for state, (service, request) in _LEAVE.items():
-            driver = self._client.until(lambda: self._driver, FOUND_S, missing)
-            if driver.state == state:
-                said = self._ask(service, request)
-                self._driver = None  # it tells its state anew
-        return said
+        driver = self._client.until(lambda: self._driver, FOUND_S, missing)
+        if driver.state not in STOPPED:
+            return "nothing to reset"
+        return self._ask(graph.RESET, Trigger.Request())
 
     def _ask(self, service: Service, request: Any) -> str:
         answer = self._client.ask(DRIVER, service, request, FOUND_S)

@@ -47,7 +47,7 @@ class Pace:
             raise InputError("collect", "--sightings", self.sightings, "at least 1")
 
 
-_STOPPED = (DriverState.HOLDING, DriverState.FAULT, DriverState.ESTOP)
+STOPPED = (DriverState.HOLDING, DriverState.FAULT, DriverState.ESTOP)
 
 
 class DriverStopped(JobError):  # noqa: N818
@@ -140,7 +140,7 @@ class ArmClient(GraphClient):
         """
         if self._driver is None:
             return self.node.count_publishers(self._states.topic_name) == 0
-        stopped = self._driver.state in _STOPPED
+        stopped = self._driver.state in STOPPED
         if stopped and not (held and self._driver.state == DriverState.HOLDING):
             raise DriverStopped(self._driver)
         return self._driver.state in (DriverState.READY, DriverState.MOVING)

@@ -96,7 +96,10 @@ class DemoSettings:
     def graph(self) -> BringUp:
         """The graph; model and predictor are taken up once they are there."""
         given: dict[str, dict[str, Any]] = {
-            "servo_driver": {"follower.blend_s": 0.05, "order_max_age_s": PACE.look_s},
+            "servo_driver": {
+                "follower.blend_s": 0.05, "order_max_age_s": PACE.look_s,
+                "state": str(self.out.absolute() / "state"),  # no other run's stop holds for it
+            },
             "simulated_arm": {
                 "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 15.0,
             },

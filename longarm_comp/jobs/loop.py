@@ -27,7 +27,7 @@ from longarm_comp.report.pages import loop_page
 from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.sessions.poses import FILE as NEXT_POSES
 from longarm_comp.sessions.poses import read_poses, write_poses
-from longarm_comp.workflows.apply import nothing_to_apply
+from longarm_comp.workflows.apply import nothing_to_apply, take_back
 from longarm_comp.workflows.diagnose import diagnose_files
 from longarm_comp.workflows.verification import error_row
 
@@ -240,7 +240,7 @@ class Loop:
             return {**made, "why": f"nothing to apply: {report.summary}"}
         if f"applied {k}" not in self._journal and not self._agree(report):
             return {**made, "why": "not applied: there was no answer yes"}
-        applied = self._journal.once(f"applied {k}", partial(self._apply, k))
+        applied = self._journal.once(f"applied {k}", partial(self._apply, k, files))
         self._done(f"train_{k}")
         before = trials[-1]
         trials.append(self._drive(names.found.format(k=k), targets, Method.DEFLECTION))
@@ -291,8 +291,9 @@ class Loop:
         each = ((*f.names, *(a.name for a in f.partial_aliases)) for f in result.findings)
         return [list(dict.fromkeys(names)) for names in each]
 
-    def _apply(self, k: int) -> dict[str, Any]:
+    def _apply(self, k: int, files: FilesAtWork) -> dict[str, Any]:
         settings = self._settings
+        take_back(settings.path("diagnosis", k), files.model)
         done = apply_on_graph(
             self._client, settings.path("diagnosis", k), session=settings.path("session", k),
             network=settings.network, seed=settings.seed,

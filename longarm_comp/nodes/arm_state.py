@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from sensor_msgs.msg import Imu, JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.online import JointTrust, Readings, StaleContext
-from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
@@ -40,7 +39,6 @@ from longarm_interfaces.msg import DriverState, Motion
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm"),
     Param("model", "", "model.yaml: the calibrated model; empty: the arm as declared"),
-    Param("effects", "", "Python files that define further effects, executed; : between paths"),
     Param("joints_max_age_s", 5.0, "joint_states older than this are not used", 0.1, 1e6),
     Param("joints_max_rate", 5.0, "faster motion is not believed; ranges a second", 0.1, 1e6),
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are not used", 0.1, 1e6),
@@ -66,8 +64,6 @@ class ArmState:
 
     def __init__(self, node: ArmNode, capacity: int, *, trimmed: bool = False) -> None:
         self.node, self.p, p = node, node.p, node.p
-        for path in filter(None, p["effects"].split(os.pathsep)):
-            load_file(path)
         self.files = ModelFiles(p["arm"], p["model"], trimmed=trimmed)
         self.arm = self.files.arm
         self.base_frame = prefix_of(node) + p.get("base_frame", "base")
@@ -75,10 +71,11 @@ class ArmState:
         caller = self.worker.caller(graph.PREDICT_ERROR)
         self.predictor = PredictorClient(caller, self.arm, p["predictor_timeout_s"])
         self.driver = DriverLink(self)
+        node.health.parts["messages"] = node.tally.report
         self.moved: Callable[[np.ndarray, float], None] = lambda q, at_s: None
         self._max_age_s = p["joints_max_age_s"]
         self._trust = JointTrust(self.arm, p["joints_max_rate"])
-        self.readings = Readings(started_s=time.monotonic())
+        self.readings = Readings()
         self._joints: tuple[np.ndarray, float] | None = None
         self.effort = np.full(self.arm.n, np.nan)
         graph.JOINT_STATES.subscription(node, self._on_joints)
@@ -129,15 +126,25 @@ class ArmState:
         try:
             row, columns = tilt_of(message)
         except InputError as error:
-            self.node.tally.count("bad inclination", str(error))
+            self.node.tally.dropped("inclination", str(error))
             return
         self._read(f"inclination {row}", columns)
 
     def _read(self, source: str, columns: dict[str, float]) -> None:
-        if all(math.isfinite(value) for value in columns.values()):
-            self.readings = self.readings.told(source, columns, time.monotonic())
-        else:
-            self.node.tally.count(f"bad {source}", f"{source}: {columns} is not finite")
+        """Take circumstances. Not finite, they are dropped; what the arm cannot be in is a doubt:
+        whoever says it knows of another circumstance than the last one."""
+        now = time.monotonic()
+        if not all(math.isfinite(value) for value in columns.values()):
+            self.node.tally.dropped(source, f"{source}: {columns} is not finite")
+            return
+        try:
+            for name, value in columns.items():
+                check_circumstance(self.arm, name, value, source)
+        except InputError as error:
+            self.node.tally.dropped(source, str(error))
+            self.readings = self.readings.told(source, columns, now, wrong=str(error))
+            return
+        self.readings = self.readings.told(source, columns, now)
 
     @property
     def joints(self) -> np.ndarray | None:
@@ -155,13 +162,14 @@ class ArmState:
         old = f"the last joint_states is {age_s:.1f} s old"
         return self._trust.doubt or (old if age_s > self._max_age_s else "")
 
-    def _on_joints(self, message: JointState) -> None:
+    def _on_joints(self, message: JointState, info: Mapping[str, int | None]) -> None:
         try:
             q = joints_of(message, self.arm, "joint_states")
         except InputError as error:
-            self.node.tally.count("bad joint_states", str(error))
+            self.node.tally.dropped("joint_states", str(error))
             return
         stamp, now = stamp_ns(message.header.stamp), time.monotonic()
+        self._trust.heard(info["publication_sequence_number"], now)
         if stamp and (why := untimely(self.node.get_clock(), stamp, self._max_age_s)):
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
@@ -189,7 +197,7 @@ class DriverLink:
 
     def __init__(self, state: ArmState) -> None:
         self._arm, self._arm_state = state.arm, state
-        self._refused = state.node.tally.count
+        self._dropped = state.node.tally.dropped
         self.acknowledged = state.p["acknowledged"]
         self.commanded: Callable[[np.ndarray, History], None] = lambda q, history: None
         self.told: Callable[[Motion], None] = lambda motion: None
@@ -255,7 +263,7 @@ class DriverLink:
         try:
             start, path = motion_of(message, self._arm)
         except InputError as error:
-            self._refused("bad motion", str(error))
+            self._dropped("motion", str(error))
             self.lose()
             return
         self.went(path, start)
@@ -264,7 +272,7 @@ class DriverLink:
         try:
             path = path_of(message, self._arm)
         except InputError as error:
-            self._refused("bad joint_trajectory", str(error))
+            self._dropped("joint_trajectory", str(error))
             return
         self.went(path, self._end if self._end is not None else self._arm_state.joints)
 

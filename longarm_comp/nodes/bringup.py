@@ -31,7 +31,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.nodes import GUARD
+from longarm_comp.devices.state_folder import state_folder
+from longarm_comp.nodes import EFFECTS, GUARD, NETWORK
 from longarm_comp.share import PACKAGE, folder
 from longarm_comp.sim.servo_emulator.joints import read_arm
 
@@ -119,8 +120,8 @@ class BringUp:
 
     Attributes:
         arm, model, predictor: files. Without a model the declared arm is used.
-        network: file or name of the predictor's network, if it is not the paper's.
         effects: Python files that define further effects, executed by `kinematics`.
+        network: Python file of the predictor's network, executed by `error_predictor`.
         sim: run the simulated arm instead of hardware.
         config: folder of parameter files ``<node>.yaml`` that replace the package's own; None: the
             arm's folder.
@@ -134,8 +135,8 @@ class BringUp:
     arm: Path
     model: Path | None = None
     predictor: Path | None = None
-    network: str = ""
     effects: tuple[Path, ...] = ()
+    network: Path | None = None
     sim: bool = False
     namespace: str = ""
     config: Path | None = None
@@ -177,6 +178,8 @@ class BringUp:
         Where the simulated arm would get the package's own files and is not theirs, files that
         fit it are written to ``scratch``, with those that the arm's folder has.
         """
+        for node in self.nodes:
+            _refuse_code(self.file(node))
         file, arm = self.file("servo_driver"), Arm.load(self.arm)
         if self.sim:
             read_arm(file)  # what cannot be emulated is said here, not by five processes
@@ -199,21 +202,24 @@ class BringUp:
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
         """Parameters that override the file; ``bus``: link to the simulated servo bus."""
         arm, model = _path("arm", self.arm), _path("model", self.model)
-        effects, file = _path("effects", *self.effects), self.file("servo_driver")
+        file = self.file("servo_driver")
         servos = _path("servos", file)
         driver = {**read_parameters(file), **self.set.get("servo_driver", {})}
         trimmed = {"trimmed": True} if driver.get("trim") else {}
         shaped = {"shaped": True} if self.shaping else {}
         shaping = {"shaping": True} | model if self.shaping else {}
-        network = {"network": self.network} if self.network else {}
+        # Emulated servos have nothing stored: they are as from the factory
+        stored = {name: 0 for name in driver if self.sim and ".stored." in name}
         wire = bus if self.sim else self.port
         port = {"bus.port": wire} if wire else {}
         values: dict[str, Any] = {
-            "kinematics": arm | servos | model | effects | trimmed | shaped,
-            "error_predictor": arm | model | _path("predictor", self.predictor) | network,
-            "servo_driver": arm | shaping | port | (_PATIENT if self.sim else {}),
+            "kinematics": arm | servos | model | trimmed | shaped,
+            "error_predictor": arm | model | _path("predictor", self.predictor),
+            "servo_driver": (
+                arm | shaping | port | stored | (_PATIENT | _apart() if self.sim else {})
+            ),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
-            PATHS: arm | model | effects,
+            PATHS: arm | model,
             "simulated_arm": arm | servos | {"port": bus},
         }[node]
         if self.sim and self.speed != 1.0:
@@ -251,22 +257,49 @@ class BringUp:
         write_text(scratch / f"{node}.given.yaml", yaml.safe_dump(values))
         return [self.file(node), scratch / f"{node}.given.yaml"]
 
+    def arguments(self, node: str) -> list[str]:
+        """A node's own arguments: the Python files that it executes. No file names them."""
+        if node == "error_predictor":
+            return [NETWORK, str(self.network.absolute())] if self.network else []
+        loads = self.effects if node in ("kinematics", PATHS) else ()
+        return [word for path in loads for word in (EFFECTS, str(path.absolute()))]
+
     def commands(self, scratch: Path) -> dict[str, list[str]]:
         """Program and arguments of every node, by its name; ``scratch``: folder for files."""
         bus = str(scratch / "servo_bus")
         space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else []
         made = {}
         for name in self.nodes:
-            made[name] = [sys.executable, "-m", f"{PACKAGE}.nodes.{name}", "--ros-args", *space]
+            # -P: modules are never looked for in the folder where the program was started
+            made[name] = [sys.executable, "-P", "-m", f"{PACKAGE}.nodes.{name}"]
+            made[name] += [*self.arguments(name), "--ros-args", *space]
             for file in self.files(name, bus, scratch):
                 made[name] += ["--params-file", str(file)]
         return made
 
 
-def _path(name: str, *paths: Path | None) -> dict[str, Any]:
-    """A parameter that holds paths; absent where there are none."""
-    given = [str(path.absolute()) for path in paths if path is not None]
-    return {name: os.pathsep.join(given)} if given else {}
+def _apart() -> dict[str, str]:
+    """Where stops of a simulated arm are kept: no reset there is one of the real arm."""
+    domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    return {"state": str(state_folder() / "simulated" / domain)}
+
+
+def _path(name: str, path: Path | None) -> dict[str, Any]:
+    """A parameter that holds a path; absent where there is none."""
+    return {} if path is None else {name: str(path.absolute())}
+
+
+def _refuse_code(file: Path) -> None:
+    """Refuse a parameter file that names Python files, for whichever node and however deep."""
+    ahead = [read_yaml(file)]
+    while ahead:
+        tree = ahead.pop()
+        if isinstance(tree, dict):
+            for option in (EFFECTS, NETWORK):
+                if (name := option.removeprefix("--")) in tree:
+                    allowed = f"nothing: Python files are executed only for {option} FILE"
+                    raise InputError(file, name, tree[name], f"{allowed} of a command line")
+            ahead += tree.values()
 
 
 @contextmanager

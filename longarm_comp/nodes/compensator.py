@@ -108,6 +108,8 @@ class Compensator:
         start, seed = self._start(request)
         if request.execute and (why := self._twins.refusal or self._state.driver.refusal):
             raise Refusal(Status.NO_DRIVER, f"not sent: {why}")
+        if request.execute and (why := self._state.worker.failing):
+            raise Refusal(Status.NOT_READY, f"not sent: {why}")
         loaded = self._files.loaded
         compensate = partial(
             compensate_move, loaded.model, target=target, start=start, seed=seed,

@@ -27,10 +27,7 @@ from longarm_interfaces.srv import PredictError
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm that the predictor must belong to"),
     Param("model", "", "model.yaml that it must have been trained with; empty: none"),
-    Param("predictor", "", "predictor file (npz); empty: none, every question is refused"),
-    Param(
-        "network", "", "its network, if not the paper's: a file, executed, or a name; with torch"
-    ),
+    Param("predictor", "", "predictor file; empty: none, every question is refused"),
     Param("base_frame", "base", "frame of the predicted errors"),
     WATCH,
     PERIOD,
@@ -123,10 +120,6 @@ class _ErrorPredictor(ArmNode):
         self._model.reload()
         model = self._model.loaded.file_hash
         try:
-            if self.p["network"]:
-                from longarm_comp.core.learn.others import chosen  # with torch: where it is wanted
-
-                chosen(self.p["network"])
             predictor = load(self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names)
             belongs(predictor, self._path, model, f"the model in use: {model[:12] or 'none'}")
             digest = file_hash(self._path)

@@ -86,6 +86,10 @@ class Report:
         )
 
 
+_WARNED_S = 10.0
+"""For so long a message that was not used is a warning."""
+
+
 class Tally:
     """Counts what happened, by name, and keeps the last reason. Each reason is logged too."""
 
@@ -93,6 +97,7 @@ class Tally:
         self._node = node
         self.counts: dict[str, int] = {}
         self.last = ""
+        self._dropped = "", -_WARNED_S
 
     def count(self, what: str, why: str) -> None:
         """Count one more, with its reason; empty where there is none."""
@@ -100,6 +105,18 @@ class Tally:
         if why:
             self.last = why
             self._node.get_logger().warning(why, throttle_duration_sec=1.0)
+
+    def dropped(self, topic: str, why: str) -> None:
+        """Count a message that is not used, and warn of it for a while."""
+        self.count(f"bad {topic}", why)
+        self._dropped = why, time.monotonic()
+
+    def report(self) -> Report:
+        """Whether messages were not used of late."""
+        why, at_s = self._dropped
+        if time.monotonic() - at_s < _WARNED_S:
+            return Report(WARN, f"not used: {why}")
+        return Report(OK, "every message is used")
 
     @property
     def facts(self) -> dict[str, object]:
@@ -134,7 +151,14 @@ class Health:
         array = DiagnosticArray()
         array.header.stamp = self._node.get_clock().now().to_msg()
         where = self._node.get_namespace()
-        array.status = [ask().status(f"{name}: {part}", where) for part, ask in self.parts.items()]
+        for part, ask in self.parts.items():
+            try:
+                report = ask()
+            except Exception as error:  # of this part alone: the others are still told
+                why = f"{type(error).__name__}: {error}"
+                report = Report(ERROR, f"its state cannot be told: {why}")
+                self._node.get_logger().error(f"{part}: {why}", throttle_duration_sec=10.0)
+            array.status.append(report.status(f"{name}: {part}", where))
         self._publisher.publish(array)
 
     def _process(self) -> Report:

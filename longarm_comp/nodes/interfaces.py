@@ -177,12 +177,14 @@ DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, 50, RELIABLE)
 COMPENSATE = Service("compensate", Compensate)  # joints for one target, executed or not
 PREDICT_ERROR = Service("predict_error", PredictError)  # learned error at given joints
 RELOAD = Service("~/reload", Trigger)  # read the node's files again
-ESTOP = Service("~/estop", SetBool)  # true: torque off now, commands refused; false: ready again
-HOLD = Service("~/hold", SetBool)  # true: stop, stay with torque on, refuse commands; false: ready
+# true: torque off now, commands refused, also by the driver's successors; false: ready again
+ESTOP = Service("~/estop", SetBool)
+# true: stop, stay with torque on, refuse commands, as lastingly; false: ready again
+HOLD = Service("~/hold", SetBool)
 FREEZE = Service("~/freeze", SetBool)  # true: learn no more at work; false: learn again
 # go back to the version before the last learned change, and freeze
 UNDO = Service("~/undo", Trigger)
-RESET = Service("~/reset", Trigger)  # end a fault whose cause is gone
+RESET = Service("~/reset", Trigger)  # end a stop, a hold, and a fault whose cause is gone
 
 REACH = Action("reach", Reach)  # move the tip to a target and say where it came to rest
 # joint_trajectory as an action; where control_msgs is installed (`HAS_FOLLOW`)

@@ -27,12 +27,18 @@ from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.compensate import Compensation as Outcome
 from longarm_comp.core.compensation.compensate import Status
+from longarm_comp.core.compensation.online import check_inside
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.ik.solver import position_of
+from longarm_comp.core.yaml_file import range_of
 from longarm_comp.devices import joint_path as devices
 from longarm_comp.devices.servo_arm import ServoReading
 from longarm_interfaces.msg import Compensation, DriverState, Motion
 from longarm_interfaces.srv import Compensate
+
+FARTHEST = range_of("_m")[1]
+STRONGEST = 1e6
+"""Largest force (N) or torque (N m) that is believed of a sensor."""
 
 
 class Refusal(LongarmError):  # noqa: N818
@@ -51,8 +57,9 @@ def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
     """
     p, o = message.pose.position, message.pose.orientation
     xyz = np.array([p.x, p.y, p.z])
-    if not np.isfinite(xyz).all():
-        raise Refusal(Status.BAD_TARGET, f"position {xyz.tolist()} is not finite")
+    if not (np.abs(xyz) <= FARTHEST).all():
+        allowed = f"allowed: finite, up to {FARTHEST:g} m"
+        raise Refusal(Status.BAD_TARGET, f"position {xyz.tolist()}; {allowed}")
     if position_only:
         return xyz
     turn = np.array([o.x, o.y, o.z, o.w])
@@ -104,11 +111,12 @@ def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
 
 
 def efforts_of(message: JointState, arm: Arm) -> np.ndarray:
-    """Efforts (n,) in the order of the arm, N m and N; NaN where none is said."""
+    """Efforts (n,) in the order of the arm, N m and N; NaN where none is said that can be."""
     if len(message.effort) != len(message.name):
         return np.full(arm.n, np.nan)
     at = dict(zip(message.name, message.effort, strict=True))
-    return np.array([at[name] for name in arm.joint_names])
+    told = np.array([at[name] for name in arm.joint_names])
+    return np.where(np.abs(told) <= STRONGEST, told, np.nan)
 
 
 def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str) -> np.ndarray:
@@ -130,12 +138,16 @@ def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
     if not message.points:
         raise InputError(where, "points", 0, "at least one")
     rows = [JointState(name=names, position=point.positions) for point in message.points]
-    return np.array([joints_of(row, arm, where) for row in rows])
+    path = np.array([joints_of(row, arm, where) for row in rows])
+    for q in path:
+        check_inside(q, arm, where)
+    return path
 
 
 def motion_of(message: Motion, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
     """Start (n,) and way-points (k, n) of an accepted trajectory."""
     start = joints_of(message.start, arm, "start of motion")
+    check_inside(start, arm, "start of motion")
     way = JointTrajectory(joint_names=message.start.name, points=message.points)
     return start, path_of(way, arm)
 
@@ -207,8 +219,8 @@ def wrench_of(message: WrenchStamped, arm: Arm) -> tuple[int, np.ndarray]:
     if name not in rows:
         raise InputError("wrench", "frame_id", name, f"a row of arm.yaml: 0 to {rows[-1]}")
     force = np.array([f.x, f.y, f.z])
-    if not np.isfinite(force).all():
-        raise InputError("wrench", "force", force.tolist(), "finite numbers, N")
+    if not (np.abs(force) <= STRONGEST).all():
+        raise InputError("wrench", "force", force.tolist(), f"finite, up to {STRONGEST:g} N")
     return int(name), force
 
 
@@ -217,6 +229,16 @@ def sighting_of(message: PoseWithCovarianceStamped) -> tuple[np.ndarray, np.ndar
     p = message.pose.pose.position
     covariance = np.asarray(message.pose.covariance, dtype=float)
     return np.array([p.x, p.y, p.z]), covariance[[0, 7, 14]]
+
+
+def check_sighting(tip: np.ndarray, variance: np.ndarray) -> None:
+    """Refuse a sighting (m, m^2) of a marker that was not lost, and can be nowhere."""
+    if (np.abs(tip) > FARTHEST).any():
+        raise InputError("tip_measured", "position", tip.tolist(), f"NaN, or up to {FARTHEST:g} m")
+    sure = (variance >= 0.0) & (variance <= FARTHEST**2)
+    if not sure.all() and not np.isnan(tip).any():
+        allowed = f"0 to {FARTHEST**2:g} m^2"
+        raise InputError("tip_measured", "covariance", variance.tolist(), allowed)
 
 
 def tip_message(
@@ -326,7 +348,7 @@ _DRIVER_STATES = {
     DriverState.INACTIVE: "inactive: torque off",
     DriverState.READY: "ready",
     DriverState.MOVING: "moving",
-    DriverState.HOLDING: "held: torque on, trajectories refused",
+    DriverState.HOLDING: "held: trajectories refused",
     DriverState.FAULT: "in fault: torque on, trajectories refused",
     DriverState.ESTOP: "stopped: torque off, trajectories refused",
 }

@@ -23,7 +23,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.health import OK, WARN, Report
-from longarm_comp.nodes.messages import motion_of, seconds, sighting_of, tip_message
+from longarm_comp.nodes.messages import check_sighting, motion_of, seconds, sighting_of, tip_message
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer
 from longarm_interfaces.msg import Motion
@@ -142,6 +142,11 @@ class TipMonitor:
         is no rest pose. Without a stamp it counts for now.
         """
         tip, variance = sighting_of(message)
+        try:
+            check_sighting(tip, variance)
+        except InputError as error:
+            self._state.node.tally.dropped("tip_measured", str(error))
+            return None
         stamp = stamp_ns(message.header.stamp)
         with self._feeding:
             return self._watch.sighted(tip, variance, 1e-9 * stamp if stamp else self._state.now_s)
@@ -162,6 +167,9 @@ class TipMonitor:
                 learned, sigma = found.error, found.sigma
         residual = rest.tip - model.measured(rest.q, context)
         residual = residual if learned is None else residual - learned
+        if not np.isfinite(residual).all():
+            self._state.node.tally.dropped("rest", f"the residual at a rest is {residual.tolist()}")
+            return None
         self._monitor = self._monitor.seen(residual, sigma)
         self._last = f"residual {_mm(residual)}"
         if missed is not None:

@@ -16,11 +16,13 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
-from longarm_comp.core.errors import LongarmError
-from longarm_comp.nodes import GUARD
+from longarm_comp.core.effects import catalogue
+from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.nodes import EFFECTS, GUARD, NETWORK
 from longarm_comp.nodes.clock import steady_timer
-from longarm_comp.nodes.health import PERIOD, Health, Tally
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, Health, Report, Tally
 from longarm_comp.nodes.interfaces import Service
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.worker import Worker
@@ -57,7 +59,12 @@ class ArmNode(Node):
     def worker(self, capacity: int) -> Worker:
         """A worker thread, which ends with the node."""
         self._workers.append(Worker(self, self._made_for, capacity, self.health.fault))
+        self.health.parts["worker"] = self._worker_report
         return self._workers[-1]
+
+    def _worker_report(self) -> Report:
+        why = next((worker.failing for worker in self._workers if worker.failing), "")
+        return Report(ERROR, f"no motion: {why}") if why else Report(OK, "every job was done")
 
     def close(self) -> bool:
         """Stop what the node started, and say whether all of it has ended; must not raise."""
@@ -103,10 +110,14 @@ def _signature(file: str) -> tuple[int, int, int] | None:
     return stat.st_ino, stat.st_size, stat.st_mtime_ns
 
 
-def run(make: Callable[[SingleThreadedExecutor], ArmNode]) -> int:
+def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] = ()) -> int:
     """Spin the node that is made, until a signal.
 
     Signals only set an event, so a second one does not interrupt the clean-up.
+
+    Args:
+        words: ``--effects FILE`` and ``--network FILE`` of the command line, as often as needed.
+            No parameter names such a file, because parameters come from files of data.
 
     Returns:
         The exit code: 0, or 2 for bad parameters or files.
@@ -121,6 +132,7 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode]) -> int:
     node: ArmNode | None = None
     code = 0
     try:
+        _execute(words)
         node = make(executor)
         executor.add_node(node)
         gc.freeze()  # everything loaded so far stays, so collections need not scan it again
@@ -142,6 +154,19 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode]) -> int:
     return code
 
 
+def _execute(words: Sequence[str]) -> None:
+    if set(words[::2]) - {EFFECTS, NETWORK} or len(words) % 2:
+        allowed = f"{EFFECTS} or {NETWORK} FILE, a Python file that is executed; then --ros-args"
+        raise InputError("command line", "arguments", " ".join(words), allowed)
+    for option, file in zip(words[::2], words[1::2], strict=True):
+        if option == EFFECTS:
+            catalogue.load_file(file)
+        else:
+            from longarm_comp.core.learn import others  # with torch: where it is wanted
+
+            others.load_file(file)
+
+
 def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event) -> None:
     """Serve callbacks until the event is set or the node's supervisor, if it has one, is gone."""
     guard = os.environ.get(GUARD)
@@ -156,4 +181,4 @@ def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event)
 
 def program(make: Callable[[SingleThreadedExecutor], ArmNode]) -> Callable[[], None]:
     """The main of a module: a process that runs what ``make`` makes."""
-    return lambda: sys.exit(run(make))
+    return lambda: sys.exit(run(make, remove_ros_args(sys.argv)[1:]))

@@ -68,7 +68,7 @@ class Weigher:
         try:
             row, force = wrench_of(message, self._arm)
         except InputError as error:
-            self._state.node.tally.count("bad wrench", str(error))
+            self._state.node.tally.dropped("wrench", str(error))
             return
         self._wrist = Wrist(row, force, self._sigma)
 
@@ -80,7 +80,11 @@ class Weigher:
         kg = told.get("payload_kg")
         if kg != self._told:
             self._weighing, self._told = self._weighing.changed(), kg
-        self._weighing = self._weighing.felt(felt(model, q, context, effort, self._drives, wrist))
+        rest = felt(model, q, context, effort, self._drives, wrist)
+        if not rest.finite:
+            self._state.node.tally.dropped("rest", "what was felt at a rest is not finite")
+            return
+        self._weighing = self._weighing.felt(rest)
 
     def _tell(self, now: float) -> None:
         """The payload that was felt, where nobody else tells one."""

@@ -1,13 +1,15 @@
 """`servo_driver` (lifecycle): joint trajectories to a servo bus, read-back to joint states.
 
 When configured, the port is open and the servos are read. When active, their torque is on. It is
-switched off on deactivate, cleanup, shutdown, emergency stop and at the end of the process.
+switched off on deactivate, cleanup, shutdown, emergency stop and at the end of the process. A stop
+or hold outlasts the process (`StopLatch`): while one stands, no torque is switched on, and no
+trajectory is taken, in any state.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pydantic import BaseModel
@@ -33,7 +35,7 @@ from longarm_comp.devices.servo_follower import (
 )
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes import orders
+from longarm_comp.nodes import orders, stops
 from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, THIS_INSTANCE, WARN, Report
 from longarm_comp.nodes.messages import points_message, readings_message, trajectory_of
@@ -41,6 +43,7 @@ from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import ArmNode, program
 from longarm_comp.nodes.orders import FollowServer, Intake
 from longarm_comp.nodes.params import Param, declare_sections, where
+from longarm_comp.nodes.stops import Stops
 from longarm_interfaces.msg import DriverState, Motion
 
 PARAMS = (
@@ -52,6 +55,7 @@ PARAMS = (
     Param("retry_s", 1.0, "pause between two attempts to configure and activate", 0.1, 60.0),
     Param("patience_s", 5.0, "time at the start before missing servos are an error", 0.0, 600.0),
     Param("trim", False, "after a move, correct the goals until readings and command agree"),
+    *stops.PARAMS,
     *orders.PARAMS,
     PERIOD,
 )
@@ -77,8 +81,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._config = ServoConfig.parse(given, "parameters of servo_driver")
         self._keeps_out, self._shapes = self._rules_of(p)
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
-        self._arm: ServoArm | None = None
-        self._active = False
+        self.arm: ServoArm | None = None
+        self.active = self._ended = False
         self._last: Cycle | None = None
         self.tally.counts |= {"trajectories": 0, "refused": 0, "incomplete cycles": 0}
         self._fault = self._trouble = self._waiting = self._motion = ""
@@ -90,9 +94,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._max_age_s, self._cycled = p["order_max_age_s"], time.monotonic()
         self._intake = Intake(self, self, self._max_age_s, unstamped=p["unstamped"])
         self._follow = FollowServer(self, self) if graph.HAS_FOLLOW else None
-        self._offer(graph.ESTOP, lambda request: self._estop(request.data))
-        self._offer(graph.HOLD, lambda request: self._hold(request.data))
-        self._offer(graph.RESET, lambda request: self._recover())
+        self._stops = Stops(self, self, p["state"], p["arm"], self._config.bus.port)
         self._timer = steady_timer(self, self._period_s, self._cycle)
         # Pause between two messages of the state, s. It is also told when it changes
         steady_timer(self, 0.5, self._tell_state)
@@ -103,7 +105,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def close(self) -> bool:
         self._release()
-        self._fault = "the driver has ended"
+        self._ended = True
         self._tell_state()
         return super().close()
 
@@ -123,30 +125,34 @@ class _ServoDriver(ArmNode, LifecycleNode):
     def _start(self) -> None:
         if not self._autostart:
             return
-        if self._arm is None:
+        if self.arm is None:
             self.trigger_configure()
-        if self._arm is not None and not self._active:
+        if self.arm is not None and not self.active:
             self.trigger_activate()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
-            self._arm = ServoArm(self._config, self._keeps_out, self._shapes, self.p["trim"])
+            self.arm = ServoArm(self._config, self._keeps_out, self._shapes, self.p["trim"])
         except LongarmError as error:
             return self._failed(error)
+        for said in self._arm.said:
+            self.get_logger().info(said)
         self._fault = ""
+        self._stops.let_go()
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque on; the arm holds its present position."""
+        """Torque on, unless a stop stands; the arm holds its present position."""
         try:
-            self._machine.power(True)
+            if not self._stops.standing:
+                self._machine.power(True)
         except LongarmError as error:
             return self._failed(error)
-        self._fault, self._active, self._autostart = "", True, False
+        self._fault, self.active, self._autostart = "", True, False
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._active = self._autostart = False
+        self.active = self._autostart = False
         self._tell(Motion.BROKEN_OFF, self._motion, "torque off")
         try:
             self._machine.power(False)
@@ -168,8 +174,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     @property
     def _machine(self) -> ServoArm:
-        assert self._arm is not None
-        return self._arm
+        assert self.arm is not None
+        return self.arm
 
     def _failed(self, error: LongarmError) -> TransitionCallbackReturn:
         starting = self._autostart and time.monotonic() < self._patient_until
@@ -184,14 +190,14 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return _FAILED
 
     def _release(self) -> None:
-        self._active = False
-        if self._arm is not None:
-            self._arm.close()
-        self._arm = self._last = None
+        self.active = False
+        if self.arm is not None:
+            self.arm.close()
+        self.arm = self._last = None
 
     def _cycle(self) -> None:
-        if self._arm is not None:
-            self._drive(self._arm)
+        if self.arm is not None:
+            self._drive(self.arm)
         self._tell_change()
 
     def _drive(self, arm: ServoArm) -> None:
@@ -235,17 +241,20 @@ class _ServoDriver(ArmNode, LifecycleNode):
     @property
     def set_points(self) -> Mapping[str, float]:
         """Where each joint should be now, rad or m; empty while none is driven."""
-        return self._arm.follower.set_points if self._arm is not None else {}
+        return self.arm.follower.set_points if self.arm is not None else {}
 
     @property
     def following(self) -> str:
         """Id of the trajectory that is being followed; empty while none is."""
-        moving = self._arm is not None and self._arm.follower.state is FollowerState.TRACKING
+        moving = self.arm is not None and self.arm.follower.state is FollowerState.TRACKING
         return self._motion if moving else ""
 
     def take(self, message: JointTrajectory, name: str) -> None:
         """Check and follow a trajectory; what becomes of it is told by its id ``name``."""
-        if not self._active:
+        if self._stops.standing:
+            self.refuse(name, self._stops.standing)
+            return
+        if not self.active:
             self.refuse(name, "the driver is not active")
             return
         if why := self._intake.too_old(message):
@@ -280,69 +289,41 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self._follow.told(event, name, why)
 
     def _tell_change(self) -> None:
-        if self._said != self._state():
+        if self._said != self.state:
             self._tell_state()
 
     def _tell_state(self) -> None:
-        state, why = self._said = self._state()
+        state, why = self._said = self.state
         message = DriverState(state=state, message=why, instance=THIS_INSTANCE)
         message.header.stamp = self.get_clock().now().to_msg()
         self._states.publish(message)
 
-    def _state(self) -> tuple[int, str]:
+    @property
+    def state(self) -> tuple[int, str]:
         """State as in `DriverState`, and why."""
-        if self._arm is None:
-            return DriverState.UNCONFIGURED, self._fault or self._waiting or "not configured"
-        follower = self._arm.follower.state
-        if follower is FollowerState.ESTOP:
-            return DriverState.ESTOP, "emergency stop; call ~/estop with false to go on"
-        if not self._active:
+        unready = "" if self.arm else self._fault or self._waiting or "not configured"
+        follower = self.arm.follower.state if self.arm else None
+        held, (stopped, why) = self._stops.standing, self._stops.state
+        if self._ended:
+            return DriverState.UNCONFIGURED, "the driver has ended"
+        if self.active and follower is FollowerState.FAULT:
+            cure = f"{self._trouble}; call ~/reset once cured"
+            return DriverState.FAULT, f"{cure}; {held}" if held else cure
+        if held:
+            return stopped, f"{why}; {unready}" if unready else why
+        if unready:
+            return DriverState.UNCONFIGURED, unready
+        if not self.active:
             return DriverState.INACTIVE, self._fault or "not active: torque is off"
-        if follower is FollowerState.FAULT:
-            return DriverState.FAULT, f"{self._trouble}; call ~/reset once cured"
-        if self._arm.follower.held:
-            return DriverState.HOLDING, "call ~/hold with false to go on"
         moving = follower is FollowerState.TRACKING
         return (DriverState.MOVING if moving else DriverState.READY), ""
 
-    def _estop(self, on: bool) -> str:
-        if not on:
-            return self._recover()
-        if self._arm is not None:
-            self._arm.estop()
-        return "torque off, commands refused"
-
-    def _hold(self, on: bool) -> str:
-        if self._arm is None or (on and not self._active):
-            raise LongarmError("the driver is not active, so there is no torque to hold the arm")
-        self._arm.follower.hold(on)
-        return "held: torque on, trajectories refused" if on else "ready"
-
-    def _recover(self) -> str:
-        if self._arm is None:
-            raise LongarmError("the driver is not configured")
-        self._arm.release(time.monotonic(), on=self._active)
-        self._trouble = ""
-        return "ready"
-
-    def _offer(self, service: graph.Service, action: Callable[[Any], str]) -> None:
-        """Serve what an action does with a request: what it says, or why it cannot."""
-
-        def serve(request: Any, response: Any) -> Any:
-            try:
-                response.success, response.message = True, action(request)
-            except LongarmError as error:
-                response.success, response.message = False, str(error)
-            return response
-
-        service.server(self, serve)
-
     def _bus_report(self) -> Report:
         facts: dict[str, object] = {"port": self._config.bus.port}
-        if self._arm is None:
+        if self.arm is None:
             why = self._fault or self._waiting or "not configured"
             return Report(ERROR if self._fault else WARN, why, facts)
-        if (bus := self._arm.bus) is not None:
+        if (bus := self.arm.bus) is not None:
             facts |= {name: getattr(bus.counters, name) for name in bus.counters.__slots__}
         for name, servo_id in self._config.ids.items():
             state = self._last.states.get(servo_id) if self._last else None
@@ -354,13 +335,13 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return Report(ERROR if trouble else OK, trouble or "every servo answers", facts)
 
     def _arm_report(self) -> Report:
-        facts = self.tally.facts
-        state, why = self._state()
-        if self._arm is None or state == DriverState.INACTIVE:
+        facts, (state, why) = self.tally.facts, self.state
+        if self.arm is not None:
+            facts["state"] = self.arm.follower.state.value
+        if state in (DriverState.UNCONFIGURED, DriverState.INACTIVE):
             return Report(WARN, self._fault or "not active: torque is off", facts)
-        follower = facts["state"] = self._arm.follower.state.value
-        stopped = state in (DriverState.FAULT, DriverState.ESTOP)
-        return Report(ERROR if stopped else OK, why or follower, facts)
+        stopped = state in (DriverState.FAULT, DriverState.ESTOP) or self._stops.unkept
+        return Report(ERROR if stopped else OK, why or str(facts["state"]), facts)
 
 
 main = program(_ServoDriver)

@@ -171,6 +171,8 @@ class TargetInlet:
         stamp = self._stamps.next()  # before it is judged: what happens later, the driver judges
         if why := self.stale(request):
             return self._refuse(request, Status.STALE_TARGET, why)
+        if why := self._state.doubt:  # it came while the joints were computed
+            return self._refuse(request, Status.NOT_READY, why)
         p = self._state.p
         message = trajectory_message(self._arm, arrival.move.points, p["move_time_s"], stamp)
         answer = request.answer = replace(answer, name=order_id(message), sent=True)

@@ -53,6 +53,10 @@ _PAUSE_S = 0.01
 """Pause after an exception, s, so that a repeating one does not use the whole processor."""
 
 
+_FAILING_S = 60.0
+"""A job that failed and is not done again is held against the worker for so long, s."""
+
+
 def check_rclpy(implementation: Any = rclpy_implementation) -> None:
     """Raise `JobError` where this rclpy lacks a call that is needed."""
     for kind, names in _USED.items():
@@ -125,6 +129,7 @@ class Worker:
         self._topics: list[tuple[Subscription, SequenceWatch, Callable[[Any, float], None]]] = []
         self._services: list[Service] = []
         self._set: Any = None
+        self._failed: dict[str, tuple[str, float]] = {}
 
     def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
         self.hear_sent(topic, lambda message, _: callback(message), raw=False)
@@ -148,6 +153,12 @@ class Worker:
     def lost(self) -> int:
         """Messages that were lost, by the numbers of those that came."""
         return sum(watch.lost for _, watch, _ in self._topics)
+
+    @property
+    def failing(self) -> str:
+        """Why one of its jobs failed of late and has not succeeded since; empty if none did."""
+        recent = time.monotonic() - _FAILING_S
+        return next((why for why, at_s in self._failed.values() if at_s > recent), "")
 
     @property
     def waiting(self) -> int:
@@ -230,13 +241,20 @@ class Worker:
 
     def _run(self) -> None:
         while not self._closing and self._node.context.ok():
+            doing = "hearing messages"
             try:
                 self._empty()
                 if self._jobs:
-                    self._jobs.popleft()()
+                    job = self._jobs.popleft()
+                    doing = _name_of(job)
+                    job()
+                    if doing in self._failed:  # replaced whole: other threads read it
+                        self._failed = {k: v for k, v in self._failed.items() if k != doing}
                 elif not self.idle():
                     self.wait()
             except Exception as error:  # reported; the worker goes on with the next job
+                why = f"{doing} failed: {type(error).__name__}: {error}"
+                self._failed = {**self._failed, doing: (why, time.monotonic())}
                 self._on_error(error)
                 time.sleep(_PAUSE_S)
 
@@ -261,6 +279,13 @@ class Worker:
                 numbers.append(taken[1]["publication_sequence_number"] or 0)
                 callback(taken[0], sent_s(taken[1]["source_timestamp"]))
             watch.taken(numbers, full=len(numbers) >= depth > 1)
+
+
+def _name_of(job: Any) -> str:
+    """Name of a job, the same for all of its kind."""
+    while isinstance(job, partial):
+        job = job.func
+    return str(getattr(job, "__qualname__", job))
 
 
 class ServiceCaller:

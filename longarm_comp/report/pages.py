@@ -17,7 +17,8 @@ import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
-from longarm_comp.core.files import atomic_path, write_text
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import write_bytes, write_text
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, plots, record, style, words
 from longarm_comp.report.detail import Detail
@@ -54,22 +55,27 @@ def _rendered(page: str, draw: Callable[[], Figure], /, **told: Any) -> str:
 def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLike[str]) -> Path:
     """Write ``report.json``, ``report.html`` and ``plots/*.svg``; return the page's path.
 
-    The same diagnosis gives the same bytes. Files of an earlier report are replaced. Nothing is
-    written if the report violates the schema.
+    The same diagnosis gives the same bytes. Files of an earlier report are replaced; no other is
+    touched. Nothing is written if the report violates the schema.
 
     Raises:
-        InputError: the report violates the schema, or the folder cannot be written to.
+        InputError: the report violates the schema, the folder cannot be written to, or a plot of
+            another program has the name of one of this report.
     """
     checked = record.checked(report)
     drawn = _drawn(checked.for_people(), detail)
     html = page(checked, detail, drawn)
     target = Path(folder)
-    for name, content in drawn.items():
-        with atomic_path(target / "plots" / f"{name}.svg") as partial:
-            partial.write_bytes(content)
-    for old in (target / "plots").glob("*.svg"):
-        if old.stem not in drawn:
-            old.unlink()
+    files = {target / "plots" / f"{name}.svg": content for name, content in drawn.items()}
+    there = [path for path in (target / "plots").glob("*.svg") if path.is_file()]
+    for path in there:
+        if path in files and not style.signed(path):
+            raise InputError(path, "plot", "exists and is no plot of a diagnosis", "another folder")
+    for path, content in files.items():
+        write_bytes(path, content)
+    for path in there:
+        if path not in files and style.signed(path):
+            path.unlink()
     write_text(target / "report.json", record.text(checked))
     write_text(target / "report.html", html)
     return target / "report.html"

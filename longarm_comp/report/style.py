@@ -11,7 +11,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.files import write_bytes
 
 INK = "#1a1a1a"
 GRID = "#d9d9d9"
@@ -70,6 +70,12 @@ SIGNED: Any = {
 """Files that a command may overwrite tell that it wrote them."""
 
 
+def signed(path: Path) -> bool:
+    """Whether a picture tells that this package wrote it."""
+    with path.open("rb") as file:
+        return b"longarm" in file.read(4096)
+
+
 # An SVG turns light on dark, hues kept, where the reader's pages are dark
 _DARK = (b"@media screen and (prefers-color-scheme: dark)"
          b"{svg{filter:invert(.9) hue-rotate(180deg)}}")  # fmt: skip
@@ -83,7 +89,7 @@ def svg(drawn: Figure) -> bytes:
     """The figure as SVG; the same figure gives the same bytes."""
     held = io.BytesIO()
     _lay_out(drawn)
-    drawn.savefig(held, format="svg", dpi=150, metadata={"Date": None, "Creator": None})
+    drawn.savefig(held, format="svg", dpi=150, metadata=SIGNED["svg"])
     return held.getvalue().replace(b"</style>", _DARK + b"</style>", 1)
 
 
@@ -91,8 +97,9 @@ def save(drawn: Figure, path: Path) -> None:
     """The figure as a file by its ending, whole or not at all; the same figure, the same bytes."""
     kind = path.suffix.removeprefix(".").lower()
     _lay_out(drawn)
-    with atomic_path(path) as partial:
-        drawn.savefig(partial, format=kind, dpi=150, metadata=SIGNED[kind])
+    held = io.BytesIO()
+    drawn.savefig(held, format=kind, dpi=150, metadata=SIGNED[kind])
+    write_bytes(path, held.getvalue())
 
 
 def _lay_out(drawn: Figure) -> None:

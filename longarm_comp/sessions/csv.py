@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,13 +41,24 @@ READ = tuple(
 """Columns of the readings beside x, y, z, and of their standard deviations."""
 
 
-def _check_measured(table: Table) -> None:
-    """Raise `InputError` where a table measures nothing, or a coordinate's name is misspelt."""
+def _check_measured(table: Table, known: Collection[str]) -> None:
+    """Raise `InputError` where a table measures nothing, or a coordinate's name is misspelt.
+
+    Where a coordinate has no column, an unknown one that may be it is refused: `zz`, `x1`, `pos_y`.
+    """
     first = [(*kind.cells, kind.label)[0] for kind in _FURTHER]
-    others = set(table.header) - set(XYZ)
-    misspelt = any(nearest(name, others) for name in XYZ if name not in table.header)
+    others = [n for n in table.header if n not in known and not INCLINATION.match(n)]
+    lacking = [name for name in XYZ if name not in table.header]
+    misspelt = any(nearest(name, others) for name in lacking)
     if misspelt or not table.has((*XYZ, *first)):
         check_header(table.where, table.header, XYZ)
+    for axis in lacking if table.has(XYZ) else ():
+        for name in others:
+            short = re.sub(r"[^a-z]", "", name.lower())
+            words = re.split(r"[^a-z]+", name.lower())
+            if axis in words or (len(short) <= 3 and axis in (short[:1], short[-1:])):
+                value, allowed = f"missing (is it {name}?)", f"{axis}, m; or another name"
+                raise InputError(table.where, f"column {axis}", value, allowed)
 
 
 def _read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
@@ -105,7 +116,7 @@ def read_csv(path: str | Path, arm: Arm) -> Session:
     other = (*READ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS)
     known = (*joints, *XYZ, *other, *per_joint)
     check_header(table.where, table.header, joints)
-    _check_measured(table)
+    _check_measured(table, known)
     for name in table.header:
         if re.fullmatch(r"[qQ]_?\d+", name) and name not in joints:
             allowed = f"q1..q{arm.n} of arm {arm.name}"

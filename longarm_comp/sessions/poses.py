@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
@@ -62,6 +63,8 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
     sides = read_approach(table, arm.n)
     approach = np.zeros(len(table)) if sides is None else np.nan_to_num(sides)
     payload = table.numbers("payload_kg", "kg") if "payload_kg" in table.cells else None
+    if payload is not None:
+        check_circumstance(arm, "payload_kg", payload, table.where)
     on_limit = np.where(outside, q, np.clip(q, arm.lower, arm.upper))
     touch = np.array(table.cells["touch"]) if "touch" in table.cells else None
     return Plan(on_limit, approach, payload, touch)

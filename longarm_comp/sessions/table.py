@@ -14,12 +14,22 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path, check_regular
+from longarm_comp.core.files import atomic_path, check_regular, check_size
 from longarm_comp.core.yaml_file import RANGES
 from longarm_comp.sessions.foreign.units import split_name
 
 FARTHEST = RANGES["_m"][1]
 """Largest joint (rad, m) and coordinate (m)."""
+
+
+MOST_CELLS = 20_000_000
+"""Of a table: as text these take some 2 GB."""
+
+
+def check_cells(path: str | Path, cells: int) -> None:
+    """Refuse a table of more than `MOST_CELLS`."""
+    if cells > MOST_CELLS:
+        raise InputError(path, "cells", f"more than {MOST_CELLS}", "a smaller table: split it")
 
 
 @dataclass(frozen=True)
@@ -108,17 +118,23 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read a comma-separated file with a header."""
+    """Read a comma-separated file with a header, up to `MOST_CELLS`."""
     where = str(path)
     check_regular(path)
+    check_size(path)
+    rows, count = [], 0
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file, strict=True)
-            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+            for row in reader:
+                count += len(row) + 1
+                check_cells(path, count)
+                rows.append((reader.line_num, [cell.strip() for cell in row]))
     except OSError as error:
         raise InputError(where, "file", error.strerror or str(error), "a readable file") from error
     except UnicodeDecodeError as error:
-        kind = "a workbook" if Path(path).read_bytes()[:2] == b"PK" else "no UTF-8"
+        with open(path, "rb") as raw:
+            kind = "a workbook" if raw.read(2) == b"PK" else "no UTF-8"
         allowed = f"comma-separated text in UTF-8; to convert it: longarm import-data {where}"
         raise InputError(where, "file", kind, f"{allowed} -o samples.csv") from error
     except csv.Error as error:
@@ -145,7 +161,13 @@ WriteTable = Callable[[str | Path, Sequence[str], Iterable[Sequence[Any]]], None
 
 def write_table(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a CSV file, whole or not at all. Floats keep every digit; NaN and None are blank."""
-    with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+    with atomic_path(path) as partial:
+        fill_table(partial, header, rows)
+
+
+def fill_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write what `write_table` writes, into a file that is made whole by others."""
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
         writer.writerows([_text(value) for value in row] for row in rows)
@@ -197,21 +219,26 @@ def _conversion(where: str, header: Sequence[str]) -> str:
 def check_unknown(where: str, names: Collection[str], known: Collection[str]) -> None:
     """Raise `InputError` for an unknown name that comes close to a known one.
 
-    Close: the same but for case, blanks and punctuation; without its unit (`temperature`); one
-    letter wrong, or two of eight or more.  A column with any other name is kept as context.
+    Close: the same but for case, blanks and punctuation; without its unit or with another
+    (`temperature`, `x_mm`); one letter wrong, or two of eight or more.  A column with any other
+    name is kept as context.
     """
     for name in names:
         meant = None if name in known else nearest(name, known)
         if meant is not None:
             value, allowed = f"unknown, close to {meant}", f"{meant}, or another name"
+            if split_name(name)[1] is not None:
+                allowed += f"; other units: longarm import-data {where} -o samples.csv"
             raise InputError(where, f"column {name}", value, allowed)
 
 
 def nearest(name: str, known: Collection[str]) -> str | None:
     """The known name that `name` most likely means, or None."""
     plain = _plain(name)
+    stems = {plain, _plain(split_name(name)[0])}
     for candidate in known:
-        if plain in (_plain(candidate), _plain(re.sub(r"_(c|kg|s|id|m|rad)$", "", candidate))):
+        without = re.sub(r"_id$", "", split_name(candidate)[0])
+        if stems & {_plain(candidate), _plain(without)}:
             return candidate
     wrong = 2 if len(plain) >= 8 else 1
     spelt = {_plain(candidate): candidate for candidate in known}

@@ -49,7 +49,7 @@ RELEASES = (
     Button("Release stop", graph.ESTOP, _OFF, _GREY,
            "Torque on where the arm stands; trajectories are taken again."),
     Button("Reset fault", graph.RESET, Trigger.Request, _GREY,
-           "Ends a fault whose cause is gone."),
+           "Ends stop, hold, and a fault whose cause is gone."),
 )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.files import followed, write_bytes
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.model import file_versions, model_file
 from longarm_comp.core.model.declared_model import declared_model
@@ -129,7 +129,7 @@ def apply(
         raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
     stored = read_stored(made)
     after = restore(stored, arm, str(made))
-    target = predictor or model.parent / inputs.PREDICTOR
+    target = followed(predictor or model.parent / inputs.PREDICTOR)
     finish(model, target)
     before = _before(stored.provenance, made, model, arm)
     rows = _session(stored.provenance, diagnosis, session, before, arm, note)
@@ -147,6 +147,13 @@ def apply(
     aside = put_to_work(model, made.read_bytes(), target, trained)
     at_work, errors = None if trained is None else target, _mean_errors(report)
     return Applied(model, stored.version, tuple(changed), at_work, refused, aside, *errors)
+
+
+def take_back(diagnosis: Path, model: Path) -> None:
+    """Undo a diagnosis that is at work, because what put it to work was broken off thereafter."""
+    made = diagnosis / inputs.MODEL
+    if model.is_file() and made.is_file() and model.read_bytes() == made.read_bytes():
+        undo(model)
 
 
 def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
@@ -303,8 +310,9 @@ def undo(model: Path) -> Path | None:
     Predictors are looked for beside the model. One that belonged to the version taken back is
     set aside. Broken off, it is finished by calling it again. Returns the predictor that came back.
     """
-    at_work = [p for p in sorted(model.parent.glob("[!.]*.npz")) if _trained_with(p) is not None]
-    names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in at_work})
+    beside = [followed(p) for p in model.parent.glob("[!.]*.npz")
+              if p.is_symlink() or _trained_with(p) is not None]  # fmt: skip
+    names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in beside})
     discarded = inputs.file_hash(model) if model.is_file() else ""
     back = [name for name in names if finish(model, name)]
     if not (back and not file_versions.previous(model).is_file()):
@@ -332,8 +340,7 @@ def _keep(predictor: Path) -> Path | None:
     if not predictor.is_file():
         return None
     aside = _kept(predictor, _trained_with(predictor) or inputs.file_hash(predictor))
-    with atomic_path(aside) as partial:
-        partial.write_bytes(predictor.read_bytes())
+    write_bytes(aside, predictor.read_bytes())
     return aside
 
 

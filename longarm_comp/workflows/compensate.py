@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import Arrival, compensate_apart, compensate_move
@@ -293,15 +294,19 @@ def method_of(given: Method | str | None, predictor: Predictor | None) -> Method
 def goals_of(
     model: Model, targets: ArrayLike | Targets, context: Context | None
 ) -> tuple[list[np.ndarray], Context, np.ndarray]:
-    """Positions (3,) or poses (4, 4), the circumstances of all, and their numbers."""
+    """Positions (3,) or poses (4, 4), the circumstances of all, and their numbers.
+
+    A time of theirs is of no session: every target comes after it (`Context.as_left`).
+    """
     if isinstance(targets, Targets):
         if context is not None:
             raise InputError("compensate", "context", "given", "None: the targets have their own")
+        told = _checked(targets.context(model.arm.n), model, targets.source)
         goals = [
             xyz if np.isnan(turn[0]) else quaternion.pose(xyz, turn)
             for xyz, turn in zip(targets.xyz, targets.quaternion, strict=True)
         ]
-        return goals, targets.context(model.arm.n), targets.index
+        return goals, told, targets.index
     try:
         given = np.asarray(targets, dtype=float)
     except (TypeError, ValueError) as error:
@@ -310,7 +315,14 @@ def goals_of(
     if given.ndim not in (2, 3) or given.shape[1:] not in ((3,), (4, 4)) or not len(given):
         allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"
         raise InputError("compensate", "targets", f"shape {given.shape}", allowed)
-    return list(given), context or Context(), np.arange(len(given))
+    return list(given), _checked(context or Context(), model, "context"), np.arange(len(given))
+
+
+def _checked(told: Context, model: Model, where: str) -> Context:
+    """What a command may use of circumstances. Raises `InputError` where the arm cannot be so."""
+    for name, values in told.columns.items():
+        check_circumstance(model.arm, name, values, where)
+    return told.as_left(model.ended_s)
 
 
 def _line(index: int, arrival: Arrival, placed: Placement) -> dict[str, Any]:

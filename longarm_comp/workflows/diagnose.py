@@ -19,7 +19,7 @@ from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.files import write_bytes
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -72,8 +72,11 @@ class DiagnosisResult:
     @cached_property
     def model(self) -> Model:
         """The model to use from now on, with the record of how good it is."""
-        known = uncertainty(self.diagnosis.fit)
-        return replace(self.diagnosis.model, uncertainty=known)
+        found = self.diagnosis
+        of_it = [r for r in (found.train, found.held_out) if r.source == found.train.source]
+        ends = [ended for rows in of_it if (ended := rows.ended_s) is not None]
+        known = uncertainty(found.fit)
+        return replace(found.model, uncertainty=known, ended_s=max(ends, default=None))
 
     @property
     def predictor(self) -> Predictor | None:
@@ -104,15 +107,15 @@ class DiagnosisResult:
         `undo` restores the model before, if one was given. Files of an earlier diagnosis go.
         """
         target = Path(folder)
+        earlier = (target / "report.json").is_file()
         write_report(*self._assembled, target)
         before, path = self.model_before, target / inputs.MODEL
         stored = self._stored(target)
         if before is not None and before.resolve() != path.resolve():
-            with atomic_path(path) as partial:
-                partial.write_bytes(before.read_bytes())
+            write_bytes(path, before.read_bytes())
         save_model(path, stored)
         for name, write in ((inputs.PREDICTOR, self._write_predictor), (FILE, self._write_next)):
-            if not write(target / name):
+            if not write(target / name) and earlier:
                 (target / name).unlink(missing_ok=True)
         return target
 

@@ -6,6 +6,7 @@ import csv
 import gc
 import hashlib
 import json
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -20,7 +21,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.kind_of_arm import table
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.errors import InputError, LongarmError
-from longarm_comp.core.files import write_text
+from longarm_comp.core.files import check_regular, write_text
 from longarm_comp.report.record import read_report
 from longarm_comp.version import __version__
 from longarm_comp.workflows.diagnose import diagnose_files
@@ -28,9 +29,11 @@ from longarm_comp.workflows.evaluate import evaluate
 from longarm_comp.workflows.inputs import file_hash
 
 SCHEMA = "longarm/fleet/1"
-WRITTEN = "fleet.json"
+WRITTEN, PAGE = "fleet.json", "fleet.html"
 
 ARM, MODEL = "arm.yaml", "model.yaml"
+_LONGEST_HEADER = 100_000
+"""Bytes of a header that are looked at; `csv` takes no longer cell."""
 _MEASURED = {(*kind.cells, kind.label)[0] for kind in KINDS.values()}
 
 
@@ -121,6 +124,12 @@ def members(folder: Path) -> list[_Member]:
     if not found:
         allowed = f"folders with {ARM} and a session each, or one {ARM} and a session an arm"
         raise InputError(str(folder), "fleet", "no arm", allowed)
+    taken = {WRITTEN, PAGE}  # and each has a folder of its own in the output
+    for member in found:
+        if not member.name.strip(".") or member.name in taken:
+            allowed = "a name that is no other arm's, and that a folder can have"
+            raise InputError(str(member.session), "name of an arm", member.name, allowed)
+        taken.add(member.name)
     return found
 
 
@@ -131,8 +140,10 @@ def sessions(folder: Path) -> list[Path]:
 
 
 def _measures(path: Path) -> bool:
-    with path.open(newline="", encoding="utf-8", errors="replace") as handle:
-        header = {cell.strip() for cell in next(csv.reader(handle), [])}
+    check_regular(path)
+    with path.open("rb") as file:
+        first = file.readline(_LONGEST_HEADER).decode("utf-8-sig", "replace")
+    header = {cell.strip() for cell in next(csv.reader([first]), [])}
     return "q1" in header and bool(header & _MEASURED) and "status" not in header
 
 
@@ -159,6 +170,8 @@ def fleet(
     tables = [table(Arm.load(member.arm)) for member in found]
     options = (__version__, network, seed)
     made: dict[str, Diagnosed] = {}
+    for member in found:
+        _check_free(output / member.name)
     known, left = _known(output / WRITTEN), []
     for member, mine in zip(found, tables, strict=True):
         files = [p for p in (member.arm, member.session, member.model) if p is not None]
@@ -177,6 +190,13 @@ def fleet(
     told = compared([made[member.name] for member in found])
     _write(told, output)
     return told
+
+
+def _check_free(folder: Path) -> None:
+    """Refuse a folder, for a diagnosis to be written, that is an arm's own."""
+    own = next((name for name in (ARM, MODEL) if (folder / name).exists()), "")
+    if own and not (folder / "report.json").is_file():
+        raise InputError(folder, "output", f"has {own}", "a new folder, or that of a diagnosis")
 
 
 def _known(path: Path) -> dict[str, Diagnosed]:
@@ -200,6 +220,8 @@ def _worked(
     if jobs == 1:
         yield from (look(*one) for one in left)
         return
+    # Processes must not look for modules in the folder where the program was started
+    os.environ.setdefault("PYTHONSAFEPATH", "1")
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         begun = {pool.submit(look, *one) for one in left}
         for done in as_completed(begun):

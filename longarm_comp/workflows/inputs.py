@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -202,7 +203,9 @@ def file_hash(path: FilePath) -> str:
     whole, digest = Path(path), hashlib.sha256()
     for part in sorted(whole.rglob("*")) if whole.is_dir() else [whole]:
         if part.is_file():
-            digest.update(part.read_bytes())
+            with part.open("rb") as file:
+                for piece in iter(partial(file.read, 1 << 20), b""):
+                    digest.update(piece)
     return digest.hexdigest()
 
 

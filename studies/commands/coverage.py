@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 
 @shape.study(
-    options.path_option("--data", "Folder with dlr_justin and wam_ur5; none are judged if absent."),
+    options.path_option(
+        "--data", "Folder with dlr_justin, wam_ur5 or both; none are judged if absent."
+    ),
     shape.arm,
     shape.number("--arms", 6, "Simulated arms.", least=0),
     click.option(
@@ -32,7 +34,7 @@ def command(
 
     \b
     Example:
-      longarm study coverage --data shared/data/real --arms 6 --json
+      longarm study coverage --data test/data --arms 6 --json
     """
     from studies import coverage
 

@@ -14,7 +14,7 @@ def command(data: Path, show: shape.Show) -> shape.Figures:
 
     \b
     Example:
-      longarm study other-arm --data shared/data/real
+      longarm study other-arm --data real
     """
     from studies.other_arm import COUNTS, DRAWS, study
 

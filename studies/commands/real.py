@@ -10,7 +10,9 @@ from studies.commands import shape
 _STEPS = 24  # fits in all, roughly: for the bar only
 
 
-@shape.study(options.path_option("--data", "Folder with dlr_justin and wam_ur5.", required=True))
+@shape.study(
+    options.path_option("--data", "Folder with dlr_justin, wam_ur5 or both.", required=True)
+)
 def command(data: Path, show: shape.Show) -> shape.Figures:
     """Held-out errors on real arms: DLR Agile Justin, Barrett WAM, UR5.
 
@@ -19,7 +21,7 @@ def command(data: Path, show: shape.Show) -> shape.Figures:
 
     \b
     Example:
-      longarm study real --data shared/data/real --json
+      longarm study real --data test/data --json
     """
     from studies.real import study
 

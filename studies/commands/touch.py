@@ -21,7 +21,7 @@ def command(data: Path, show: shape.Show) -> shape.Figures:
 
     \b
     Example:
-      longarm study touch --data shared/data/real/touch_pandas --json
+      longarm study touch --data touch_pandas --json
     """
     from studies.touch import lines, study
 

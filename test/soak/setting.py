@@ -67,6 +67,7 @@ class SoakSettings:
                 "wire_faults_hz": self.wire_faults_hz,
             },
             "kinematics": {"move_time_s": 0.05, "learning": True},
+            "servo_driver": {"state": str(self.out.absolute() / "state")},
         }
         return BringUp(
             arm=self.arm,

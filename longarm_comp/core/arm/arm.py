@@ -59,6 +59,11 @@ class Joint(Declared):
     theta_offset_deg: float = 0.0
     limits_deg: tuple[float, float] | None = None
     limits_m: tuple[float, float] | None = None
+    endless: bool = Field(
+        default=False,
+        description="a revolute joint that turns on and on: poses are planned within limits_deg, "
+        "+-180 by default, and paths may leave them",
+    )
     step_deg: Positive | None = Field(
         default=None, description="the servo's step, at a revolute joint; absent: continuous"
     )
@@ -96,6 +101,8 @@ class Joint(Declared):
         if self.pose is not None and self.type != "fixed":
             allowed = "in fixed rows only; use a_m, alpha_deg, d_m, theta_offset_deg"
             raise Misdeclared("pose", f"given in a {self.type} row", allowed)
+        if self.endless and (self.cylinder or self.type != "revolute" or not self.commanded):
+            raise Misdeclared("endless", True, "at commanded revolute joints without a cylinder")
         for name, limits in given.items():
             if limits is None:
                 continue
@@ -104,7 +111,7 @@ class Joint(Declared):
                 raise Misdeclared(name, list(limits), allowed)
             if not limits[0] < limits[1]:
                 raise Misdeclared(name, list(limits), "[lower, upper] with lower < upper")
-        if key is not None and not self.mimic and given[key] is None:
+        if key is not None and not self.mimic and given[key] is None and not self.endless:
             raise Misdeclared(key, "missing", f"[lower, upper] of a commanded {self.type} joint")
         self._check_step(key)
         self._check_cylinder()
@@ -148,6 +155,8 @@ class Joint(Declared):
         """Lower and upper limit in rad or m."""
         if self.limits_deg is not None:
             return math.radians(self.limits_deg[0]), math.radians(self.limits_deg[1])
+        if self.endless:
+            return -math.pi, math.pi
         return self.limits_m if self.limits_m is not None else (-math.inf, math.inf)
 
     @property
@@ -214,6 +223,10 @@ class Arm(Declared):
                 ):
                     allowed = f"a commanded joint: {list(self.commanded)}, {list(self.joint_names)}"
                     raise Misdeclared(f"joints.{joint.id - 1}.mimic.joint", mimic.joint, allowed)
+        for number, whole in zip(self.commanded, self.circular, strict=True):
+            if self.joints[number - 1].endless and not whole:
+                allowed = "where the rows that mimic it turn, by whole turns"
+                raise Misdeclared(f"joints.{number - 1}.endless", True, allowed)
         self._check_beams()
         return self
 
@@ -305,6 +318,19 @@ class Arm(Declared):
         return np.array([self.joints[i - 1].limits[1] for i in self.commanded])
 
     @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest joints (n,) that the arm can be at, rad or m; infinite if endless."""
+        endless = np.array([self.joints[i - 1].endless for i in self.commanded])
+        return np.where(endless, -np.inf, self.lower), np.where(endless, np.inf, self.upper)
+
+    def box_about(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Limits (..., n) for what begins at joints q (..., n): half a turn to either side of an
+        endless one."""
+        endless = np.isinf(self.bounds[1])
+        low = np.where(endless, q - np.pi, self.lower)
+        return low, np.where(endless, q + np.pi, self.upper)
+
+    @cached_property
     def steps(self) -> np.ndarray:
         """Steps of the joints' servos, (n,), rad or m; 0 where a joint is continuous."""
         return np.array([self.joints[i - 1].step for i in self.commanded])
@@ -329,6 +355,13 @@ class Arm(Declared):
                 matrix[joint.id - 1, index[row]] += mimic.multiplier  # type: ignore[index]
                 offset[joint.id - 1] += mimic.offset
         return matrix, offset
+
+    @cached_property
+    def circular(self) -> np.ndarray:
+        """(n,) joints that stand the same after a whole turn: those of turning rows, ungeared."""
+        turning = np.array([joint.type == "revolute" for joint in self.joints])
+        moved = self.mixing[0]
+        return np.asarray(((moved == 0) | (turning[:, None] & (moved % 1 == 0))).all(axis=0))
 
     def anchor(self, name: str) -> Vec3:
         """Declared place of an anchor (m); the origin if it is to be solved."""
@@ -364,8 +397,9 @@ class Arm(Declared):
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of what a model depends on: the contents but for `damping`, not the layout."""
-        held = self.model_dump(mode="json", exclude_defaults=True, exclude={"damping"})
+        """SHA-256 of what a model depends on, not the layout."""
+        beside: Any = {"damping": True, "payload": {"most_kg"}}
+        held = self.model_dump(mode="json", exclude_defaults=True, exclude=beside)
         text = json.dumps(held, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 

@@ -25,7 +25,9 @@ INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
 ORDER = "pose_number"
 """Column of the number of each pose, where a session does not tell its time.  A command comes after
 all poses: without the column the number is infinite."""
-_TOLD = ("t_s", "temperature_c", "payload_kg", ORDER)
+CLOCK = "t_s"
+"""Column of a session's clock, s."""
+_TOLD = (CLOCK, "temperature_c", "payload_kg", ORDER)
 NEVER_TOLD = "(a circumstance that no command knows)"
 
 
@@ -73,6 +75,17 @@ class Context:
             known = ", ".join(sorted(self.columns)) or "none"
             raise InputError("context", name, "missing", f"a recorded column (there are: {known})")
         return default
+
+    def as_left(self, ended_s: float | None) -> Context:
+        """The circumstances of a command: for it a session's clock and order stand at their end.
+
+        What a session's clock tells (a base that settles, a belt that jumped) is of that session;
+        afterwards no clock goes on where it stopped.  ``ended_s``: where; None: nobody knows.
+        """
+        columns = {k: v for k, v in self.columns.items() if k not in (CLOCK, ORDER)}
+        if ended_s is not None:
+            columns[CLOCK] = ended_s
+        return dataclasses.replace(self, columns=columns)
 
     def payload_kg(self, declared: float) -> Scalar:
         """Recorded, else as declared."""

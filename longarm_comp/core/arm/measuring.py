@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from longarm_comp.core.arm.parts import Pose, Positive, Vec3
-from longarm_comp.core.yaml_file import Declared, Misdeclared
+from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared
 
 Instrument = Literal["camera", "tracker", "total_station", "touch"]
 """What positions are measured with."""
@@ -73,7 +73,8 @@ PRINTED = 1e-4
 """Tolerance (m) of a known distance where none is given: of a printed or drilled part."""
 KnownDistance = tuple[str, str, float, float]
 """Names of two touched points, their distance (m), its standard deviation (m)."""
-TouchDistances = tuple[tuple[str, str, Positive] | tuple[str, str, Positive, Positive], ...]
+_Length = Annotated[float, Field(ge=1e-9, le=RANGES["_m"][1])]
+TouchDistances = tuple[tuple[str, str, _Length] | tuple[str, str, _Length, _Length], ...]
 """The same as a file declares it; the last may be absent."""
 
 

@@ -54,7 +54,7 @@ def plan_move(arm: Arm, start: np.ndarray | None, q: np.ndarray, wanted: np.ndar
     step = np.zeros_like(q) if start is None else q - start
     natural = np.where(np.abs(step) < SAME_POSE, 0.0, np.sign(step))
     via = q - wanted * length
-    room = (via >= arm.lower) & (via <= arm.upper)
+    room = (via >= arm.bounds[0]) & (via <= arm.bounds[1])
     direct = (wanted == 0) | ((natural == wanted) & (np.abs(step) >= length))
     runs_up = ~direct & room
     doubtful = ~direct & ~room
@@ -80,7 +80,7 @@ def wanted_sides(
         known: (n, 2) weight of what the data know of arrivals from above (-1) and from below (+1).
     """
     length = run_up_lengths(arm)
-    room = np.stack([q + length <= arm.upper, q - length >= arm.lower], axis=-1)
+    room = np.stack([q + length <= arm.bounds[1], q - length >= arm.bounds[0]], axis=-1)
     forward = np.ones(len(q), bool) if start is None else q > start
     forward = np.where(np.equal(sure, 0.0), forward, np.greater(sure, 0.0))
     joints, natural = np.arange(len(q)), forward.astype(int)

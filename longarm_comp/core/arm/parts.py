@@ -74,8 +74,15 @@ class Payload(Declared):
     """What the arm carries; a session's `payload_kg` column overrides the mass."""
 
     mass_kg: NonNegative = 0.0
+    most_kg: NonNegative | None = Field(default=None, description="largest mass it may carry")
     frame: int = Field(ge=0)
     position_m: Vec3 = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Payload:
+        if self.most_kg is not None and self.most_kg < self.mass_kg:
+            raise Misdeclared("most_kg", self.most_kg, f"at least mass_kg, {self.mass_kg}")
+        return self
 
 
 class Tube(Declared):

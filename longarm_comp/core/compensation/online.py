@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import CLOCK, Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.unknown import NO_END
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 
@@ -21,10 +22,14 @@ class StaleContext(JobError):  # noqa: N818
 
 
 class _Reading(NamedTuple):
-    """What one source told last: columns as `Context` names them, and when (s, monotonic)."""
+    """What one source told last: columns as `Context` names them, and when (s, monotonic).
+
+    ``wrong``: why the arm cannot be in these circumstances; empty where it can.
+    """
 
     columns: Mapping[str, float]
     at_s: float
+    wrong: str = ""
 
 
 @dataclass(frozen=True)
@@ -32,16 +37,18 @@ class Readings:
     """The last reading of every source (temperature, payload, inclination of a frame)."""
 
     readings: Mapping[str, _Reading] = field(default_factory=dict)
-    started_s: float = 0.0
 
-    def told(self, source: str, columns: Mapping[str, float], at_s: float) -> Readings:
-        """With a new reading."""
-        return replace(self, readings={**self.readings, source: _Reading(columns, at_s)})
+    def told(
+        self, source: str, columns: Mapping[str, float], at_s: float, wrong: str = ""
+    ) -> Readings:
+        """With a new reading. One that is ``wrong`` stands for nothing until another one comes."""
+        return replace(self, readings={**self.readings, source: _Reading(columns, at_s, wrong)})
 
     def fresh(self, source: str, now_s: float, max_age_s: float) -> Mapping[str, float]:
-        """What a source told last; nothing where it is older than ``max_age_s``."""
+        """What a source told last; nothing where it is older than ``max_age_s``, or wrong."""
         reading = self.readings.get(source)
-        return reading.columns if reading and now_s - reading.at_s <= max_age_s else {}
+        good = reading and not reading.wrong and now_s - reading.at_s <= max_age_s
+        return reading.columns if reading and good else {}
 
     def context(
         self, model: Model, now_s: float, max_age_s: float, history: History | None = None
@@ -52,39 +59,40 @@ class Readings:
 
         Raises:
             StaleContext: an effect of the model, or the load, needs what is older than
-                ``max_age_s`` or was never told.
+                ``max_age_s``, wrong, or was never told.
         """
-        columns = {"t_s": now_s - self.started_s}
-        ages: dict[str, float] = {}
+        columns: dict[str, float] = {}
+        doubts: dict[str, str] = {}
         for reading in sorted(self.readings.values(), key=lambda reading: reading.at_s):
             age = now_s - reading.at_s
-            ages.update(dict.fromkeys(reading.columns, age))
-            columns.update(reading.columns if age <= max_age_s else {})
-        old = {name: age for name, age in ages.items() if age > max_age_s}
-        context = Context(**({} if history is None else history.fields()), columns=columns)
-        if "payload_kg" in old and model.arm.payload is not None:
-            raise _stale("payload_kg", old)
+            for name, value in reading.columns.items():
+                old = f"{name} is {age:.1f} s old" if age > max_age_s else ""
+                columns[name], doubts[name] = value, reading.wrong or old
+        known = {name: value for name, value in columns.items() if not doubts[name]}
+        told = Context(**({} if history is None else history.fields()), columns=known)
+        context = told.as_left(model.ended_s)
+        if model.arm.payload is not None and (doubt := doubts.get("payload_kg")):
+            raise StaleContext(doubt)
         for effect in model.effects:
             if name := effect.missing(context):
-                raise _stale(name, old)
+                never = f"{name} was never published, and the model needs it"
+                raise StaleContext(NO_END if name == CLOCK else doubts.get(name) or never)
         return context
-
-
-def _stale(column: str, old: Mapping[str, float]) -> StaleContext:
-    if column in old:
-        return StaleContext(f"{column} is {old[column]:.1f} s old", column=column)
-    return StaleContext(f"{column} was never published, and the model needs it", column=column)
 
 
 _AGREEING = 3
 """Readings in a row that must agree before the joints are believed again."""
+_RESTART_S, _RIVALS_S = 1.0, 10.0
+"""Another publisher of joints is doubted for so long; two that speak in turn, since they did last:
+they may speak twice a second, or once in five."""
 
 
 def check_inside(q: np.ndarray, arm: Arm, where: str) -> None:
     """Refuse joints (n,) outside the limits by more than 2 % of their range (rad, m)."""
     # Share of a joint's range by which a reading may lie outside its limits
     slack = 0.02 * (arm.upper - arm.lower)
-    for k in np.flatnonzero(~((q >= arm.lower - slack) & (q <= arm.upper + slack))):
+    low, high = arm.bounds
+    for k in np.flatnonzero(~((q >= low - slack) & (q <= high + slack))):
         allowed = f"{arm.lower[k]:g} to {arm.upper[k]:g}"
         raise InputError(where, arm.joint_names[k], float(q[k]), allowed)
 
@@ -94,6 +102,10 @@ class JointTrust:
 
     After a jump (the numbers are wrong, or two arms publish in turn) they are doubtful until three
     readings in a row agree.  What moves faster than so many ranges per second (`rate`) is a jump.
+
+    Every publisher numbers its messages upwards. A number that does not go up is another one's:
+    once after a restart, again and again where two publish at the same time. Where the middleware
+    gives no numbers, a jump counts as one.
     """
 
     def __init__(self, arm: Arm, rate: float) -> None:
@@ -101,16 +113,27 @@ class JointTrust:
         self._last: tuple[np.ndarray, float] | None = None
         self._agreeing = _AGREEING
         self._why = ""
+        self._number, self._numbered = 0, True
+        self._now_s, self._changed_s, self._until_s = 0.0, -math.inf, -math.inf
 
     @property
     def doubt(self) -> str:
         """Why the joints are not believed now; empty where they are."""
         return self._why if self._agreeing < _AGREEING else ""
 
+    def heard(self, number: int | None, now_s: float) -> None:
+        """Take that a message came (s, monotonic), and the number that its publisher gave it."""
+        self._now_s, self._numbered = now_s, number is not None
+        if number is not None:
+            if number <= self._number:
+                self._changed()
+            self._number = number
+
     def read(self, q: np.ndarray, at_s: float) -> bool:
         """Take a reading (n,) of a time (s); whether the joints are believed after it."""
         before, self._last = self._last, (q, at_s)
-        self._agreeing = min(self._agreeing + 1, _AGREEING)
+        settled = self._now_s >= self._until_s
+        self._agreeing = min(self._agreeing + 1, _AGREEING) if settled else 0
         try:
             check_inside(q, self._arm, "joint_states")
         except InputError as error:
@@ -119,7 +142,9 @@ class JointTrust:
             return False
         if before is not None:
             range_, dt = self._arm.upper - self._arm.lower, max(at_s - before[1], 0.0)
-            share = np.abs(q - before[0]) / np.where(range_ > 0, range_, math.inf)
+            step = q - before[0]
+            step -= np.where(np.isinf(self._arm.bounds[1]), math.tau * np.round(step / math.tau), 0)
+            share = np.abs(step) / np.where(range_ > 0, range_, math.inf)
             k = int(np.argmax(share))
             # Share of a joint's range that two readings may differ by, however soon they follow
             if share[k] > 0.1 + self._rate * dt:
@@ -128,8 +153,20 @@ class JointTrust:
                     f"joint_states: {name} jumped from {was:.4g} to {now:.4g} within {dt:.3f} s; "
                     "does another node publish joint_states?"
                 )
+                if not self._numbered:
+                    self._changed()
         return not self.doubt
 
     def distrust(self, why: str) -> None:
         """Doubt the joints until three readings agree."""
-        self._agreeing, self._why = 0, why
+        self._agreeing = 0
+        if self._now_s >= self._until_s:
+            self._why = why
+
+    def _changed(self) -> None:
+        """The joints come from another publisher than before."""
+        again = self._now_s - self._changed_s < _RIVALS_S
+        rivals = "two publishers tell joint_states in turn: end one of them"
+        self._agreeing, self._changed_s = 0, self._now_s
+        self._why = rivals if again else "joint_states come from another publisher than before"
+        self._until_s = self._now_s + (_RIVALS_S if again else _RESTART_S)

@@ -16,6 +16,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.measuring import VISIBLE_M
+from longarm_comp.core.compensation.circle import check_no_turn, unwrapped
 from longarm_comp.core.compensation.compensate import judged, physics_of
 from longarm_comp.core.compensation.planned_path import (
     MotionLimits,
@@ -29,6 +30,7 @@ from longarm_comp.core.compensation.result import (
     Compensation,
     CompensationOptions,
     Method,
+    PathRefused,
     ResidualPredictor,
     Status,
     missed,
@@ -52,14 +54,6 @@ from longarm_comp.math.cubic_path import CubicPath
 
 ContextAt = Callable[[History], Context]
 """Circumstances at all way-points, given the histories (k, n) there, or one (n,) for all."""
-
-
-class PathRefused(JobError):  # noqa: N818
-    """A path that cannot be followed; nothing of it was sent."""
-
-    def __init__(self, status: Status, row: int, why: str) -> None:
-        super().__init__(f"way-point {row}: {status}: {why}")
-        self.status, self.row = status, row
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +141,8 @@ def compensate_path(
             where the limits allow.
 
     Raises:
-        PathRefused: a way-point cannot be reached, or needs too large a correction; a limit or a
-            box is in the way.
+        PathRefused: a way-point cannot be reached, needs too large a correction, or turns a joint
+            by more than half a turn; a limit or a box is in the way.
         InputError: the plan's shapes or times are not allowed.
     """
     arm = model.arm
@@ -159,6 +153,8 @@ def compensate_path(
     for row in (row for row, fault in enumerate(faults) if fault):
         raise PathRefused(Status.BAD_TARGET, row, faults[row])
     begun = plan.begun and start is not None
+    if plan.joints is not None:
+        plan = replace(plan, joints=unwrapped(arm, plan.joints, start if begun else None))
     way = _Way(
         model, predictor, plan, start, history, context_at, begun, turn_m, max_longer,
         limits or MotionLimits(*np.full((2, arm.n), np.inf)), max_correction_m, free, options,
@@ -225,6 +221,7 @@ class _Way:
             q = self._reached(q - before[0] + lag, error, context)
             passes += 1
         lag = before[0]  # that q was found with
+        check_no_turn(self.model.arm, q)
         timed = self._timed(way, q - lag - way, lag, take.turns(way, lag, came.approach))
         ideal = self._standing(bare + lag) if learned else timed.joints
         moved = self._corrections(timed.joints)
@@ -277,7 +274,7 @@ class _Way:
         first = np.diff((way if plan.joints is None else plan.joints)[:2], axis=0).sum(axis=0)
         begins = np.diff(begun, axis=0).sum(axis=0) - first
         second = min(1, len(way) - 1)
-        box = arm.lower, arm.upper
+        box = arm.bounds
 
         def commands(times: np.ndarray) -> CubicPath:
             stands, beyond = taken_up(way, off, lag, turns, times)
@@ -305,7 +302,7 @@ class _Way:
         """(k, n) joints to start from: as planned, or each from those of the one before."""
         arm, plan = self.model.arm, self.plan
         if plan.joints is not None:
-            return self._standing(np.clip(plan.joints, arm.lower, arm.upper))
+            return self._standing(np.clip(plan.joints, *arm.bounds))
         each, physics = self._context(self.history).each(len(plan.targets)), self.physics
         made: list[np.ndarray] = []
         first = self.start if seed is None else seed

@@ -167,15 +167,15 @@ class _Problem:
         search: Search, locked: Sequence[int],
     ) -> None:  # fmt: skip
         self.predict, self.target, self.search = predict, target, search
-        self.lower, self.upper = arm.lower, arm.upper
-        self.ideal = np.clip(ideal, arm.lower, arm.upper)
+        self.lower, self.upper = arm.box_about(ideal)
+        self.ideal = np.clip(ideal, self.lower, self.upper)
         slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
         self.price = search.price_m / np.where(slides, search.length_m, 1.0)
         held = np.isin(np.arange(arm.n), locked)
         # Lowest and highest k inside the limits; of a continuous joint, of no use
         step = np.where(lattice.step > 0, lattice.step, 1.0)
-        low = np.ceil((arm.lower - lattice.offset) / step - EDGE)
-        high = np.floor((arm.upper - lattice.offset) / step + EDGE)
+        low = np.ceil((self.lower - lattice.offset) / step - EDGE)
+        high = np.floor((self.upper - lattice.offset) / step + EDGE)
         declared = (lattice.step > 0) & ~held
         on = self.stepped = np.flatnonzero(declared & lattice.known & (low <= high))
         self.free = np.flatnonzero((lattice.step == 0) & ~held)

@@ -12,7 +12,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.realisable import Lattice, Realisable
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.ik.solver import MAX_STARTS, Solution, position_of
 
 
@@ -68,6 +68,14 @@ class Status(IntEnum):
     def success(self) -> bool:
         """Whether the command is fit to be sent."""
         return self <= Status.OUT_OF_DOMAIN
+
+
+class PathRefused(JobError):  # noqa: N818
+    """A path that cannot be followed; nothing of it was sent."""
+
+    def __init__(self, status: Status, row: int, why: str) -> None:
+        super().__init__(f"way-point {row}: {status}: {why}")
+        self.status, self.row = status, row
 
 
 @dataclass(frozen=True)

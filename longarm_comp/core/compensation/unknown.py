@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.context import PER_JOINT, Context
+from longarm_comp.core.arm.context import CLOCK, PER_JOINT, Context
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.model.model import Model, unstack
 
+NO_END = "the model does not say when its session ended: calibrate again"
+"""Why it gives no command, where it holds what went on while the session was measured."""
 _LEAST_M = 1e-5
 """A tip that moves by less, whatever the joints did before, does not depend on it."""
 
@@ -23,6 +25,8 @@ def missing_column(model: Model, context: Context) -> str:
     """Which recorded quantity an effect of the model needs and the context lacks, or ""."""
     for effect in model.effects:
         if name := effect.missing(context):
+            if name == CLOCK:
+                return f"{NO_END} (it holds {effect.name})"
             return f"{name} is not known, and {effect.name} of the model needs it"
     return ""
 

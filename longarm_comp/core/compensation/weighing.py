@@ -65,6 +65,12 @@ class Felt(NamedTuple):
     friction: np.ndarray
     step: np.ndarray
 
+    @property
+    def finite(self) -> bool:
+        """Whether the statics say a number, or none, of every channel."""
+        here = ~np.isnan(self.without)
+        return bool(np.isfinite([self.without[here], self.per_kg[here]]).all())
+
 
 def felt(
     model: Model, q: np.ndarray, context: Context, effort: np.ndarray, drives: Drives,

@@ -14,13 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import INCLINATION
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.data.belonging import MOST_STRAYS, believe, mistakes
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import check_touches
+from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.math.points import robust_kabsch
 
@@ -142,10 +145,24 @@ def _inclinometers(case: _Case) -> None:
 
 
 def _plausible_context(case: _Case) -> None:
-    for name, lowest in (("temperature_c", -273.15), ("payload_kg", 0.0)):
-        values = case.session.columns.get(name)
-        if values is not None and (values < lowest).any():
-            raise case.refuse(name, float(values.min()), f"{lowest} or more")
+    for name, values in case.session.columns.items():
+        check_circumstance(case.arm, name, values, case.session.source)
+
+
+def _bearable(case: _Case) -> None:
+    """Refuse loads under which the declared beams would bend by more than the arm's own reach."""
+    rows = np.unique(np.linspace(0, len(case.session) - 1, 100).astype(int))
+    if not case.arm.links:
+        return
+    declared = case.arm.payload.mass_kg if case.arm.payload else 0.0
+    loads = case.session.columns.get("payload_kg", np.full(len(case.session), declared))
+    some = case.session.take(np.union1d(rows, [np.argmax(loads)]))
+    rigid = Model(case.arm).tip(some.q, some.context())
+    with np.errstate(all="ignore"):
+        sag = np.linalg.norm(declared_model(case.arm).tip(some.q, some.context()) - rigid, axis=1)
+    if not (sag <= reach(case.arm)).all():
+        allowed = "a load that the beams of arm.yaml carry: look at E_pa, sections and masses"
+        raise case.refuse("payload_kg", float(loads.max()), allowed)
 
 
 def _order(case: _Case) -> None:
@@ -218,6 +235,9 @@ def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
     field = ", ".join(c for kind in case.session.kinds for c in kind.cells or (kind.label,))
     if lost == len(case.session):
         raise case.refuse(field, f"blank in all {lost} rows", "measured tip positions (m)")
+    blank = np.isnan(case.session.xyz).all(axis=0)
+    for axis in np.array(["x", "y", "z"])[blank] if not blank.all() else ():
+        yield AdmissionFinding("blanks", str(axis), "measured in no row")
     if not case.session.placed.any():
         text = "no row measures the tip: tip and base stay as declared"
         yield AdmissionFinding("blanks", "x, y, z", text)
@@ -368,6 +388,6 @@ def _base(arm: Arm, turn: np.ndarray, offset: np.ndarray) -> str:
 
 
 _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
-    *(_same_arm, _inclinometers, _plausible_context, _joint_units, _order, _touches),
+    *(_same_arm, _inclinometers, _plausible_context, _joint_units, _bearable, _order, _touches),
     *(_measured_at_all, _constant, _copies),
 )

@@ -184,6 +184,11 @@ class Session(MeasuredRows):
         """Time of each row in s, (N,), where recorded."""
         return self.columns.get("t_s")
 
+    @property
+    def ended_s(self) -> float | None:
+        """The latest time of its rows, as effects count it; None where none is recorded."""
+        return None if self.t_s is None else float(self.t_s.max() - self.begun_s)
+
     @cached_property
     def run_up(self) -> np.ndarray:
         """(N, n) where a joint turned last, rad and m; NaN: it came straight, or nobody knows."""

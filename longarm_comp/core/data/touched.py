@@ -18,6 +18,7 @@ from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.lifted_base import EXACT
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside, TouchPlace
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -90,9 +91,29 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
         )
         raise InputError(session.source, "group", "several", allowed)
     points = {name for kind in stood for name in session.named(kind)}
+    _check_distances(session, arm)
     for one, other, *_ in session.touch_distances:
         if (one in points) != (other in points):
             yield "touch_distances", f"{other if one in points else one} was not touched"
+
+
+_OFF_SHARE = 0.1
+"""Share of its reach by which no arm as declared misses a distance that it touches the ends of."""
+
+
+def _check_distances(session: Session, arm: Arm) -> None:
+    """Refuse known distances that the arm as declared does not touch by far."""
+    tips = Model(arm).tip(session.q, session.context())
+    touched = session.labels.get("touch", np.zeros(0, dtype=str))
+    for one, other, length, _ in (*known_distances(arm.touch_distances), *session.touch_distances):
+        ends = [tips[touched == name] for name in (one, other)]
+        if not all(map(len, ends)):
+            continue
+        apart = float(np.linalg.norm(np.subtract(*(np.median(end, axis=0) for end in ends))))
+        if abs(length - apart) > _OFF_SHARE * reach(arm):
+            hint = " (this looks like millimetres)" if 500 < length / (apart or 1) < 2000 else ""
+            allowed = f"metres, about {apart:.3g}, as the arm touched them{hint}"
+            raise InputError(session.source, f"touch_distances: {one}, {other}", length, allowed)
 
 
 def started(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:

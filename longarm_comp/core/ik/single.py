@@ -16,6 +16,9 @@ _Key = tuple[Layout | None, int, float, int]  # layout, equations, tolerance, it
 _Found = tuple[np.ndarray, list[float]]
 
 
+_BOX = ("lower", "upper")
+
+
 class _Workspace:
     """A block of columns, of which the first is used, and views of its inputs and results."""
 
@@ -25,8 +28,9 @@ class _Workspace:
         column = block[:, 0]
         column[kernel.slice("live")] = 1.0
         column[kernel.slice("tol")], column[kernel.slice("permitted")] = tol, max_iterations
-        for name in ("lower", "upper"):
-            block[kernel.slice(name)] = getattr(kernel.arm, name)[:, None]
+        for name, limits in zip(_BOX, kernel.arm.box_about(kernel.arm.mid), strict=True):
+            block[kernel.slice(name)] = limits[:, None]
+        self.box = [column[kernel.slice(name)] for name in _BOX]
         self.given = column[kernel.slice("given")].reshape(4, 4)
         self.position = self.given[:3, 3]
         self.seed, self.q = column[kernel.slice("seed")], column[kernel.slice("q")]
@@ -43,6 +47,7 @@ class _Task:
 
     def __init__(self, kernel: Kernel, key: _Key) -> None:
         self.kernel, self.key = kernel, key
+        self.endless = bool(np.isinf(kernel.arm.bounds[1]).any())
         self.spare = [_Workspace(kernel, key)]
 
     def run(self, target: np.ndarray, seed: np.ndarray, context: Context | None) -> _Found | None:
@@ -59,6 +64,8 @@ class _Task:
         else:
             workspace.given[...] = target
         workspace.seed[...] = seed
+        if self.endless:
+            workspace.box[0][...], workspace.box[1][...] = self.kernel.arm.box_about(seed)
         if context is not workspace.packed and context is not None:
             workspace.context[...] = self.kernel.layout.pack(context, 1)[0]
             workspace.packed = context

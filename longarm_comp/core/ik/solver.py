@@ -142,7 +142,7 @@ def solve_many(
     start = checked_seed(model, seed, len(wanted))
     if not (np.isfinite(tol) and tol > 0):
         raise InputError("ik.solve_many", "tol", tol, "a number above 0")
-    lower, upper = (np.repeat(v[None], len(wanted), axis=0) for v in (arm.lower, arm.upper))
+    lower, upper = arm.box_about(start)
     for k in locked_joints(model, locked):
         lower[:, k] = upper[:, k] = start[:, k]
     q, report = run(
@@ -157,7 +157,7 @@ def solve_many(
         if iterations[i] >= starts[i] * _MAX_ITERATIONS:
             reasons[i] = Reason.ITERATIONS
         else:
-            at_limit = (q[i] <= arm.lower) | (q[i] >= arm.upper)
+            at_limit = (q[i] <= arm.bounds[0]) | (q[i] >= arm.bounds[1])
             reasons[i] = Reason.AT_LIMITS if at_limit.any() else Reason.OUT_OF_REACH
     return Solutions(q, ok, tuple(reasons), position, angle, iterations, starts)
 
@@ -220,7 +220,7 @@ def checked_seed(
         raise InputError(where, "seed", f"shape {given.shape}", allowed)
     if not np.isfinite(given).all():
         raise InputError(where, "seed", given, "finite joint values")
-    return np.array(np.clip(np.broadcast_to(given, (count, arm.n)), arm.lower, arm.upper))
+    return np.array(np.clip(np.broadcast_to(given, (count, arm.n)), *arm.bounds))
 
 
 def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:

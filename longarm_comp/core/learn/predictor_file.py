@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path, check_regular, check_unpacked
+from longarm_comp.core.files import check_regular, check_unpacked, write_bytes
 from longarm_comp.core.learn.inputs import Encoding, raw_names
 from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
@@ -28,8 +28,6 @@ from longarm_comp.core.yaml_file import Declared, parse_declared
 
 _LARGEST = 1e6
 """Inputs, weights and lengths (m) are far below it: no arm is a thousand kilometres long."""
-
-
 _OTHERS = ".safetensors"
 """Ending of the file of a network of others."""
 
@@ -56,8 +54,8 @@ class _Header(Declared):
     joints: int = Field(ge=1, le=10_000)
     context: tuple[Literal["approach", "temperature_c", "payload_kg"], ...]
     hidden: int = Field(ge=0, le=10_000)
-    scale: float = Field(gt=0)
-    variance_limit: float = Field(gt=0)
+    scale: float = Field(gt=0, le=_LARGEST)
+    variance_limit: float = Field(gt=0, le=_LARGEST**2)
     input_names: tuple[str, ...]
     network: _Network | None = None
 
@@ -100,8 +98,7 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         said = json.dumps(header | {"network": network}, sort_keys=True)
         arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         content = packed(arrays, {"header": said, "sha256": _digest(said, arrays)})
-    with atomic_path(path) as partial:
-        partial.write_bytes(content)
+    write_bytes(path, content)
 
 
 def load(

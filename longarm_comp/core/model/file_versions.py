@@ -1,4 +1,7 @@
-"""A file and its previous version beside it: replaced whole, wherever it is broken off."""
+"""A file and its previous version beside it: replaced whole, wherever it is broken off.
+
+Versions lie beside the file that a link leads to.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import os
 from pathlib import Path
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.files import followed, write_bytes
 
 
 def put(path: str | Path, content: bytes) -> None:
@@ -17,10 +20,8 @@ def put(path: str | Path, content: bytes) -> None:
     path = Path(path)
     settle(path)
     if os.path.isfile(path):  # False in an unreadable folder; writing then raises
-        with atomic_path(_beside(path, "before")) as partial:
-            partial.write_bytes(path.read_bytes())
-    with atomic_path(path) as partial:
-        partial.write_bytes(content)
+        write_bytes(_beside(path, "before"), path.read_bytes())
+    write_bytes(path, content)
     settle(path)
 
 
@@ -42,7 +43,7 @@ def previous(path: str | Path) -> Path:
 
 
 def _beside(path: str | Path, what: str) -> Path:
-    path = Path(path)
+    path = followed(path)
     if not path.name:
         raise InputError(str(path), "model", "a folder", "a file")
     return path.with_name(f"{path.stem}.{what}{path.suffix}")
@@ -51,6 +52,6 @@ def _beside(path: str | Path, what: str) -> Path:
 def replaced(path: Path, to: str | Path) -> None:
     """A file takes the place of another."""
     try:
-        os.replace(path, to)
+        os.replace(path, followed(to))
     except OSError as error:
         raise InputError(str(to), "file", error.strerror, "a file that may be replaced") from error

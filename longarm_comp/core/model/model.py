@@ -80,6 +80,7 @@ class Model:
         beyond: (parameter, factor) of priors made wider or narrower: geometry beyond its tolerance,
             and what every arm yields by. Each fit finds them again; no file holds them.
         uncertainty: how far its tip may be from the true tip; None if that is not known.
+        ended_s: where the clock of its session stood at the end, s; None if that is not known.
     """
 
     arm: Arm
@@ -91,6 +92,7 @@ class Model:
     tolerances: float = 1.0
     beyond: tuple[tuple[tuple[object, ...], float], ...] = field(default=(), compare=False)
     uncertainty: ModelUncertainty | None = field(default=None, compare=False)
+    ended_s: float | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         counts = Counter(term.name for term in self.terms)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, get_type_hints
 
@@ -17,10 +17,12 @@ import yaml
 from pydantic import Field, model_validator
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import CLOCK
 from longarm_comp.core.arm.parts import Pose, Vec3
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.effects.catalogue import effect_class, origin
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.file_versions import previous, put, replaced, settle
 from longarm_comp.core.model.model import Model, slots_of
@@ -75,9 +77,9 @@ class _StoredUncertainty(Declared):
 
 
 class StoredModel(Declared):
-    """The whole file. All keys are required, so that a truncated file is detected."""
+    """The whole file. Keys are required, and the last is a whole word, so that a truncated file
+    is detected."""
 
-    schema_: Literal["longarm/model/1"] = Field(alias="schema")
     version: int = Field(ge=0)
     arm: _ArmReference
     passes: int = Field(ge=1, le=50)  # more change no digit and take minutes
@@ -86,13 +88,16 @@ class StoredModel(Declared):
     effects: list[_StoredTerm]
     camera: list[_StoredTerm]
     provenance: dict[str, str | int | float]
-    arrivals: tuple[tuple[int, int], ...] = ()
+    arrivals: tuple[tuple[int, int], ...]
     placement: dict[str, Pose] = Field(
-        default_factory=dict,
         description="where bases stand in the frame of the measurements: for people and other "
         "programs; `geometry` is what counts",
     )
-    uncertainty: _StoredUncertainty | None = None
+    uncertainty: _StoredUncertainty | None
+    ended_s: float | None = Field(
+        default=None, description="where the clock of the session, its t_s, stood at the end"
+    )
+    schema_: Literal["longarm/model/1"] = Field(alias="schema")
 
 
 def store(
@@ -143,7 +148,7 @@ def store(
         schema="longarm/model/1", version=version, arm=arm, passes=model.passes,
         elements_per_beam=model.elements_per_beam, arrivals=model.arrivals,
         provenance={**(provenance or {}), **outside}, placement=_bases(model),
-        uncertainty=_stored_uncertainty(model), **sides,
+        uncertainty=_stored_uncertainty(model), ended_s=model.ended_s, **sides,
     )  # fmt: skip
 
 
@@ -255,10 +260,16 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
         raise InputError(where, "arrivals", f"of {len(stored.arrivals)} joints", allowed)
     bare = Model(
         arm, passes=stored.passes, elements_per_beam=stored.elements_per_beam,
-        arrivals=stored.arrivals,
+        arrivals=stored.arrivals, ended_s=_ended(stored, terms),
     )  # fmt: skip
     model = bare.with_terms(terms)
     return dataclasses.replace(model, uncertainty=_uncertainty(stored, model, where))
+
+
+def _ended(stored: StoredModel, terms: Sequence[Effect | Bias]) -> float | None:
+    """When the session ended; a file that does not say it may hold functions that do."""
+    told = (f for term in terms for f in getattr(term, "of", Function()).factors if f.of == CLOCK)
+    return max((f.high for f in told), default=None) if stored.ended_s is None else stored.ended_s
 
 
 def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertainty | None:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.memory import ServoMemory
 from longarm_comp.devices.servo_bus.port import SerialPort
 from longarm_comp.devices.servo_bus.state import (
     IncompleteReply,
@@ -15,6 +16,9 @@ from longarm_comp.devices.servo_bus.state import (
     ServoModel,
     ServoState,
 )
+
+Change = tuple[bytes, bytes]
+"""What is stored, and what is to be."""
 
 
 @dataclass(slots=True)
@@ -63,6 +67,39 @@ class SerialServoBus:
         reply = self._fetch([servo_id], self._dialect.model)[servo_id]
         return int.from_bytes(reply.data, "little")
 
+    @property
+    def port(self) -> str:
+        return self._port.path
+
+    @property
+    def protocol(self) -> str:
+        return self._dialect.name
+
+    def model_name(self, number: int) -> str:
+        """Name of the model with a number; empty where it is unknown."""
+        return self._dialect.model_name(number)
+
+    def memory(self, ids: Sequence[int]) -> dict[int, ServoMemory]:
+        """What each servo keeps without power. Raises IncompleteReply."""
+        replies = self._fetch(ids, self._dialect.memory)
+        return {i: self._dialect.memory_of(reply.data) for i, reply in replies.items()}
+
+    def alarms(self, ids: Sequence[int]) -> dict[int, str]:
+        """What servos raise now, in words, with their supply and temperature; of those that do."""
+        replies = self.ask(ids, self._dialect.state).replies
+        said = {}
+        for servo_id, flags in self._alarms(replies).items():
+            if len(replies[servo_id].data) != self._dialect.state.length:
+                continue
+            # Neither supply nor temperature depends on the model
+            state = self._dialect.state_of(replies[servo_id].data, flags, self._dialect.models[0])
+            if state.error_flags:
+                said[servo_id] = (
+                    f"{state.error_flags.words} (at {state.voltage_v:.1f} V, "
+                    f"{state.temperature_c:.0f} C)"
+                )
+        return said
+
     def read(self, ids: Sequence[int]) -> dict[int, ServoState]:
         """The state of every servo from one sync read.
 
@@ -96,15 +133,20 @@ class SerialServoBus:
     def torque(self, ids: Sequence[int], on: bool) -> None:
         """Switch the drives of ``ids`` and read back that it happened.
 
-        Before switching on, each goal is set to the present position, so that no servo jumps.
+        Before switching on, each goal is set to the present position, so that no servo jumps. One
+        that stands beyond its own limits would: it takes no goal there.
         Off is sent before any read, so that it also reaches a disturbed bus.
 
         Raises:
             IncompleteReply: some servos did not confirm.
-            ServoFault: a servo with an alarm would not switch on.
+            ServoFault: a servo with an alarm would not switch on, or one would jump.
         """
         if on:
-            self.write_goal({i: s.position_ticks for i, s in self.read(ids).items()})
+            goals = {i: s.position_ticks for i, s in self.read(ids).items()}
+            for servo_id, kept in self.memory(ids).items():
+                if why := kept.beyond(goals[servo_id]):
+                    raise ServoFault(f"servo {servo_id} {why}")
+            self.write_goal(goals)
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
 
     def driven(self, ids: Sequence[int]) -> dict[int, bool]:
@@ -115,26 +157,51 @@ class SerialServoBus:
         replies = self._fetch(ids, self._dialect.torque)
         return {servo_id: reply.data == b"\1" for servo_id, reply in replies.items()}
 
+    def turns(self, ids: Sequence[int]) -> dict[int, bytes]:
+        """What each servo keeps about its turns, as it is stored. Raises IncompleteReply."""
+        return {i: r.data for i, r in self._fetch(ids, self._dialect.turns).items()}
+
+    def other_turns(self, many: Mapping[int, bool]) -> dict[int, Change]:
+        """What is stored, and what would have to be, of servos that are set for other turns."""
+        return {
+            i: (stored, self._dialect.turns_bytes(many[i]))
+            for i, stored in self.turns(list(many)).items()
+            if self._dialect.turns_of(stored) != many[i]
+        }
+
+    def told_turns(self, many: Mapping[int, bool], others: Mapping[int, Change]) -> list[str]:
+        """What `other_turns` found, and was stored instead, in words."""
+        return [
+            f"servo {i} is set for {'many turns' if many[i] else 'one turn'}, as the servo file "
+            f"says: {self._dialect.turns_said(new)} instead of {self._dialect.turns_said(had)}"
+            for i, (had, new) in others.items()
+        ]
+
     def set_turns(self, many: Mapping[int, bool]) -> list[int]:
         """Allow servos more than one turn, or not. The servos store it permanently.
 
         Only servos set otherwise are written (their memory wears); their torque goes off. Returns
         the ids that were changed.
         """
-        wanted = {i: self._dialect.turns_bytes(flag) for i, flag in many.items()}
-        found = self._fetch(list(many), self._dialect.turns)
-        changed = {i: value for i, value in wanted.items() if found[i].data != value}
-        if changed:
-            self.torque(list(changed), on=False)
-            lock = self._dialect.turns_lock
-            if lock is not None:
-                self._write_checked(lock, dict.fromkeys(changed, b"\0"))
-            try:
-                self._write_checked(self._dialect.turns, changed)
-            finally:
-                if lock is not None:
-                    self._write_checked(lock, dict.fromkeys(changed, b"\1"))
-        return sorted(changed)
+        others = self.other_turns(many)
+        self.store_turns({i: wanted for i, (_, wanted) in others.items()})
+        return sorted(others)
+
+    def store_turns(self, stored: Mapping[int, bytes]) -> None:
+        """Switch the torque off and write what `turns` reads. A lock is closed as it was."""
+        if not stored:
+            return
+        self.torque(list(stored), on=False)
+        lock = self._dialect.turns_lock
+        if lock is None:
+            self._write_checked(self._dialect.turns, stored)
+            return
+        before = {i: reply.data for i, reply in self._fetch(list(stored), lock).items()}
+        self._write_checked(lock, dict.fromkeys(stored, b"\0"))
+        try:
+            self._write_checked(self._dialect.turns, stored)
+        finally:
+            self._write_checked(lock, before)
 
     def close(self) -> None:
         """Release the port; torque stays as it is."""
@@ -224,8 +291,7 @@ class SerialServoBus:
         if not harmless:
             for servo_id, flags in self._alarms(answers.replies).items():
                 if flags:
-                    alarm = flags.name or int(flags)
-                    raise ServoFault("the servo reports an alarm", id=servo_id, alarm=alarm)
+                    raise ServoFault("the servo reports an alarm", id=servo_id, alarm=flags.words)
         raise _incomplete(answers, {}, unconfirmed=wanted)
 
 

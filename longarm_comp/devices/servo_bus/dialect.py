@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from longarm_comp.devices.servo_bus.memory import Register, ServoMemory
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 BROADCAST = 0xFE  # id of all servos, which Feetech has taken over from Dynamixel
@@ -60,6 +61,12 @@ class Dialect(ABC):
     identity: ClassVar[Block | None] = None  # the id itself; None: it is set with the maker's tool
     alarm: ClassVar[Block | None] = None
     """Register of the alarms, for when the status byte only flags that there is one."""
+    registers: ClassVar[tuple[Register, ...]] = ()
+    """What servos keep without power and what decides the meaning of goals; none: nothing does."""
+    goal_limits: ClassVar[tuple[str, str] | None] = None
+    """Registers of the lowest and the highest goal within one turn, by name."""
+    speed_limit: ClassVar[tuple[str, float] | None] = None
+    """Register of the highest speed, by name, and ticks a second of its unit."""
 
     def decode(self, buffer: bytearray, final: bool) -> list[Reply]:
         """Take every status frame off the front of ``buffer``; ``final``: no more bytes come.
@@ -121,6 +128,47 @@ class Dialect(ABC):
     @abstractmethod
     def turns_bytes(self, many: bool) -> bytes:
         """Contents of ``turns`` for one turn or many."""
+
+    def model_name(self, number: int) -> str:
+        """Name of the model with a number; empty where it is unknown."""
+        return next((model.name for model in self.models if model.model_number == number), "")
+
+    def turns_of(self, data: bytes) -> bool | None:
+        """Whether ``turns`` says many turns; None: the servo is set for something else."""
+        return {self.turns_bytes(True): True, self.turns_bytes(False): False}.get(data)
+
+    def turns_said(self, data: bytes) -> str:
+        """The registers of ``turns`` with their values."""
+        first, end = self.turns.address, self.turns.address + self.turns.length
+        said = [
+            f"{r.name} = {r.value(data[r.address - first :][: r.length])}"
+            for r in self.registers
+            if first <= r.address < end
+        ]
+        return ", ".join(said) or data.hex()
+
+    @property
+    def memory(self) -> Block:
+        """The block that holds every register and ``turns``."""
+        blocks = [*(Block(r.address, r.length) for r in self.registers), self.turns]
+        start = min(block.address for block in blocks)
+        return Block(start, max(block.address + block.length for block in blocks) - start)
+
+    def memory_of(self, data: bytes) -> ServoMemory:
+        """``ServoMemory`` from the contents of ``memory``."""
+        start = self.memory.address
+
+        def cut(address: int, length: int) -> bytes:
+            return data[address - start : address - start + length]
+
+        values = {r.name: r.value(cut(r.address, r.length)) for r in self.registers}
+        many = self.turns_of(cut(self.turns.address, self.turns.length))
+        goals = speed = None
+        if self.goal_limits is not None and many is False:
+            goals = values[self.goal_limits[0]], values[self.goal_limits[1]]
+        if self.speed_limit is not None:
+            speed = values[self.speed_limit[0]] * self.speed_limit[1]
+        return ServoMemory(self.registers, values, many, goals, speed)
 
     @abstractmethod
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:

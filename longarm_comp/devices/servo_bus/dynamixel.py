@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.memory import Register, one_bit, signed
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 _HEADER = b"\xff\xff\xfd\x00"
@@ -65,6 +66,21 @@ class DynamixelX(Dialect):
     alarm = Block(70, 1)
     goal = Block(108, 12)
     state = Block(122, 25)
+    registers = (
+        Register("drive_mode_reverse", 10, value=one_bit(0), factory=0, places=True),
+        Register("drive_mode_time_based", 10, value=one_bit(2), factory=0, allowed=(0,),
+                 otherwise="a velocity would be taken for a time in ms"),
+        Register("operating_mode", 11, factory=3, allowed=(3, 4),
+                 otherwise="it does not go to positions, or not with its full current"),
+        Register("homing_offset", 20, 4, signed, factory=0, places=True),
+        Register("pwm_limit", 36, 2, factory=885),
+        Register("current_limit", 38, 2),
+        Register("velocity_limit", 44, 4),
+        Register("max_position_limit", 48, 4, signed, factory=4095),
+        Register("min_position_limit", 52, 4, signed, factory=0),
+    )  # fmt: skip
+    goal_limits = ("min_position_limit", "max_position_limit")
+    speed_limit = ("velocity_limit", _VELOCITY_TICKS_S)
 
     def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:
         body = (bytes((instruction,)) + params).replace(_PLAIN, _STUFFED)
@@ -104,10 +120,10 @@ class DynamixelX(Dialect):
 
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
         return ServoState(
-            position_ticks=_value(data[10:14]),
-            velocity_ticks_s=_value(data[6:10]) * _VELOCITY_TICKS_S,
-            load=_value(data[4:6]) / model.full_load,
-            voltage_v=_value(data[22:24]) / 10.0,
+            position_ticks=signed(data[10:14]),
+            velocity_ticks_s=signed(data[6:10]) * _VELOCITY_TICKS_S,
+            load=signed(data[4:6]) / model.full_load,
+            voltage_v=signed(data[22:24]) / 10.0,
             temperature_c=float(data[24]),
             error_flags=alarms,
         )
@@ -122,7 +138,3 @@ def _crc(frame: bytes) -> int:
 
 def _range(block: Block) -> bytes:
     return block.address.to_bytes(2, "little") + block.length.to_bytes(2, "little")
-
-
-def _value(data: bytes) -> int:
-    return int.from_bytes(data, "little", signed=True)

@@ -10,10 +10,12 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from longarm_comp.devices.servo_bus.dialect import BROADCAST, Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.memory import Register, one_bit, sign_magnitude
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 _HEADER = b"\xff\xff"
 _SYNC_READ, _SYNC_WRITE = 0x82, 0x83
+_position, _load = sign_magnitude(15), sign_magnitude(10)
 _LONGEST = 250  # bytes that a frame may say it has: a larger number is damage
 
 
@@ -44,6 +46,20 @@ class FeetechSts(Dialect):
     goal = Block(41, 7)
     turns_lock = Block(55, 1)
     state = Block(56, 11)
+    registers = (
+        Register("min_angle_limit", 9, 2, factory=0),
+        Register("max_angle_limit", 11, 2, factory=4095),
+        Register("max_torque_limit", 16, 2, factory=1000),
+        Register("phase", 18),
+        Register("phase_position_reversed", 18, value=one_bit(7), factory=0, places=True),
+        Register("protection_current", 28, 2),
+        Register("angular_resolution", 30, factory=1, allowed=(1,),
+                 otherwise="a tick would be another angle"),
+        Register("homing_offset", 31, 2, sign_magnitude(11), factory=0, places=True),
+        Register("operating_mode", 33, factory=0, allowed=(0,),
+                 otherwise="a goal would be a speed, an effort or a number of steps"),
+    )  # fmt: skip
+    goal_limits = ("min_angle_limit", "max_angle_limit")
 
     def encode(self, servo_id: int, instruction: int, params: bytes = b"") -> bytes:
         body = bytes((servo_id, len(params) + 2, instruction)) + params
@@ -72,11 +88,14 @@ class FeetechSts(Dialect):
         low, high = (0, 0) if many else (0, 4095)
         return low.to_bytes(2, "little") + high.to_bytes(2, "little")
 
+    def turns_of(self, data: bytes) -> bool:
+        return data == self.turns_bytes(True)  # else what is stored are the limits of one turn
+
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
         return ServoState(
-            position_ticks=_value(data[0:2], 15),
-            velocity_ticks_s=float(_value(data[2:4], 15)),
-            load=_value(data[4:6], 10) / model.full_load,
+            position_ticks=_position(data[0:2]),
+            velocity_ticks_s=float(_position(data[2:4])),
+            load=_load(data[4:6]) / model.full_load,
             voltage_v=data[6] / 10.0,
             temperature_c=float(data[7]),
             error_flags=alarms | self.alarm_flags(data[9]),
@@ -89,9 +108,3 @@ def _checksum(body: bytes) -> int:
 
 def _signed(value: int) -> bytes:
     return (abs(value) | (value < 0) << 15).to_bytes(2, "little")
-
-
-def _value(data: bytes, sign_bit: int) -> int:
-    raw = int.from_bytes(data, "little")
-    magnitude = raw & ((1 << sign_bit) - 1)
-    return -magnitude if raw >> sign_bit & 1 else magnitude

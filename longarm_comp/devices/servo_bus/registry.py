@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 from longarm_comp.core.entry_points import protocols_of_other_packages
@@ -63,6 +63,10 @@ class FoundServo:
     model: str  # its name; empty where the model number is unknown here
     firmware: str  # version, numbers with points
     clash: bool  # its answers are damaged or doubled, as when two servos have the same id
+    alarm: str = ""  # what it raises now, in words
+    memory: Mapping[str, int] = field(default_factory=dict)
+    """Registers that decide what a command means to it, by name."""
+    told: str = ""  # those of them that are not as from the factory, with addresses
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,12 +161,19 @@ def _looked(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[FoundSer
     reply = first.replies.get(servo_id)
     number = int.from_bytes(reply.data, "little") if reply else 0
     version = bus.ask([servo_id], dialect.firmware).replies.get(servo_id)
+    stored = bus.ask([servo_id], dialect.memory).replies.get(servo_id)
+    whole = stored is not None and len(stored.data) == dialect.memory.length
+    kept = dialect.memory_of(stored.data) if stored and whole else None
+    alarms = bus.alarms([servo_id])
     found = FoundServo(
         servo_id,
         number,
-        next((model.name for model in dialect.models if model.model_number == number), ""),
+        dialect.model_name(number),
         ".".join(map(str, version.data)) if version else "",
         damaged >= _DAMAGED or (stray and not counters.timeouts),
+        alarms.get(servo_id, ""),
+        kept.values if kept else {},
+        kept.shown if kept else "",
     )
     return found, stray or found.clash
 

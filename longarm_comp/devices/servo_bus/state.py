@@ -23,6 +23,10 @@ class ServoAlarm(IntFlag):
     OVERLOAD = 16
     OTHER = 32
 
+    @property
+    def words(self) -> str:
+        return self.name or str(int(self))
+
 
 @dataclass(frozen=True, slots=True)
 class ServoState:

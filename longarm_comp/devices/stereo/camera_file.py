@@ -27,7 +27,8 @@ def pair_files(folder: Path) -> list[tuple[Path, Path]]:
     allowed = "a folder of images whose names have left and right in them, otherwise the same"
     if not folder.is_dir():
         raise InputError(folder, "images", "no folder", allowed)
-    images = [p for p in sorted(folder.rglob("*")) if p.suffix.lower() in _SUFFIXES]
+    files = [p for p in sorted(folder.rglob("*")) if p.is_file()]
+    images = [p for p in files if p.suffix.lower() in _SUFFIXES]
     names = {p.relative_to(folder).as_posix(): p for p in images}
     pairs = []
     for name, path in names.items():

@@ -11,15 +11,16 @@ import re
 import zipfile
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import check_unpacked
+from longarm_comp.core.files import check_size, check_unpacked
 from longarm_comp.sessions.foreign.units import split_name, unit_of
+from longarm_comp.sessions.table import check_cells
 
-MOST_CELLS = 20_000_000
-"""As text these take some 2 GB."""
 WORKBOOK = (".xlsx", ".xlsm")
 _SEPARATORS = (r"\t", ";", ",", r"\|", r"\s{2,}|\t", r"\s+")
 _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
@@ -103,6 +104,7 @@ def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None)
 
 
 def _text(path: Path) -> str:
+    check_size(path)
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -145,8 +147,7 @@ def _grid(where: str, text: str, mark: str) -> Lines:
 
     lines = text.splitlines()
     width = max((len(re.split(mark, line.strip())) for line in lines), default=0)
-    if width * len(lines) > MOST_CELLS:
-        raise InputError(where, "cells", f"more than {MOST_CELLS}", "a smaller file")
+    check_cells(where, width * len(lines))
     if width < 2:
         return []
     try:
@@ -174,30 +175,46 @@ def _decimal(where: str, separator: str, lines: Lines) -> str:
 
 
 def _sheet(path: Path, name: str | None) -> Lines:
-    import pandas as pd
+    """Lines of a sheet that have a filled cell, without what is empty beside and between them."""
+    import openpyxl
 
+    rows, count = [], 0
     try:
         with zipfile.ZipFile(path) as archive:
             check_unpacked(path, archive)
-        with pd.ExcelFile(path, engine="openpyxl") as book:
-            sheets = [str(sheet) for sheet in book.sheet_names]
+        with closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+            sheets = [sheet.title for sheet in book.worksheets]
             if name is None and len(sheets) > 1:
                 raise InputError(path, "--sheet", "missing", f"one of {', '.join(sheets)}")
             chosen = name or sheets[0]
             if chosen not in sheets:
                 raise InputError(path, "--sheet", chosen, f"one of {', '.join(sheets)}")
-            held = book.book[chosen]
-            if (held.max_row or 0) * (held.max_column or 0) > MOST_CELLS:
-                raise InputError(path, "cells", f"more than {MOST_CELLS}", "a smaller sheet")
-            frame = pd.read_excel(book, chosen, header=None, dtype=object, na_filter=False)
+            held = book[chosen]
+            held.reset_dimensions()  # or every line is filled up to the farthest cell
+            for line, row in enumerate(held.iter_rows(), 1):
+                count += len(row) + 1
+                check_cells(path, count)
+                texts = [_shown(cell) for cell in row]
+                if any(texts):
+                    rows.append((line, texts))
     except InputError:
         raise
     except Exception as error:  # whatever zipfile, XML and pandas raise on a damaged file
         said = f"{type(error).__name__}: {error}"
         raise InputError(path, "workbook", said, "an undamaged XLSX file") from error
-    rows = [["" if pd.isna(c) else str(c).strip() for c in row] for row in frame.to_numpy()]
-    width = max((k for row in rows for k, c in enumerate(row, 1) if c), default=0)
-    return [(line, row[:width]) for line, row in enumerate(rows, 1) if any(row)]
+    width = max((k for _, row in rows for k, c in enumerate(row, 1) if c), default=0)
+    check_cells(path, width * len(rows))
+    return [(line, (row + [""] * width)[:width]) for line, row in rows]
+
+
+def _shown(cell: Any) -> str:
+    """Text of a sheet's cell; whole numbers without a point, errors of the sheet as nothing."""
+    value = cell.value
+    if value is None or cell.data_type == "e":
+        return ""
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    return str(value).strip()
 
 
 def _numeric(row: Sequence[str], number: re.Pattern[str]) -> bool:

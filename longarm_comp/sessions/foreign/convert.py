@@ -14,7 +14,7 @@ import yaml
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import write_text
+from longarm_comp.core.files import atomic_paths
 from longarm_comp.sessions.csv import LABELS, XYZ
 from longarm_comp.sessions.foreign.cells import Cells, read_cells
 from longarm_comp.sessions.foreign.columns import JOINT, Column, kind_of, turned, understand
@@ -36,7 +36,7 @@ from longarm_comp.sessions.foreign.units import (
     split_name,
 )
 from longarm_comp.sessions.foreign.written import Like
-from longarm_comp.sessions.table import write_table
+from longarm_comp.sessions.table import fill_table
 from longarm_comp.sessions.targets import QUATERNION
 
 _MAY_BE_BLANK = re.compile(
@@ -115,16 +115,22 @@ class _Imported:
         return rows
 
     def save(self, path: Path) -> Path:
-        """Write the session, and the mapping beside it; returns the mapping's path."""
-        write_table(path, list(self.columns), zip(*self.columns.values(), strict=True))
+        """Write the session and the mapping beside it, both or none; returns the mapping's path."""
         beside = path.with_suffix(".mapping.yaml")
+        with atomic_paths(path, beside) as (session, mapping):
+            fill_table(session, list(self.columns), zip(*self.columns.values(), strict=True))
+            mapping.write_text(self._mapping(session), encoding="utf-8", newline="\n")
+        return beside
+
+    def _mapping(self, session: Path) -> str:
+        """Text of the mapping of a session that is written."""
         several = len(self.files) > 1  # each may have its own sign
         names = ", ".join(file.name for file in self.files)
         hashes = [hashlib.sha256(file.read_bytes()).hexdigest() for file in self.files]
         mapping = {
             "source": names,
             "source_sha256": ", ".join(hashes),
-            "session_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+            "session_sha256": hashlib.sha256(session.read_bytes()).hexdigest(),
             "separator": self.cells.separator,
             "decimal": self.cells.decimal if self.cells.separator and not several else None,
             "header_lines": list(self.cells.header_lines),
@@ -140,8 +146,7 @@ class _Imported:
             sign, columns = "-" if self.rotation.inverse else "", ",".join(self.rotation.columns)
             mapping["rotation"] = f"{sign}{self.rotation.convention}:{columns}"
         text = yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=100)
-        write_text(beside, f"# How longarm import-data read {names}.\n{text}")
-        return beside
+        return f"# How longarm import-data read {names}.\n{text}"
 
 
 def import_table(path: str | Path | Sequence[str | Path], options: Options) -> _Imported:

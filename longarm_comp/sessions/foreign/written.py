@@ -5,13 +5,14 @@ Names, units and the kind of file are the user's.
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.files import write_bytes, write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.csv import LABELS
 from longarm_comp.sessions.foreign.cells import WORKBOOK, read_cells
@@ -85,14 +86,13 @@ class Like:
         ]
         frame = pd.DataFrame(cells, columns=[name for name, _, _ in forms], dtype=object)
         frame = frame.infer_objects()  # numbers get the sign before decimals
-        with atomic_path(path) as partial:
-            if Path(path).suffix.lower() in WORKBOOK:
-                frame.to_excel(partial, index=False, engine="openpyxl")
-            else:
-                frame.to_csv(
-                    partial, index=False, sep=self._separator, decimal=self._sign,
-                    lineterminator="\n",
-                )  # fmt: skip
+        if Path(path).suffix.lower() in WORKBOOK:
+            made = io.BytesIO()
+            frame.to_excel(made, index=False, engine="openpyxl")
+            write_bytes(path, made.getvalue())
+        else:
+            form = {"sep": self._separator, "decimal": self._sign, "lineterminator": "\n"}
+            write_text(path, frame.to_csv(index=False, **form))
 
     def _form(self, name: str) -> tuple[str, Unit | None, bool]:
         """The user's name of a column, its unit, and whether a zero point moves its values."""

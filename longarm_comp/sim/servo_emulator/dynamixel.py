@@ -9,13 +9,15 @@ from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire, Told
 
 _HARDWARE_BITS = {"voltage": 1, "overheat": 4, "sensor": 8, "current": 16, "overload": 32}
 _SPEED_UNIT = 0.229 * 4096 / 60  # ticks/s
-_EXTENDED = 4
+_POSITION, _EXTENDED = 3, 4  # operating modes
+_REVERSE, _TIME_BASED = 1, 4  # bits of the drive mode
 
 
 class _At(IntEnum):
     """Addresses in the control table, and its length."""
 
-    MODEL, FIRMWARE, ID, MODE, MAX_POSITION, MIN_POSITION = 0, 6, 7, 11, 48, 52
+    MODEL, FIRMWARE, ID, DRIVE_MODE, MODE, OFFSET = 0, 6, 7, 10, 11, 20
+    PWM_LIMIT, CURRENT_LIMIT, VELOCITY_LIMIT, MAX_POSITION, MIN_POSITION = 36, 38, 44, 48, 52
     TORQUE, HARDWARE_ERROR, PROFILE_VELOCITY, GOAL = 64, 70, 112, 116
     MOVING, LOAD, VELOCITY, POSITION, VOLTS, TEMPERATURE = 122, 126, 128, 132, 144, 146
     MEMORY = 147
@@ -39,7 +41,10 @@ class DynamixelWire(RegisterWire):
         device.put(_At.MODEL, 2, motor.spec.model or 1060)
         device.put(_At.FIRMWARE, 1, 45)
         device.put(_At.ID, 1, servo_id)
-        device.put(_At.MODE, 1, 3)
+        device.put(_At.MODE, 1, _POSITION)
+        device.put(_At.PWM_LIMIT, 2, 885)
+        device.put(_At.CURRENT_LIMIT, 2, 1193)
+        device.put(_At.VELOCITY_LIMIT, 4, 265)
         device.put(_At.MAX_POSITION, 4, 4095)
         device.put(_At.GOAL, 4, round(motor.position) & 0xFFFFFFFF)
         device.kept = bytes(device.memory)
@@ -104,16 +109,43 @@ class DynamixelWire(RegisterWire):
                 low, high = -1048575, 1048575
             if not low <= goal <= high:
                 return _Refused.OVER_LIMIT
-            motor.goal = float(goal)
         device.memory[address:end] = data
         device.kept, device.servo_id = bytes(device.memory), device.get(_At.ID, 1)
         if address <= _At.TORQUE < end:
             if not motor.torque_on:
                 motor.goal = motor.position
             motor.switch(device.get(_At.TORQUE, 1) == 1)
+        if address <= _At.GOAL < end and device.get(_At.MODE, 1) in (_POSITION, _EXTENDED):
+            motor.goal = float(_sign(device) * (_signed(device, _At.GOAL) - _offset(device)))
         if address <= _At.PROFILE_VELOCITY < end:
-            motor.speed_limit = device.get(_At.PROFILE_VELOCITY, 4) * _SPEED_UNIT
+            motor.speed_limit = _speed(device)
         return 0
+
+
+def _speed(device: Device) -> float:
+    """Speed limit of the profile, ticks/s; 0: none. Time-based: the way in so many ms."""
+    profile = device.get(_At.PROFILE_VELOCITY, 4)
+    if not device.get(_At.DRIVE_MODE, 1) & _TIME_BASED:
+        return min(profile, device.get(_At.VELOCITY_LIMIT, 4)) * _SPEED_UNIT
+    motor = device.motor
+    return abs(motor.goal - motor.position) / (profile / 1000.0) if profile else 0.0
+
+
+def _sign(device: Device) -> int:
+    return -1 if device.get(_At.DRIVE_MODE, 1) & _REVERSE else 1
+
+
+def _offset(device: Device) -> int:
+    return _signed(device, _At.OFFSET)
+
+
+def _signed(device: Device, address: int) -> int:
+    return int.from_bytes(device.memory[address : address + 4], "little", signed=True)
+
+
+def _seen(device: Device, ticks: int) -> int:
+    """What the servo calls a position of its encoder, as stored."""
+    return (_sign(device) * ticks + _offset(device)) & 0xFFFFFFFF
 
 
 def _refresh(device: Device) -> None:
@@ -121,11 +153,12 @@ def _refresh(device: Device) -> None:
     motor = device.motor
     device.put(_At.TORQUE, 1, int(motor.torque_on))
     device.put(_At.HARDWARE_ERROR, 1, sum(_HARDWARE_BITS[name] for name in motor.alarms))
-    device.put(_At.GOAL, 4, round(motor.goal) & 0xFFFFFFFF)
+    device.put(_At.GOAL, 4, _seen(device, round(motor.goal)))
     device.put(_At.MOVING, 1, int(motor.moving))
     device.put(_At.LOAD, 2, round(motor.effort * motor.spec.load_units) & 0xFFFF)
-    device.put(_At.VELOCITY, 4, round(motor.velocity / _SPEED_UNIT) & 0xFFFFFFFF)
-    device.put(_At.POSITION, 4, motor.reading & 0xFFFFFFFF)
+    velocity = _sign(device) * round(motor.velocity / _SPEED_UNIT)
+    device.put(_At.VELOCITY, 4, velocity & 0xFFFFFFFF)
+    device.put(_At.POSITION, 4, _seen(device, motor.reading))
     device.put(_At.VOLTS, 2, round(motor.voltage_v * 10))
     device.put(_At.TEMPERATURE, 1, round(motor.temperature_c))
 

@@ -7,13 +7,15 @@ from enum import IntEnum
 from longarm_comp.sim.servo_emulator.motor import Motor
 from longarm_comp.sim.servo_emulator.wire import Device, RegisterWire
 
+_STEPS = 3  # operating mode in which a goal is a number of steps
 _STATUS_BITS = {"voltage": 1, "sensor": 2, "overheat": 4, "current": 8, "overload": 32}
 
 
 class _At(IntEnum):
     """Addresses in the memory table, and its length."""
 
-    FIRMWARE, MODEL, ID, MIN_ANGLE, MAX_ANGLE = 0, 3, 5, 9, 11
+    FIRMWARE, MODEL, ID, MIN_ANGLE, MAX_ANGLE, MAX_TORQUE = 0, 3, 5, 9, 11, 16
+    PHASE, RESOLUTION, OFFSET, MODE = 18, 30, 31, 33
     TORQUE, GOAL, GOAL_SPEED, LOCK = 40, 42, 46, 55
     POSITION, SPEED, LOAD, VOLTS, TEMPERATURE, STATUS, MOVING = 56, 58, 60, 62, 63, 65, 66
     MEMORY = 87
@@ -33,6 +35,9 @@ class FeetechWire(RegisterWire):
         device.put(_At.ID, 1, servo_id)
         device.put(_At.MIN_ANGLE, 2, 0)
         device.put(_At.MAX_ANGLE, 2, 4095)
+        device.put(_At.MAX_TORQUE, 2, 1000)
+        device.put(_At.PHASE, 1, 12)
+        device.put(_At.RESOLUTION, 1, 1)
         device.put(_At.LOCK, 1, 1)
         device.put(_At.GOAL, 2, _sign_magnitude(round(motor.position), 15))
         device.kept = bytes(device.memory)
@@ -82,7 +87,11 @@ class FeetechWire(RegisterWire):
         if address <= _At.GOAL < end:
             if not motor.torque_on:
                 motor.switch(True)  # a goal wakes an STS servo up
-            motor.goal = _bounded(device, _signed(device.get(_At.GOAL, 2)))
+            goal = _bounded(device, _signed(device.get(_At.GOAL, 2), 15))
+            if device.get(_At.MODE, 1) == _STEPS:
+                motor.goal = motor.position + goal
+            elif device.get(_At.MODE, 1) == 0:
+                motor.goal = goal + _offset(device)
         return 0
 
 
@@ -93,7 +102,7 @@ def _refresh(device: Device) -> None:
     ticks = motor.reading
     if device.get(_At.MAX_ANGLE, 2):
         ticks %= motor.spec.ticks_per_turn  # in ordinary mode the encoder knows one turn only
-    device.put(_At.POSITION, 2, _sign_magnitude(ticks, 15))
+    device.put(_At.POSITION, 2, _sign_magnitude(ticks - _offset(device), 15))
     device.put(_At.SPEED, 2, _sign_magnitude(round(motor.velocity), 15))
     device.put(_At.LOAD, 2, _sign_magnitude(round(motor.effort * motor.spec.load_units), 10))
     device.put(_At.VOLTS, 1, round(motor.voltage_v * 10))
@@ -115,5 +124,10 @@ def _sign_magnitude(value: int, bit: int) -> int:
     return min(abs(value), (1 << bit) - 1) | (int(value < 0) << bit)
 
 
-def _signed(raw: int) -> int:
-    return -(raw & 0x7FFF) if raw & 0x8000 else raw
+def _offset(device: Device) -> int:
+    return _signed(device.get(_At.OFFSET, 2), 11)
+
+
+def _signed(raw: int, bit: int) -> int:
+    size = raw & ((1 << bit) - 1)
+    return -size if raw >> bit & 1 else size

@@ -1,0 +1,77 @@
+"""Whether a servo's memory lets it be commanded: what its registers must be, and why."""
+
+from __future__ import annotations
+
+from longarm_comp.core.errors import JobError
+from longarm_comp.devices.servo_bus.memory import Register, ServoMemory
+from longarm_comp.devices.servo_joint import JointConfig
+
+_CURE = "set it with the maker's tool"
+
+
+def check_memory(name: str, joint: JointConfig, kept: ServoMemory) -> None:
+    """Refuse registers with which a goal or a speed means something else, or is not taken.
+
+    Raises:
+        JobError: naming the register, its value and what is allowed.
+    """
+    for register in kept.registers:
+        if register.allowed and kept.values[register.name] not in register.allowed:
+            allowed = " or ".join(map(str, register.allowed))
+            raise _refused(name, joint, kept, register, f"{allowed}: {register.otherwise}; {_CURE}")
+    most = kept.speed_ticks_s
+    if most is not None and joint.max_speed_ticks_s > most:
+        fastest = f"max_velocity up to {most * joint.si_per_tick:.4g} {joint.unit}/s"
+        raise JobError(
+            f"{_who(name, joint)} does not go as fast as its joint may; allowed: {fastest}, or "
+            f"another limit in its memory ({kept.shown})", max_velocity=joint.max_velocity,
+        )  # fmt: skip
+    if joint.multi_turn and _narrower(joint, kept):
+        raise JobError(
+            f"{_who(name, joint)} keeps limits within one turn, which multi_turn: true would lift; "
+            f"allowed: multi_turn: false, or no limits ({_CURE}) ({kept.told})"
+        )
+
+
+def check_placed(name: str, joint: JointConfig, kept: ServoMemory) -> None:
+    """Refuse a servo whose positions mean something else than when ``zero_ticks`` was measured."""
+    for register in kept.registers:
+        wanted = joint.stored.get(register.name, register.factory)
+        if register.places and kept.values[register.name] != wanted:
+            allowed = (
+                f"{wanted}, as it was when zero_ticks was measured; `longarm servo setup` measures "
+                "again"
+            )
+            raise _refused(name, joint, kept, register, allowed)
+
+
+def check_reach(name: str, joint: JointConfig, kept: ServoMemory) -> None:
+    """Refuse limits of a joint that its servo does not let it reach."""
+    low, high = joint.goal_range
+    if kept.goals is not None and not joint.multi_turn:
+        low, high = max(low, kept.goals[0]), min(high, kept.goals[1])
+    ends = joint.tick_limits
+    limited = _narrower(joint, kept) or bool(kept.placing)
+    if limited and not (low <= ends[0] and ends[1] <= high):
+        reach = sorted((joint.to_si(low), joint.to_si(high)))
+        raise JobError(
+            f"{_who(name, joint)} takes goals {low} to {high}, and its joint's limits are goals "
+            f"{ends[0]} to {ends[1]}; allowed: lower and upper of {reach[0]:.4g} to {reach[1]:.4g} "
+            f"{joint.unit}, or other registers in its memory ({kept.told})"
+        )
+
+
+def _narrower(joint: JointConfig, kept: ServoMemory) -> bool:
+    """Whether the servo's own limits leave less than one turn."""
+    low, high = joint.servo.single_turn
+    return kept.goals is not None and (kept.goals[0] > low or kept.goals[1] < high)
+
+
+def _refused(
+    name: str, joint: JointConfig, kept: ServoMemory, register: Register, allowed: str
+) -> JobError:
+    return JobError(f"{_who(name, joint)}: {kept.said(register)}; allowed: {allowed}")
+
+
+def _who(name: str, joint: JointConfig) -> str:
+    return f"servo {joint.servo_id} of {name}"

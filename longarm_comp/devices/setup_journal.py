@@ -1,0 +1,72 @@
+"""What servos had stored before a setup changed it: a file until it is written back or kept."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Collection, Mapping
+
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.files import write_text
+from longarm_comp.devices.servo_bus.bus import Change, SerialServoBus
+from longarm_comp.devices.servo_bus.state import IncompleteReply
+from longarm_comp.devices.state_folder import state_folder
+
+
+class SetupJournal:
+    """The journal of one port. It is written before the first servo is."""
+
+    def __init__(self, port: str) -> None:
+        slug = re.sub(r"[^A-Za-z0-9]+", "-", os.path.realpath(port)).strip("-")
+        self.path = state_folder() / "servo_setup" / f"{slug}.json"
+
+    def read(self, protocol: str) -> dict[int, Change]:
+        """What is still to be written back, by servo id. Raises JobError: the file is damaged."""
+        try:
+            data = json.loads(self.path.read_text("utf-8"))
+            changes = {
+                int(i): (bytes.fromhex(had), bytes.fromhex(new))
+                for i, (had, new) in data["turns"].items()
+            }
+            return changes if data["protocol"] == protocol else {}  # of other servos on this port
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise JobError(
+                f"{self.path} is damaged: it holds what servos had stored before a setup changed "
+                "it; look at the servos with `longarm servo scan`, then delete it", why=str(error),
+            ) from error  # fmt: skip
+
+    def begin(self, protocol: str, changes: Mapping[int, Change]) -> None:
+        """Note what is about to be changed; what is noted already stays."""
+        changes = dict(changes) | self.read(protocol)
+        turns = {str(i): [had.hex(), new.hex()] for i, (had, new) in changes.items()}
+        write_text(self.path, json.dumps({"protocol": protocol, "turns": turns}) + "\n")
+
+    def end(self, protocol: str, ids: Collection[int]) -> None:
+        """Nothing of these servos is to be written back any more."""
+        left = {i: change for i, change in self.read(protocol).items() if i not in ids}
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError as error:
+            raise JobError(f"{self.path} cannot be removed: {error.strerror}") from error
+        if left:
+            self.begin(protocol, left)
+
+    def write_back(self, bus: SerialServoBus) -> list[int]:
+        """Store what servos had, where they still have what was written; their torque goes off.
+
+        Returns:
+            Ids of those that do not answer: they stay in the journal.
+        """
+        silent = []
+        for servo_id, (had, new) in self.read(bus.protocol).items():
+            try:
+                if bus.turns([servo_id])[servo_id] == new:
+                    bus.store_turns({servo_id: had})
+            except IncompleteReply:
+                silent.append(servo_id)
+            else:
+                self.end(bus.protocol, [servo_id])
+        return silent

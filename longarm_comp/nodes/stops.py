@@ -1,0 +1,146 @@
+"""The driver's services `~/estop`, `~/hold` and `~/reset`, in every state of its lifecycle."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Protocol
+
+from rclpy.node import Node
+
+from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.devices.servo_arm import ServoArm
+from longarm_comp.devices.servo_follower import EventKind, FollowerState
+from longarm_comp.devices.state_folder import state_folder
+from longarm_comp.devices.stop_latch import Stop, StopLatch
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.clock import steady_timer
+from longarm_comp.nodes.messages import driver_words
+from longarm_comp.nodes.params import Param, where
+from longarm_interfaces.msg import DriverState
+
+PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empty: the user's"),)
+
+
+class Stoppable(Protocol):
+    """What a stop needs of the driver: as `servo_driver` has it."""
+
+    @property
+    def arm(self) -> ServoArm | None: ...
+    @property
+    def active(self) -> bool: ...
+    @property
+    def state(self) -> tuple[int, str]: ...
+
+
+class Stops:
+    """Stops the arm and lets it go on; what stands, stands for the driver's successors too.
+
+    While one stands the driver switches no torque on and takes no trajectory.
+    """
+
+    def __init__(self, node: Node, site: Stoppable, folder: str, arm: str, port: str) -> None:
+        kept = Path(folder) if folder else state_folder()
+        if not kept.is_absolute():  # another working folder would not know of a stop
+            raise InputError(where(node), "state", folder, "an absolute path")
+        self._site, self._latch = site, StopLatch(kept, node.get_namespace(), arm, port)
+        if self.standing:
+            node.get_logger().warning(self._latch.words)
+        steady_timer(node, 0.5, self._latch.keep)  # again where it could not be written
+        _offer(
+            node, graph.ESTOP, lambda asked: self._estop() if asked.data else self._end(Stop.ESTOP)
+        )
+        _offer(node, graph.HOLD, lambda asked: self._hold() if asked.data else self._go_on())
+        _offer(node, graph.RESET, lambda asked: self._reset())
+
+    @property
+    def standing(self) -> str:
+        """Why the arm is stopped or held; empty where it is not."""
+        return self._latch.words
+
+    @property
+    def unkept(self) -> bool:
+        """Whether what stands would end with this process."""
+        return bool(self._latch.trouble)
+
+    @property
+    def state(self) -> tuple[int, str]:
+        """State as in `DriverState` while one stands, and why."""
+        stopped = Stop.ESTOP in self._latch.standing
+        torque = self._torque_yet(Stop.ESTOP if stopped else Stop.HOLD)
+        why = "; ".join(filter(None, (self.standing, torque)))
+        return (DriverState.ESTOP if stopped else DriverState.HOLDING), why
+
+    def let_go(self) -> None:
+        """Torque off under an emergency stop. Where no servo hears it, it is sent again."""
+        if self._site.arm is not None and Stop.ESTOP in self._latch.standing:
+            with suppress(LongarmError):
+                self._site.arm.estop()
+
+    def _estop(self) -> str:
+        self._latch.ask(Stop.ESTOP)
+        self.let_go()
+        return self._kept(Stop.ESTOP, "torque off, commands refused")
+
+    def _hold(self) -> str:
+        if self._site.arm is not None and Stop.HOLD not in self._latch.standing:
+            self._site.arm.follower.break_off(EventKind.HELD, "held: it stays where it is")
+        self._latch.ask(Stop.HOLD)
+        return self._kept(Stop.HOLD, "held: torque on, trajectories refused")
+
+    def _kept(self, stop: Stop, done: str) -> str:
+        """Write a stop down; what was done, or what of it was not."""
+        self._latch.keep()
+        return self.state[1] if self._torque_yet(stop) or self.unkept else done
+
+    def _torque_yet(self, stop: Stop) -> str:
+        """What of the torque is not yet as a stop wants it; empty where it is."""
+        arm = self._site.arm
+        if stop is Stop.ESTOP:
+            off = arm is not None and not arm.owing_off
+            return "" if off else "torque goes off as soon as every servo answers"
+        return "" if arm is not None and arm.powered else "the driver has switched no torque on"
+
+    def _go_on(self) -> str:
+        """End a hold."""
+        with self._latch.lifted(Stop.HOLD):
+            arm = self._site.arm
+            if arm is not None and self._site.active and not (self.standing or arm.powered):
+                arm.power(True)
+        return self._now()
+
+    def _reset(self) -> str:
+        """End what stops the arm. An arm that is only held is driven on as it is."""
+        arm = self._site.arm
+        well = arm is None or arm.follower.state not in (FollowerState.FAULT, FollowerState.ESTOP)
+        only_held = set(self._latch.standing) == {Stop.HOLD}
+        return self._go_on() if well and only_held else self._end(*Stop)
+
+    def _end(self, *ends: Stop) -> str:
+        """End stops, and a fault; torque on where the driver is active."""
+        arm = self._site.arm
+        if arm is None and not self._latch.standing.keys() & set(ends):
+            raise LongarmError("the driver is not configured")
+        with self._latch.lifted(*ends):
+            if arm is not None:
+                arm.release(time.monotonic(), on=self._site.active)
+        return self._now()
+
+    def _now(self) -> str:
+        state, why = self._site.state
+        return why or driver_words(state)
+
+
+def _offer(node: Node, service: graph.Service, action: Callable[[Any], str]) -> None:
+    """Serve what an action does with a request: what it says, or why it cannot."""
+
+    def serve(request: Any, response: Any) -> Any:
+        try:
+            response.success, response.message = True, action(request)
+        except LongarmError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    service.server(node, serve)

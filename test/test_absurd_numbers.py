@@ -1,0 +1,87 @@
+"""Numbers that no arm has end in one line, whatever computes with them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from cli_shell import Shell
+from test_strict_files import arm_data
+from test_touch import ARM as TOUCHED
+from test_touch import DISTANCES, HIDDEN, touching
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.admission import admit
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.learn.predictor_file import load
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.csv import write_csv
+
+
+def loaded(rng: np.random.Generator, kg: float) -> tuple[Arm, Session]:
+    data = arm_data()
+    data["payload"]["most_kg"] = 1e6
+    arm = Arm.parse(data, "arm.yaml")
+    q = arm.lower + rng.random((60, arm.n)) * (arm.upper - arm.lower)
+    xyz = Model(arm).tip(q) + 1e-4 * rng.standard_normal((60, 3))
+    return arm, Session.record(q, xyz, columns={"payload_kg": np.full(60, kg)}, source="s.csv")
+
+
+@pytest.mark.parametrize("kg", [1e6])
+def test_a_load_that_no_beam_carries(kg: float, rng: np.random.Generator, shell: Shell) -> None:
+    arm, session = loaded(rng, kg)
+    data = arm.model_dump(mode="json", exclude_defaults=True)
+    (shell.folder / "arm.yaml").write_text(yaml.safe_dump(data))
+    write_csv(session, shell.folder / "s.csv")
+    for words in (
+        ("calibrate", "arm.yaml", "s.csv", "-o", "m.yaml"),
+        ("diagnose", "arm.yaml", "s.csv", "-o", "d"),
+        ("evaluate", "arm.yaml", "--test", "s.csv"),
+    ):
+        assert f"payload_kg: {kg}; allowed: a load that the beams" in shell.refused(*words)
+    one = dataclasses.replace(session, columns={"payload_kg": np.where(np.arange(60) == 7, kg, 0)})
+    with pytest.raises(InputError, match="a load that the beams"):
+        admit(one, arm)
+    admit(dataclasses.replace(session, columns={}), arm)
+    heavy = arm.model_copy(update={"payload": arm.payload.model_copy(update={"mass_kg": 1e6})})  # type: ignore[union-attr]
+    with pytest.raises(InputError, match="a load that the beams"):
+        admit(dataclasses.replace(session, columns={}), heavy)
+
+
+@pytest.mark.parametrize("value", [1e308, 1e30])
+@pytest.mark.parametrize("key", ["scale", "variance_limit"])
+def test_a_network_of_absurd_scale(key: str, value: float, work: Path, tmp_path: Path) -> None:
+    held = dict(np.load(work / "predictor.npz"))
+    header = {**json.loads(held["header"].tobytes()), key: value}
+    held["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    np.savez(tmp_path / "bad.npz", **held)
+    with pytest.raises(InputError, match=rf"bad\.npz: {key}: .*less than or equal to"):
+        load(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize(
+    ("length", "tolerance", "words"),
+    [
+        (1e300, 1e-4, "less than or equal to"),
+        (0.05, 1e300, "less than or equal to"),
+        (0.05, 1e-300, "greater than or equal to"),
+        (50.0, 1e-4, "as the arm touched them (this looks like millimetres)"),
+        (0.3, 1e-4, "as the arm touched them"),
+    ],
+)
+def test_a_known_distance_that_the_arm_did_not_touch(
+    length: float, tolerance: float, words: str, shell: Shell
+) -> None:
+    known = ((*DISTANCES[0][:2], length, tolerance), *DISTANCES[1:])
+    rows = dataclasses.replace(touching(HIDDEN, 60), touch_distances=known)
+    data = TOUCHED.model_dump(mode="json", exclude_defaults=True)
+    (shell.folder / "arm.yaml").write_text(yaml.safe_dump(data))
+    write_csv(rows, shell.folder / "s.csv")
+    said = shell.refused("calibrate", "arm.yaml", "s.csv", "-o", "m.yaml")
+    assert words in said
+    assert not (shell.folder / "m.yaml").exists()

@@ -1,0 +1,146 @@
+"""Planned paths on a circle: a planner that wraps angles into -pi..pi turns no arm back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.circle import check_no_turn, unwrapped
+from longarm_comp.core.compensation.path import CompensatedPath, compensate_path
+from longarm_comp.core.compensation.planned_path import MotionLimits, PlannedPath
+from longarm_comp.core.compensation.result import PathRefused
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+
+TIMES = np.linspace(0.0, 2.0, 21)
+ALONG = 3 * (TIMES / 2) ** 2 - 2 * (TIMES / 2) ** 3
+SLOW = MotionLimits(np.full(6, 1.0), np.full(6, 3.0))
+
+
+def declared(
+    half_deg: float, rows: Mapping[int, Mapping[str, Any]] | None = None
+) -> dict[str, Any]:
+    """Six turning joints as a cobot has them, each by so much to either side."""
+    shape = (
+        {"d_m": 0.0892}, {"alpha_deg": 90}, {"a_m": -0.425}, {"a_m": -0.392, "d_m": 0.1093},
+        {"alpha_deg": 90, "d_m": 0.09475}, {"alpha_deg": -90, "d_m": 0.0825},
+    )  # fmt: skip
+    turning = {"type": "revolute", "limits_deg": [-half_deg, half_deg]}
+    joints = [
+        {"id": k, "name": f"joint{k}", **turning, **keys, **(rows or {}).get(k, {})}
+        for k, keys in enumerate(shape, 1)
+    ]
+    return {"name": "cobot", "convention": "mdh_craig", "tip": {"frame": 6}, "joints": joints}
+
+
+def arm(half_deg: float, rows: Mapping[int, Mapping[str, Any]] | None = None) -> Arm:
+    return Arm.parse(declared(half_deg, rows), "cobot")
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def through_pi() -> tuple[np.ndarray, np.ndarray]:
+    """(21, 6) each: joint 1 turns from 3.0 rad on through pi, as it goes and as a planner says."""
+    goes = np.tile([3.0, -1.3, 1.4, -1.7, -1.5, 0.2], (len(TIMES), 1))
+    goes[:, 0] += (2 * np.pi - 6.0) * ALONG
+    said = goes.copy()
+    said[:, 0] = wrapped(goes[:, 0])
+    assert np.ptp(said[:, 0]) > 6.0
+    return goes, said
+
+
+def follow(model: Model, joints: np.ndarray, start: np.ndarray, **more: Any) -> CompensatedPath:
+    return compensate_path(
+        model, None, PlannedPath.of_joints(model.arm, TIMES, joints), start=start,
+        history=History.unknown(model.arm.n), context_at=lambda arrived: Context(), **more,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("limits", [None, SLOW], ids=["free", "limits"])
+def test_a_joint_that_may_goes_on_through_pi(limits: MotionLimits | None) -> None:
+    model = declared_model(arm(360.0))
+    goes, said = through_pi()
+    found = follow(model, said, goes[0], limits=limits).timed
+    np.testing.assert_allclose(found.joints, goes, atol=1e-7)
+    assert found.times[-1] == pytest.approx(2.0)
+    at = np.linspace(0.0, 2.0, 2001)
+    assert found.peak_velocity().max() < 0.3
+    tips, meant = model.tip(found.at(at)), model.tip(goes)
+    nearest = np.linalg.norm(tips[:, None] - meant, axis=2).min(axis=1)
+    assert nearest.max() < 1.01 * np.linalg.norm(np.diff(meant, axis=0), axis=1).max() / 2
+
+
+@pytest.mark.parametrize("limits", [None, SLOW], ids=["free", "limits"])
+def test_a_joint_that_may_not_is_refused_at_the_way_point(limits: MotionLimits | None) -> None:
+    goes, said = through_pi()
+    first = int(np.argmax(goes[:, 0] > np.pi))
+    with pytest.raises(PathRefused, match=r"joint1 from .* is a turn back") as refused:
+        follow(declared_model(arm(180.0)), said, goes[0], limits=limits)
+    assert refused.value.row == first
+    assert "outside its limits, -3.142 to 3.142 rad" in str(refused.value)
+
+
+def test_a_plan_may_begin_a_turn_from_where_the_arm_stands() -> None:
+    goes, _ = through_pi()
+    stands = goes[0] + [0.8, 0, 0, 0, 0, 0]  # 3.8 rad, which the planner calls -2.48
+    plan = wrapped(stands + np.outer(ALONG, [0.3, 0, 0, 0, 0, 0]))
+    found = follow(declared_model(arm(360.0)), plan, stands)
+    np.testing.assert_allclose(found.timed.joints[[0, -1], 0], [3.8, 4.1], atol=1e-7)
+    with pytest.raises(PathRefused, match="way-point 0: bad_target: joint1"):
+        follow(declared_model(arm(180.0)), plan, np.clip(stands, -3.1, 3.1))
+
+
+def test_turns_add_up_either_way_and_end_at_the_limits() -> None:
+    wide, goes = arm(720.0), np.linspace(0.0, 12.0, 60)
+    joints = np.outer(goes, [1, -1, 0, 0, 0, 0])
+    for start in (None, joints[0]):
+        np.testing.assert_allclose(unwrapped(wide, wrapped(joints), start), joints, atol=1e-9)
+    for way in (joints, *(joints[:, :1] * [side, 0, 0, 0, 0, 0] for side in (1, -1))):
+        with pytest.raises(PathRefused) as refused:
+            unwrapped(arm(360.0), wrapped(way), None)
+        assert refused.value.row == np.argmax(goes > 2 * np.pi)
+    outside = np.zeros((2, 6)) + 3.2  # put inside its limits later: it turns by nothing
+    np.testing.assert_array_equal(unwrapped(arm(180.0), outside, None), outside)
+
+
+def test_half_a_turn_is_a_way_and_more_is_none() -> None:
+    wide = arm(360.0)
+    half = np.array([[0.0] * 6, [np.pi, -np.pi, 0, 0, 0, 0]])
+    np.testing.assert_array_equal(unwrapped(wide, half, None), half)
+    check_no_turn(wide, half)
+    more = half * 1.001
+    with pytest.raises(PathRefused, match=r"way-point 1: .*joint1 from 0 to 3\.145 rad is more"):
+        check_no_turn(wide, more)
+
+
+def test_what_is_geared_or_slides_is_on_no_circle() -> None:
+    half, slide = {"moves": False}, {"type": "prismatic", "limits_deg": None, "limits_m": [0, 9]}
+    follows = {"mimic": {"joint": "joint2", "multiplier": 0.5}, "limits_deg": None}
+    made = arm(360.0, {2: half, 3: follows, 5: slide})
+    assert made.circular.tolist() == [True, False, True, False, True]
+    whole = arm(360.0, {2: half, 3: follows | {"mimic": {"joint": "joint2", "multiplier": -2.0}}})
+    assert whole.circular.tolist() == [True] * 5
+    joints = np.array([np.zeros(5), [0, 6.2, 0, 6.2, 0]])
+    np.testing.assert_array_equal(unwrapped(made, joints, None), joints)
+    check_no_turn(made, joints)
+
+
+def test_a_path_as_solved_turns_no_joint_farther_than_half_a_turn() -> None:
+    """Planned joints lead to the targets, which lie farther apart than they."""
+    model = declared_model(arm(180.0))
+    solved = np.tile([-1.6, -1.3, 1.4, -1.7, -1.5, 0.2], (2, 1))
+    solved[1, 0] = 1.6
+    plan = PlannedPath(model.pose(solved), TIMES[:2], solved * [0.95, 1, 1, 1, 1, 1])
+    with pytest.raises(PathRefused, match=r"way-point 1: .*from -1\.6 to 1\.6 rad is more than"):
+        compensate_path(
+            model, None, plan, start=None, history=History.unknown(6),
+            context_at=lambda arrived: Context(),
+        )  # fmt: skip

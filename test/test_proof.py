@@ -1,0 +1,38 @@
+"""The proof: what a network promises is taken from the errors of the model that it stands on."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from cli_shell import on_the_real_arm
+from small_arm import ARM
+
+from longarm_comp.core.data.commanded import commanded_errors
+from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.identify.proof import NETWORK, prove
+from longarm_comp.core.learn.predictor_file import load
+from longarm_comp.core.model.model_file import load_model
+
+
+def test_a_network_is_proved_by_the_error_that_it_takes_away(work: Path) -> None:
+    model, learned = load_model(work / "model.yaml", ARM), load(work / "predictor.npz")
+    rows = on_the_real_arm(40, np.random.default_rng(11))
+    q = rows.q.copy()
+    q[0] += 2.0 * (ARM.upper - ARM.lower)  # where it knows nothing
+    rows = dataclasses.replace(rows, q=q)
+    promised = learned.predict(rows.q, rows.context())
+    assert not promised.in_domain[0] and promised.in_domain.sum() > 20
+    known = np.where(promised.in_domain[:, None], promised.error, 0.0)
+    proof = prove({"calibrated": model}, (model, learned), rows)
+    inside = promised.in_domain
+    for told, of in ((proof.errors, errors), (proof.commanded, commanded_errors)):
+        np.testing.assert_allclose(told["calibrated"], of(model, rows))
+        np.testing.assert_allclose(told[NETWORK], of(model, rows) - known)
+        before, after = (
+            np.linalg.norm(told[name][inside], axis=1).mean() for name in ("calibrated", NETWORK)
+        )
+        assert after < 0.8 * before, (after, before)
+    without = prove({"calibrated": model}, None, rows)
+    assert NETWORK not in without.errors

@@ -1,0 +1,290 @@
+"""Nudges of a setup, and what it changed in servos: written back, whatever happens."""
+
+from __future__ import annotations
+
+import errno
+import io
+import itertools
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+from cli_shell import Shell
+from servo_bench import (
+    MODELS,
+    POSE_FLAGS,
+    configured,
+    direct,
+    folder,
+    limit,
+    refuses,
+    store,
+    stored,
+    two,
+)
+from servo_bench import bus as geared_bus
+from test_servo_setup import RIGHT, Terminal
+
+from longarm_comp.core.errors import JobError
+from longarm_comp.devices.servo_arm import ServoArm
+from longarm_comp.devices.servo_bus.bus import SerialServoBus
+from longarm_comp.devices.servo_bus.registry import models, open_bus
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.servo_setup import ServoSetup
+from longarm_comp.devices.setup_journal import SetupJournal
+from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
+from longarm_comp.sim.servo_emulator.motor import Motor
+from longarm_comp.sim.servo_emulator.wire import Device
+
+
+@pytest.fixture(autouse=True)
+def nobody_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture(params=MODELS)
+def emulator(request: pytest.FixtureRequest) -> Iterator[ServoEmulator]:
+    with two(request.param) as made:
+        yield made
+
+
+# ---- the nudge ----------------------------------------------------------------------------------
+
+
+@contextmanager
+def bench(emulator: ServoEmulator, config: ServoConfig) -> Iterator[ServoSetup]:
+    with closing(config.open_bus()) as bus, ServoSetup(bus, config.joints).safely() as made:
+        made.rest()
+        made.hold()
+        yield made
+
+
+def test_a_nudge_is_slow_also_where_the_speed_is_taken_for_something_else(
+    shell: Shell, emulator: ServoEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The goals creep: no more than a tenth of a second's way at once."""
+    mine = direct(shell, MODELS[emulator.protocol])
+    monkeypatch.setattr(Motor, "speed_limit", property(lambda m: 0.0, lambda m, v: None), False)
+    sent: list[int] = []
+    write = SerialServoBus.write_goal
+
+    def noted(bus: SerialServoBus, goals: dict[int, int], speeds: object = None) -> None:
+        sent.extend(goals.values() if len(goals) == 1 else ())
+        time.sleep(0.3 * (len(sent) == 5))  # the computer had something else to do
+        write(bus, goals, speeds)
+
+    monkeypatch.setattr(SerialServoBus, "write_goal", noted)
+    with bench(emulator, configured(mine, emulator)) as made, made.nudged("joint2") as grew:
+        assert grew == 1
+        assert emulator.positions()[2] == pytest.approx(2048 + 57, abs=6.5)
+    assert (sent[0] - 2048, max(sent)) == (0, 2048 + 57)
+    assert max(abs(b - a) for a, b in itertools.pairwise(sent)) <= 7
+    assert emulator.positions()[2] == pytest.approx(2048, abs=6.5)
+
+
+@pytest.mark.parametrize("goes", ["away", "on"])
+def test_a_servo_that_is_not_where_it_is_led_is_let_go(
+    shell: Shell, emulator: ServoEmulator, monkeypatch: pytest.MonkeyPatch, goes: str
+) -> None:
+    """It turns the other way round, or on and on, whatever its registers say."""
+    mine = direct(shell, MODELS[emulator.protocol])
+    wire, write = emulator._wire, type(emulator._wire).write
+
+    def wrong(wire: object, device: Device, address: int, data: bytes) -> int:
+        code = write(wire, device, address, data)
+        motor = device.motor
+        if motor.torque_on and round(motor.goal) not in (2048, 2500):
+            motor.goal = 2500.0 if goes == "on" else 2048 - 5 * (motor.goal - 2048)
+        return code
+
+    monkeypatch.setattr(type(wire), "write", wrong)
+    words = "servo 2 of joint2 does not move as slowly as asked"
+    with bench(emulator, configured(mine, emulator)) as made:
+        with pytest.raises(JobError, match=words), made.nudged("joint2"):
+            raise AssertionError
+        assert emulator.torques_on() == {1: True, 2: False}
+    assert not any(emulator.torques_on().values())
+    assert abs(emulator.positions()[2] - 2048) < 450
+
+
+def test_a_nudge_stays_within_the_servos_limits_or_names_them(
+    shell: Shell, emulator: ServoEmulator
+) -> None:
+    mine = direct(shell, MODELS[emulator.protocol])
+    limit(emulator, 2, 1500, 2050)
+    config = configured(mine, emulator)
+    with bench(emulator, config) as made, made.nudged("joint2") as grew:
+        assert grew == -1
+    limit(emulator, 2, 2000, 2100)
+    with (
+        pytest.raises(JobError, match=r"takes goals 2000 to 2100: no room .* = 2000"),
+        bench(emulator, config) as made,
+        made.nudged("joint2"),
+    ):
+        raise AssertionError
+    limit(emulator, 2, 0, 4095)
+    if emulator.protocol == "dynamixel":
+        store(emulator, 2, 36, 2, 0)
+    with emulator.motor(2) as motor:
+        motor.blocked = True
+    said = "pwm_limit = 0" if emulator.protocol == "dynamixel" else "phase = 12"
+    with (
+        pytest.raises(JobError, match=f"joint2 does not move: servo 2, with .*{said}"),
+        bench(emulator, config) as made,
+        made.nudged("joint2"),
+    ):
+        raise AssertionError
+
+
+# ---- written back -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("protocol", MODELS)
+def test_what_a_setup_set_is_written_back_after_an_error(
+    shell: Shell, protocol: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full when the arm's file is written."""
+    replace = os.replace
+
+    def full(old: Path, new: Path) -> None:
+        if Path(new).name == "servo_driver.yaml":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replace(old, new)
+
+    mine = folder(shell, MODELS[protocol])
+    with geared_bus(protocol) as emulator:
+        before = stored(emulator)
+        words = ("servo", "setup", mine, "--port", emulator.port, *RIGHT, *POSE_FLAGS)
+        with monkeypatch.context() as patch:
+            patch.setattr("longarm_comp.core.files.os.replace", full)
+            assert "No space" in shell.refused(*words)
+        assert stored(emulator) == before
+        assert shell(*words) == 0, shell.err
+        assert shell.err.count("is set for many turns, as the servo file says") == 3
+        now = "operating_mode = 4 instead of operating_mode = 3"
+        assert (now if protocol == "dynamixel" else "max_angle_limit = 4095") in shell.err
+        assert stored(emulator) != before  # the file says many turns: they stay
+        assert not any((shell.folder / "state").rglob("*.json"))
+
+
+@pytest.mark.parametrize("protocol", MODELS)
+def test_what_a_setup_set_is_written_back_after_ctrl_c_and_after_a_kill(
+    shell: Shell, protocol: str
+) -> None:
+    mine = folder(shell, MODELS[protocol])
+    with geared_bus(protocol) as emulator:
+        before = stored(emulator)
+        words = ("servo", "setup", mine, "--ids", "1-3", "--port", emulator.port, "--yes")
+        broken = Terminal(*words)
+        broken.until("joint1: which way")
+        assert stored(emulator) != before
+        assert broken.stop() == 130
+        assert stored(emulator) == before
+
+        killed = Terminal(*words)
+        killed.until("joint1: which way")
+        killed.kill()
+        changed = stored(emulator)
+        assert changed != before
+        scan = ("servo", "scan", "--port", emulator.port, "--ids", "1-3")
+        assert shell(*scan) == 0
+        assert "a setup was broken off: servos [1, 2, 3]" in shell.err
+        assert stored(emulator) == changed
+        with pytest.raises(AssertionError):  # of ours: the bench is left by an error
+            setup_of(mine, emulator)
+        assert stored(emulator) == before
+        assert shell(*scan) == 0 and "broken off" not in shell.err
+
+        again = Terminal(*words)
+        again.until("joint1: which way")
+        again.kill()
+        for servo_id in (1, 2, 3):
+            emulator._devices[servo_id].motor.switch(False)
+        with closing(ServoArm(configured(mine, emulator))) as arm:
+            assert any("broken off" in said for said in arm.said)
+        assert shell(*scan) == 0 and "broken off" not in shell.err
+
+
+def setup_of(mine: Path, emulator: ServoEmulator) -> None:
+    config = configured(mine, emulator)
+    with closing(config.open_bus()) as bus, ServoSetup(bus, config.joints).safely():
+        raise AssertionError
+
+
+def test_the_journal_waits_for_a_silent_servo_and_is_not_guessed_when_damaged(
+    shell: Shell, emulator: ServoEmulator
+) -> None:
+    mine = folder(shell, MODELS[emulator.protocol])
+    with geared_bus(emulator.protocol) as three:
+        before = stored(three)
+        config = configured(mine, three)
+        with (
+            pytest.raises(JobError, match="torque may be on") as caught,
+            closing(config.open_bus()) as bus,
+            ServoSetup(bus, config.joints).safely(),
+        ):
+            three.faults.silent.add(2)
+        assert caught.value
+        three.faults.silent.clear()
+        journal = SetupJournal(three.port)
+        with closing(config.open_bus()) as bus:
+            three.faults.silent.add(2)
+            assert journal.write_back(bus) == [2]
+            assert sorted(journal.read(three.protocol)) == [2]
+            three.faults.silent.clear()
+            assert journal.write_back(bus) == [] and stored(three) == before
+        journal.begin(three.protocol, {1: (b"first", b"a")})
+        journal.begin(three.protocol, {1: (b"second", b"b"), 2: (b"other", b"c")})
+        assert journal.read(three.protocol) == {1: (b"first", b"a"), 2: (b"other", b"c")}
+        journal.end(three.protocol, [1])
+        assert journal.read(three.protocol) == {2: (b"other", b"c")}
+        assert journal.read("another") == {}
+        journal.path.write_text('{"protocol": "feetech", "turns": {"1": 5}}')
+        scan = ("servo", "scan", "--port", three.port, "--ids", "1-3")
+        assert f"{journal.path} is damaged" in shell.refused(*scan, code=3)
+        assert "is damaged" in refuses(config)
+        words = ("servo", "setup", mine, "--port", three.port, *RIGHT)
+        assert "is damaged" in shell.refused(*words, code=3)
+
+
+def test_what_somebody_set_meanwhile_is_left(shell: Shell) -> None:
+    with two("feetech") as emulator:
+        servos = {1: models()["sts3215"]}
+        with closing(open_bus("feetech", emulator.port, 1_000_000, servos, 0.2)) as bus:
+            journal = SetupJournal(emulator.port)
+            journal.begin("feetech", {1: (b"\0\0\xff\x0f", bytes(4))})
+            limit(emulator, 1, 100, 200)
+            assert journal.write_back(bus) == []
+            assert bus.memory([1])[1].goals == (100, 200)
+            assert not os.path.exists(journal.path)
+
+
+def test_the_driver_lets_no_arm_fall_to_set_turns(shell: Shell, emulator: ServoEmulator) -> None:
+    mine = folder(shell, MODELS[emulator.protocol])
+    with geared_bus(emulator.protocol) as three:
+        config = configured(mine, three)
+        with closing(config.open_bus()) as bus:
+            bus.set_turns({1: True, 2: True, 3: False})
+            for servo_id in (1, 2, 3):
+                three._devices[servo_id].motor.switch(True)
+        before = stored(three)
+        assert "servos hold the arm" in refuses(config) and "[3]" in refuses(config)
+        assert stored(three) == before and all(three.torques_on().values())
+        for servo_id in (1, 2, 3):
+            three._devices[servo_id].motor.switch(False)
+        with closing(ServoArm(config)) as arm:
+            assert [said.split(",")[0] for said in arm.said] == ["servo 3 is set for many turns"]
+
+
+def test_the_lock_of_a_servo_is_left_as_it_was() -> None:
+    with two("feetech") as emulator:
+        emulator._devices[1].put(55, 1, 0)
+        servos = dict.fromkeys((1, 2), models()["sts3215"])
+        with closing(open_bus("feetech", emulator.port, 1_000_000, servos, 0.2)) as bus:
+            bus.set_turns({1: True, 2: True})
+        assert [emulator._devices[i].get(55, 1) for i in (1, 2)] == [0, 1]

@@ -1,0 +1,160 @@
+"""Files of stops: whose they are, damaged ones, and folders that cannot be read or written."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import unprivileged
+
+from longarm_comp.core.errors import InputError, JobError, LongarmError
+from longarm_comp.devices.state_folder import state_folder
+from longarm_comp.devices.stop_latch import Stop, StopLatch
+
+PORT = "/dev/ttyUSB0"
+
+
+def latch(folder: Path, namespace: str = "/", arm: str = "", port: str = PORT) -> StopLatch:
+    return StopLatch(folder / "state", namespace, arm, port)
+
+
+def stopped(folder: Path, stop: Stop = Stop.ESTOP, **arm: str) -> list[Path]:
+    """The files of a stop that is kept there."""
+    made = latch(folder, **arm)
+    made.ask(stop)
+    made.keep()
+    assert not made.trouble
+    return sorted((folder / "state").glob(f"*.{stop.name.lower()}"))
+
+
+@pytest.mark.parametrize("stop", Stop)
+def test_a_stop_stands_for_every_successor_until_it_is_lifted(tmp_path: Path, stop: Stop) -> None:
+    assert not latch(tmp_path).standing and not latch(tmp_path).words
+    stopped(tmp_path, stop)
+    (other,) = set(Stop) - {stop}
+    for _ in range(2):
+        successor = latch(tmp_path)
+        assert list(successor.standing) == [stop]
+        assert f"~/{stop.name.lower()}" in successor.words
+        with successor.lifted(other):
+            pass
+    with successor.lifted(stop):
+        assert not successor.standing
+    assert not latch(tmp_path).standing
+
+
+def test_an_arm_is_known_by_its_port_and_by_its_file_in_its_namespace(tmp_path: Path) -> None:
+    file, elsewhere = str(tmp_path / "arm.yaml"), str(tmp_path / "other.yaml")
+    stopped(tmp_path, namespace="/left", arm=file)
+    for same in (
+        {"port": PORT}, {"port": PORT, "arm": elsewhere, "namespace": "/right"},
+        {"port": "/dev/ttyUSB1", "arm": file, "namespace": "/left"},
+    ):  # fmt: skip
+        assert latch(tmp_path, **same).standing, same
+    for another in (
+        {"port": "/dev/ttyUSB1"},
+        {"port": "/dev/ttyUSB1", "arm": file, "namespace": "/right"},
+        {"port": "/dev/ttyUSB1", "arm": elsewhere, "namespace": "/left"},
+    ):
+        assert not latch(tmp_path, **another).standing, another
+        with latch(tmp_path, **another).lifted(*Stop):
+            pass
+    renumbered = latch(tmp_path, port="/dev/ttyUSB1", arm=file, namespace="/left")
+    assert renumbered.standing
+
+
+def emptied(file: Path) -> None:
+    file.write_bytes(b"")
+
+
+def garbled(file: Path) -> None:
+    file.write_bytes(bytes(range(256)) * 100)
+
+
+def dangling(file: Path) -> None:
+    file.unlink()
+    file.symlink_to("/nowhere/at/all")
+
+
+def locked(file: Path) -> None:
+    file.chmod(0)
+
+
+@pytest.mark.parametrize("damage", [emptied, garbled, dangling, locked])
+def test_a_damaged_file_stops_the_arm_and_can_be_reset(
+    tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    (file,) = stopped(tmp_path)
+    damage(file)
+    made = latch(tmp_path)
+    assert list(made.standing) == [Stop.ESTOP]
+    with made.lifted(*Stop):
+        pass
+    assert not latch(tmp_path).standing
+
+
+def test_a_folder_in_place_of_a_file_stops_the_arm_until_somebody_removes_it(
+    tmp_path: Path,
+) -> None:
+    (file,) = stopped(tmp_path)
+    file.unlink()
+    file.mkdir()
+    made = latch(tmp_path)
+    with pytest.raises(JobError, match="the stop stays"), made.lifted(*Stop):
+        pass
+    assert list(made.standing) == [Stop.ESTOP]
+    file.rmdir()
+    with made.lifted(*Stop):
+        pass
+    assert not made.standing
+
+
+@pytest.mark.parametrize("mode", [0o000, 0o500])
+def test_a_folder_that_is_not_readable_or_writable_holds_the_arm(mode: int) -> None:
+    """Held, not let go: a heavy arm must not drop because of its computer's disk."""
+    with unprivileged(), tempfile.TemporaryDirectory() as place:  # one that anybody can reach
+        assert not latch(Path(place)).standing
+        folder = Path(place) / "state"
+        folder.chmod(mode)
+        made = latch(Path(place))
+        assert list(made.standing) == [Stop.HOLD]
+        assert "cannot be kept" in made.words and str(folder) in made.words
+        with pytest.raises(LongarmError, match=str(folder)), made.lifted(*Stop):
+            pass
+        made.ask(Stop.ESTOP)
+        made.keep()
+        assert list(made.standing) == [Stop.HOLD, Stop.ESTOP] and str(folder) in made.trouble
+        folder.chmod(0o700)
+        made.keep()
+        assert not made.trouble and "ends with" not in made.words
+        assert set(latch(Path(place)).standing) == set(Stop)
+
+
+def test_a_reset_that_breaks_off_leaves_the_stop(tmp_path: Path) -> None:
+    stopped(tmp_path)
+    made = latch(tmp_path)
+    with pytest.raises(JobError), made.lifted(*Stop):
+        assert not made.standing
+        raise JobError("a servo is silent")
+    assert list(made.standing) == [Stop.ESTOP] == list(latch(tmp_path).standing)
+
+
+def test_the_folder_is_the_users(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for given in ("", "not/absolute"):
+        monkeypatch.setenv("XDG_STATE_HOME", given)
+        assert state_folder() == tmp_path / ".local" / "state" / "longarm_comp"
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "xdg"))
+    assert state_folder() == tmp_path / "xdg" / "longarm_comp"
+
+
+def test_a_user_without_a_home_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    with pytest.raises(InputError, match="XDG_STATE_HOME"):
+        state_folder()
