@@ -42,8 +42,8 @@ class SsaProblem:
 
     @cached_property
     def samples(self) -> Samples:
-        x, y = (torch.tensor(each.T.copy(), device=self.device)[None] for each in self.standardised)
-        return Samples(x, y, torch.ones_like(x[:, 0]))
+        x, y = (torch.tensor(each.T.copy(), device=self.device) for each in self.standardised)
+        return Samples(x, y, torch.ones_like(x[:1]))
 
     def search(
         self, population: int, iterations: int, seed: int, rules: Rules = CANONICAL
@@ -56,13 +56,12 @@ class SsaProblem:
 
     def start(self, init: str, seed: int) -> torch.Tensor:
         """Initial weights (1, D), by a search of 50 sparrows and 50 iterations or Xavier's."""
-        samples, busy = self.samples, torch.ones(1, SHAPE.size, dtype=torch.bool)
+        samples = self.samples
         fitness = self.stack.squared_error(samples.x, samples.y, samples.used)
-        return self.stack.starts(init, busy, fitness, self.chance(seed), SparrowSearch(50, 50))
+        return self.stack.starts(init, 1, fitness, self.chance(seed), SparrowSearch(50, 50))
 
     def fit(self, start: torch.Tensor, max_steps: int = 150) -> Fits:
-        busy = torch.ones(1, SHAPE.size, dtype=torch.bool)
-        return back_propagate(self.stack, start.double(), self.samples, busy, max_steps)
+        return back_propagate(self.stack, start.double(), self.samples, max_steps)
 
     def chance(self, seed: int) -> torch.Generator:
         return torch.Generator(self.device).manual_seed(seed)

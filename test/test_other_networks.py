@@ -19,7 +19,7 @@ from test_docs_commands import lines
 
 from bench.smooth import rms_mm
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.learn import ensemble, others
+from longarm_comp.core.learn import others
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Expander, Predictor
 from longarm_comp.core.learn.predictor_file import load, save
@@ -188,15 +188,6 @@ def test_a_device_that_is_not_there_is_refused_and_auto_is_the_cpu_then() -> Non
     for device in ("cuda", "abacus"):
         with pytest.raises(InputError, match="device"):
             train(rows().q, rows().residual, device=device, **quick)
-
-
-def test_all_sizes_as_one_batch_learn_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a GPU."""
-    monkeypatch.setattr(ensemble, "_HIDDEN_CHOICES", (4, 8, 12))
-    monkeypatch.setattr(ensemble, "_together", lambda device: True)
-    found = train(rows().q, rows().residual, iterations=10, ensemble=3)
-    assert rms_mm(found.predict(rows().test_q).error - rows().test_truth) < 0.26
-    assert {8, 12} >= set(found.provenance.settings["hidden"])
 
 
 def test_training_takes_the_threads_of_others_only_for_a_while() -> None:

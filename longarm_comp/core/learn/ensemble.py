@@ -124,7 +124,7 @@ def train(
         provenance=replace(origin, settings={**origin.settings, **settings}),
         network=network,
     )
-    draft = replace(draft, posterior=_leading(draft, fits[0].padded(shape, fits[0].root()), probe))
+    draft = replace(draft, posterior=_leading(draft, fits[0].padded(shape, fits[0].root), probe))
     left = y.copy()
     for one, out in zip(without, folds, strict=True):
         weights = one.padded(shape, one.weights)[None]
@@ -140,7 +140,7 @@ class _Fit:
     weights: Array  # (D,)
     sigma: float
     evidence: float
-    root: Callable[[], Array]  # (D, D) R of the covariance R'R of the weights
+    root: Array  # (D, D) R of the covariance R'R of the weights
 
     def padded(self, shape: NetworkShape, weights: Array) -> Array:
         """Weights (..., own D) padded with idle hidden units to a larger network's (..., D)."""
@@ -163,106 +163,63 @@ class _Learner:
     network: NetworkKind | None
     device: torch.device
 
-    def fits(self, units: Sequence[int], rows: Sequence[NDArray[np.bool_]]) -> list[_Fit]:
-        """Networks of so many hidden units, each trained on some of the rows, as one batch."""
+    def fits(self, units: int, rows: NDArray[np.bool_]) -> list[_Fit]:
+        """Networks of so many hidden units, each trained on its rows (M, N), as one batch."""
         import torch
 
         from longarm_comp.core.learn.sparrow import SparrowSearch
-        from longarm_comp.core.learn.stack import Stack, TanhStack
+        from longarm_comp.core.learn.stack import TanhStack
         from longarm_comp.core.learn.training import Samples, back_propagate
 
+        x, y, used = (
+            torch.tensor(np.ascontiguousarray(each), dtype=torch.float64, device=self.device)
+            for each in (self.x.T, self.target.T, rows)
+        )
+        many, tags = len(rows), [self.seed, units, *rows.sum(axis=1).tolist()]
+        number = int(np.random.SeedSequence(tags).generate_state(1, np.uint64)[0])
+        shape = NetworkShape(len(x), units, len(y))
         # These products are small: threads would wait for each other, for long on a busy computer
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
-        many = len(units)
-        longest = max(int(one.sum()) for one in rows)
-        x, target = np.zeros((many, longest, self.x.shape[1])), np.zeros((many, longest, 3))
-        used = np.zeros((many, longest))
-        for place, one in enumerate(rows):
-            count = int(one.sum())
-            x[place, :count], target[place, :count] = self.x[one], self.target[one]
-            used[place, :count] = 1.0
-        samples = Samples(*(
-            torch.as_tensor(np.ascontiguousarray(each), device=self.device)
-            for each in (x.transpose(0, 2, 1), target.transpose(0, 2, 1), used)
-        ))  # fmt: skip
-        tags = [self.seed, *units, longest]
-        number = int(np.random.SeedSequence(tags).generate_state(1, np.uint64)[0])
-        rng = torch.Generator(self.device).manual_seed(number)
-        shape = NetworkShape(self.x.shape[1], max(units), 3)
-        own = [np.arange(shape.size)] * many
-        stack: Stack
-        if self.network:
-            modules = self.network.several(shape.inputs, shape.outputs, many, number)
-            stack = Stack(modules[0].to(self.device))
-            start = torch.stack([
-                torch.nn.utils.parameters_to_vector(m.parameters()).detach() for m in modules
-            ]).to(self.device)  # fmt: skip
-            own = [np.arange(stack.size)] * many
-        else:
-            stack = TanhStack(shape, self.device)
-            own = [replace(shape, hidden=h).within(shape) for h in units]
-        busy = torch.zeros(many, stack.size, dtype=torch.bool, device=self.device)
-        for place, index in enumerate(own):
-            busy[place, torch.as_tensor(index, device=self.device)] = True
-        if isinstance(stack, TanhStack):
-            fitness = stack.squared_error(samples.x, samples.y, samples.used)
-            start = stack.starts(self.init, busy, fitness, rng, SparrowSearch(*self.search))
-        found = back_propagate(stack, start, samples, busy)
-        torch.set_num_threads(threads)
-
-        def one_of(place: int) -> _Fit:
-            index, h = own[place], units[place]
-            # equal optima: hidden units permuted, signs flipped
-            equal = math.lgamma(h + 1) + h * math.log(2.0)
-            return _Fit(
-                h, found.weights[place].cpu().numpy()[index], float(found.sigma[place]),
-                float(found.evidence[place]) + equal,
-                lambda: found.posterior[place].cpu().numpy()[np.ix_(index, index)],
-            )  # fmt: skip
-
-        return [one_of(place) for place in range(many)]
+        try:
+            if self.network:
+                stack = self.network.stack(shape.inputs, shape.outputs, self.device)
+                start = self.network.starts(shape.inputs, shape.outputs, many, number).to(x)
+            else:
+                stack = TanhStack(shape, self.device)
+                rng = torch.Generator(self.device).manual_seed(number)
+                fitness = stack.squared_error(x, y, used)
+                start = stack.starts(self.init, many, fitness, rng, SparrowSearch(*self.search))
+            found = back_propagate(stack, start, Samples(x, y, used))
+        finally:
+            torch.set_num_threads(threads)
+        # equal optima: hidden units permuted, signs flipped
+        evidence = found.evidence + math.lgamma(units + 1) + units * math.log(2.0)
+        each = (found.weights, found.sigma, evidence, found.posterior)
+        return [
+            _Fit(units, weights, float(sigma), float(log), root)
+            for weights, sigma, log, root in zip(
+                *(part.cpu().numpy() for part in each), strict=True
+            )
+        ]
 
     def likeliest(
-        self,
-        sizes: Sequence[int],
-        starts: int,
-        folds: Sequence[NDArray[np.bool_]],
-        tell: Callable[[int], None],
+        self, sizes: Sequence[int], starts: int, out: NDArray[np.bool_], tell: Callable[[int], None]
     ) -> tuple[list[_Fit], list[_Fit]]:
         """Networks of rising size until the evidence falls, the likeliest first; and one of the
-        likeliest size without each of the folds."""
-        few = [
-            h for h in sizes
-            if h == sizes[0] or NetworkShape(self.x.shape[1], h, 3).size <= 1.5 * len(self.x)
-        ]  # fmt: skip
-        every, without = [np.ones(len(self.x), bool)] * starts, [~out for out in folds]
-        if _together(self.device):
-            rows = [*every, *without]
-            found = self.fits([h for h in few for _ in rows], rows * len(few))
-            batches = [found[i : i + len(rows)] for i in range(0, len(found), len(rows))]
-            best = max(batches, key=lambda batch: max(f.evidence for f in batch[:starts]))
-            return _sorted([fit for batch in batches for fit in batch[:starts]]), best[starts:]
+        likeliest size without the rows of each fold ``out`` (F, N)."""
         fits = list[_Fit]()
-        for h in few:
-            networks = self.fits([h] * starts, every)
+        for h in sizes:
+            if fits and NetworkShape(self.x.shape[1], h, 3).size > 1.5 * len(self.x):
+                break
+            networks = self.fits(h, np.ones((starts, len(self.x)), bool))
             fits += networks
             tell(len(fits))
             best_yet = max(each.evidence for each in fits)
             if max(each.evidence for each in networks) < best_yet - _UNLIKELY:
                 break
-        fits = _sorted(fits)
-        return fits, self.fits([fits[0].units] * len(folds), without)
-
-
-def _sorted(fits: list[_Fit]) -> list[_Fit]:
-    return sorted(fits, key=lambda each: -each.evidence)
-
-
-def _together(device: torch.device) -> bool:
-    """Whether all networks are one batch. On a CPU, where idle units take as long as busy ones, it
-    is those of one size."""
-    return device.type != "cpu"
+        fits.sort(key=lambda each: -each.evidence)
+        return fits, self.fits(fits[0].units, ~out)
 
 
 def _device(wanted: str) -> torch.device:
@@ -276,12 +233,12 @@ def _device(wanted: str) -> torch.device:
     return torch.device("cuda" if there and wanted != "cpu" else "cpu")
 
 
-def _folds(q: Array, rng: np.random.Generator) -> list[NDArray[np.bool_]]:
-    """(N,) masks of the rows left out together; repeats of a pose stay together."""
+def _folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """(F, N) masks of the rows left out together; repeats of a pose stay together."""
     _, pose = np.unique(np.round(q, 6), axis=0, return_inverse=True)
     pose = pose.ravel()
     fold = (rng.permutation(pose.max() + 1) % _FOLDS)[pose]
-    return [fold == k for k in range(_FOLDS) if (fold == k).any()]
+    return np.array([fold == k for k in range(_FOLDS) if (fold == k).any()])
 
 
 def _calibrated(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) -> Predictor:

@@ -38,14 +38,18 @@ class NetworkKind:
     origin: str
     factory: Factory = field(compare=False, repr=False)
 
-    def several(self, inputs: int, outputs: int, many: int, seed: int) -> list[torch.nn.Module]:
-        """So many modules of double precision, each from initial numbers of its own."""
+    def stack(self, inputs: int, outputs: int, device: str | torch.device = "cpu") -> Stack:
+        return Stack(self._module(inputs, outputs).to(device))
+
+    def starts(self, inputs: int, outputs: int, many: int, seed: int) -> torch.Tensor:
+        """(M, D) initial numbers of so many modules."""
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            return [self._module(inputs, outputs) for _ in range(many)]
+            modules = [self._module(inputs, outputs) for _ in range(many)]
+        return torch.stack([torch.nn.utils.parameters_to_vector(m.parameters()) for m in modules])
 
     def members(self, inputs: int, outputs: int, weights: Array) -> TorchMembers:
-        stack = Stack(self.several(inputs, outputs, 1, 0)[0])
+        stack = self.stack(inputs, outputs)
         if weights.shape[1] != stack.size:
             found = f"{weights.shape[1]} weights"
             raise InputError(f"network {self.name}", "weights", found, f"{stack.size} parameters")
@@ -75,16 +79,14 @@ class TorchMembers:
     weights: torch.Tensor  # (M, D)
 
     def outputs(self, x: Array) -> Array:
-        inputs = torch.as_tensor(x.T).expand(len(self.weights), -1, -1)
-        return self.stack.outputs(self.weights, inputs).mT.numpy()
+        return self.stack.outputs(self.weights, torch.as_tensor(x.T)).mT.numpy()
 
     def jacobian(self, x: Array) -> Array:
-        return self.stack.jacobian(self.weights[:1], torch.as_tensor(x.T)[None])[0].numpy()
+        return self.stack.jacobian(self.weights[:1], torch.as_tensor(x.T))[0].numpy()
 
     def slope(self, x: Array, moved: NDArray[np.bool_], error: float) -> tuple[Array, float]:
         def mean(x: torch.Tensor) -> torch.Tensor:
-            inputs = x[None, :, None].expand(len(self.weights), -1, -1)
-            return self.stack.outputs(self.weights, inputs).mean(dim=0)[:, 0]
+            return self.stack.outputs(self.weights, x[:, None]).mean(dim=0)[:, 0]
 
         slope = torch.func.jacrev(mean)(torch.as_tensor(x)).numpy()
         return slope[:, moved], 0.0  # how far it holds is not known

@@ -29,11 +29,11 @@ _TRIES = 5  # of a step, each with more damping
 
 @dataclass(frozen=True)
 class Samples:
-    """What each of M networks learns, standardised."""
+    """What M networks learn, standardised."""
 
-    x: Tensor  # (M, d, N)
-    y: Tensor  # (M, k, N)
-    used: Tensor  # (M, N) 1, or 0 where a network has fewer rows
+    x: Tensor  # (d, N)
+    y: Tensor  # (k, N)
+    used: Tensor  # (M, N) 1, or 0 for a row that a network does not learn
 
 
 @dataclass(frozen=True)
@@ -48,24 +48,13 @@ class Fits:
     effective: Tensor  # (M,) gamma, well determined weights
     evidence: Tensor  # (M,) log evidence (Laplace), equal optima not counted
 
-    def take(self, index: Tensor) -> Fits:
-        return Fits(*(getattr(self, f.name)[index] for f in fields(self)))
-
-    @classmethod
-    def join(cls, parts: list[Fits]) -> Fits:
-        return cls(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(cls)))
-
 
 @dataclass
-class _Going:
-    """Networks that still train, the first index."""
+class _State:
+    """Networks that train, the first index."""
 
     place: Tensor  # (M,) which of all they are
-    x: Tensor
-    y: Tensor
-    used: Tensor
-    groups: Tensor  # (M, D, G) 1 for the group of a weight, 0 of an idle one
-    idle: Tensor  # (M, D) 1 for an idle weight
+    used: Tensor  # (M, N)
     weights: Tensor
     robust: Tensor  # (M, N)
     alpha: Tensor  # (M, G)
@@ -73,94 +62,70 @@ class _Going:
     tail: Tensor  # (M,)
     damping: Tensor  # (M,)
     settled: Tensor  # (M,)
+    effective: Tensor  # (M,)
     matrix: Tensor
     gradient: Tensor
     residual: Tensor
 
-    def take(self, index: Tensor) -> _Going:
-        return _Going(*(getattr(self, f.name)[index] for f in fields(self)))
-
-    @property
-    def prior(self) -> Tensor:
-        """(M, D) alpha of each weight; 1 of an idle one, which adds nothing to the evidence."""
-        return (self.groups @ self.alpha[..., None])[..., 0] + self.idle
-
-    def by_group(self, each: Tensor) -> Tensor:
-        """Sums (M, G) of values (M, D)."""
-        return (each[:, None] @ self.groups)[:, 0]
+    def take(self, index: Tensor) -> _State:
+        return _State(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
-def back_propagate(
-    stack: Stack, start: Tensor, samples: Samples, busy: Tensor, max_steps: int = 150
-) -> Fits:
-    """Train from ``start`` (M, D), whose weights that are not ``busy`` are 0 and stay it."""
-    groups = torch.nn.functional.one_hot(stack.groups).to(start) * busy[..., None]
+def back_propagate(stack: Stack, start: Tensor, samples: Samples, max_steps: int = 150) -> Fits:
+    """Train from ``start`` (M, D)."""
     full = start.new_ones(len(start))
-    state = _Going(
-        torch.arange(len(start), device=start.device), samples.x, samples.y, samples.used,
-        groups, (~busy).to(start), start, samples.used, 0.1 * torch.ones_like(groups[:, 0]),
-        10.0 * full, _TAILS[-1] * full, 1e-2 * full, 0.0 * full,
+    state = _State(
+        torch.arange(len(start), device=start.device), samples.used, start, samples.used,
+        0.1 * full[:, None].expand(-1, int(stack.groups.max()) + 1), 10.0 * full,
+        _TAILS[-1] * full, 1e-2 * full, 0.0 * full, 0.0 * full,
         *stack.normal_equations(start, samples.x, samples.y, samples.used),
     )  # fmt: skip
-    parts: list[tuple[Tensor, Fits]] = []
+    parts = []
     for step in range(1, max_steps + 1):
-        stuck = _move(stack, state)
+        stuck = _move(stack, samples, state)
         if step > _PLAIN_STEPS:
             _robust_weights(state)
         state.matrix, state.gradient, state.residual = stack.normal_equations(
-            state.weights, state.x, state.y, state.robust
+            state.weights, samples.x, samples.y, state.robust
         )
-        if step <= _PLAIN_STEPS:
-            continue
-        _, inverse = _laplace(state)
-        gamma, change = _evidence_step(state, inverse)
-        state.settled = torch.where(change < _SETTLED, state.settled + stuck + 1.0, 0.0)
+        if step > _PLAIN_STEPS:
+            change = _evidence_step(stack, state)
+            state.settled = torch.where(change < _SETTLED, state.settled + stuck + 1.0, 0.0)
         done = (state.settled >= _SETTLED_STEPS) | (step == max_steps)
         if done.any():
-            ended = state.take(done)
-            parts.append((ended.place, _fits(ended, gamma[done])))
+            parts.append(state.take(done))
+            state = state.take(~done)
             if done.all():
                 break
-            state = state.take(~done)
-    order = torch.cat([place for place, _ in parts]).argsort()
-    return Fits.join([fits for _, fits in parts]).take(order)
+    joined = _State(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(_State)))
+    return _fits(stack, joined.take(joined.place.argsort()))
 
 
-def _move(stack: Stack, state: _Going) -> Tensor:
+def _move(stack: Stack, samples: Samples, state: _State) -> Tensor:
     """One damped Gauss-Newton step of each network; returns (M,) 1 where none lowers the cost."""
-    prior = state.prior
+    prior = state.alpha[:, stack.groups]
     pull = state.beta[:, None] * state.gradient - prior * state.weights
     curvature = state.beta[:, None, None] * state.matrix
     diagonal = curvature.diagonal(dim1=1, dim2=2) + prior
     before = _cost(state.residual, state.weights, state.robust, prior, state.beta)
+    weights, damping = state.weights.clone(), state.damping.clone()
     open_ = torch.arange(len(pull), device=pull.device)
-    weights, damping, residual = (
-        state.weights.clone(),
-        state.damping.clone(),
-        state.residual.clone(),
-    )
     for _ in range(_TRIES):
-        each = open_.repeat_interleave(2)  # two dampings at once: every other step needs the second
-        damped = (damping[open_, None] * damping.new_tensor((1.0, 4.0))).flatten()
-        system = curvature[each]
-        system.diagonal(dim1=1, dim2=2).add_(prior[each] + damped[:, None] * diagonal[each])
+        system = curvature[open_]
+        system.diagonal(dim1=1, dim2=2).add_(prior[open_] + damping[open_, None] * diagonal[open_])
         factor, _ = torch.linalg.cholesky_ex(system)
-        there = weights[each] + torch.cholesky_solve(pull[each, :, None], factor)[..., 0]
-        left = state.y[each] - stack.outputs(there, state.x[each])
-        cost = _cost(left, there, state.robust[each], prior[each], state.beta[each])
-        best, second = cost.nan_to_num(nan=torch.inf).view(-1, 2).min(dim=1)
-        lower = best < before[open_]
-        pick = (2 * torch.arange(len(open_), device=open_.device) + second)[lower]
+        there = state.weights[open_] + torch.cholesky_solve(pull[open_, :, None], factor)[..., 0]
+        left = samples.y - stack.outputs(there, samples.x)
+        cost = _cost(left, there, state.robust[open_], prior[open_], state.beta[open_])
+        lower = cost < before[open_]
         good, open_ = open_[lower], open_[~lower]
-        weights[good], residual[good] = there[pick], left[pick]
-        damping[good] = (damped[pick] / 5.0).clamp(min=1e-9)
+        weights[good], state.residual[good] = there[lower], left[lower]
+        damping[good] = (damping[good] / 5.0).clamp(min=1e-9)
         if not len(open_):
             break
-        damping[open_] = (damping[open_] * 16.0).clamp(max=1e8)
-    state.weights, state.damping, state.residual = weights, damping, residual
-    stuck = torch.zeros_like(state.beta)
-    stuck[open_] = 1.0
-    return stuck
+        damping[open_] = (damping[open_] * 4.0).clamp(max=1e8)
+    state.weights, state.damping = weights, damping
+    return torch.zeros_like(state.beta).index_fill(0, open_, 1.0)
 
 
 def _cost(residual: Tensor, weights: Tensor, row: Tensor, prior: Tensor, beta: Tensor) -> Tensor:
@@ -168,9 +133,9 @@ def _cost(residual: Tensor, weights: Tensor, row: Tensor, prior: Tensor, beta: T
     return 0.5 * (beta * square + (prior * weights.square()).sum(1))
 
 
-def _robust_weights(state: _Going) -> None:
+def _robust_weights(state: _State) -> None:
     """The likeliest ``nu`` of the table and the weights of the rows for it."""
-    k, tails = state.y.shape[1], state.beta.new_tensor(_TAILS)
+    k, tails = state.residual.shape[1], state.beta.new_tensor(_TAILS)
     square = state.beta[:, None] * state.residual.square().sum(1)
     logs = _student_log(square, tails.expand(len(square), -1), state.used, k)
     state.tail = tails[logs.argmax(1)]
@@ -186,32 +151,37 @@ def _student_log(square: Tensor, nu: Tensor, used: Tensor, k: int) -> Tensor:
     return constant * used.sum(1, keepdim=True) - half * logs[..., 0]
 
 
-def _laplace(state: _Going) -> tuple[Tensor, Tensor]:
+def _laplace(state: _State, prior: Tensor) -> tuple[Tensor, Tensor]:
     """Lower triangle L of the posterior's precision, and its inverse."""
     precision = state.beta[:, None, None] * state.matrix
-    precision.diagonal(dim1=1, dim2=2).add_(state.prior)
+    precision.diagonal(dim1=1, dim2=2).add_(prior)
     factor = torch.linalg.cholesky(precision)
     eye = torch.eye(factor.shape[1], dtype=factor.dtype, device=factor.device)
     return factor, torch.linalg.solve_triangular(factor, eye, upper=False)
 
 
-def _evidence_step(state: _Going, inverse: Tensor) -> tuple[Tensor, Tensor]:
-    """Re-estimate alpha and beta; gamma (M, G) and the change of log beta (M,)."""
-    count = state.groups.sum(dim=1)
-    variance = state.by_group(inverse.square().sum(dim=1))
+def _evidence_step(stack: Stack, state: _State) -> Tensor:
+    """Re-estimate alpha, beta and the effective weights; returns the change of log beta (M,)."""
+    _, inverse = _laplace(state, state.alpha[:, stack.groups])
+
+    def by_group(each: Tensor) -> Tensor:
+        return torch.zeros_like(state.alpha).index_add(1, stack.groups, each)
+
+    count = torch.bincount(stack.groups)
+    variance = by_group(inverse.square().sum(dim=1))
     gamma = torch.minimum((count - state.alpha * variance).clamp(min=1e-3), count)
-    square = state.by_group(state.weights.square())
-    state.alpha = (gamma / (square + 1e-9)).clamp(*_ALPHA)
+    state.alpha = (gamma / (by_group(state.weights.square()) + 1e-9)).clamp(*_ALPHA)
+    state.effective, before = gamma.sum(1), state.beta
     spread = (state.residual.square().sum(1) * state.robust).sum(1)
-    used, before = state.used.sum(1) * state.y.shape[1], state.beta
-    free = torch.maximum(used - gamma.sum(1), 0.02 * used)
+    used = state.used.sum(1) * state.residual.shape[1]
+    free = torch.maximum(used - state.effective, 0.02 * used)
     state.beta = free / torch.maximum(spread, 1e-12 * used)
-    return gamma, (state.beta / before).log().abs()
+    return (state.beta / before).log().abs()
 
 
-def _fits(state: _Going, gamma: Tensor) -> Fits:
-    prior, k = state.prior, state.y.shape[1]
-    factor, inverse = _laplace(state)
+def _fits(stack: Stack, state: _State) -> Fits:
+    prior, k = state.alpha[:, stack.groups], state.residual.shape[1]
+    factor, inverse = _laplace(state, prior)
     square = state.beta[:, None] * state.residual.square().sum(1)
     evidence = (
         _student_log(square, state.tail[:, None], state.used, k)[:, 0]
@@ -221,5 +191,6 @@ def _fits(state: _Going, gamma: Tensor) -> Fits:
         - factor.diagonal(dim1=1, dim2=2).log().sum(1)
     )
     return Fits(
-        state.weights, inverse, state.beta**-0.5, state.robust, state.alpha, gamma.sum(1), evidence
-    )
+        state.weights, inverse, state.beta**-0.5, state.robust, state.alpha, state.effective,
+        evidence,
+    )  # fmt: skip
