@@ -2,7 +2,7 @@
 
 ``y = tanh([x, 1] V) W + b`` with ``V (d+1, H)``, ``W (H, k)``, ``b (k,)``. One flat vector
 ``[V, W, b]`` of length ``D = (d+1) H + H k + k`` holds all weights: the position of a sparrow, and
-a row of predictor.npz. `trained.TanhStack` trains it.
+a row of predictor.npz. `stack.TanhStack` trains it.
 
 Each weight's column of the Jacobian is one of the columns ``B = [x s, s, z, 1]`` (``z = tanh``,
 ``s = 1 - z^2``) times a number of each output: ``J[n, o, a] = B[n, column(a)] lift[o, a]``.

@@ -49,11 +49,7 @@ class NetworkKind:
         return torch.stack([torch.nn.utils.parameters_to_vector(m.parameters()) for m in modules])
 
     def members(self, inputs: int, outputs: int, weights: Array) -> TorchMembers:
-        stack = self.stack(inputs, outputs)
-        if weights.shape[1] != stack.size:
-            found = f"{weights.shape[1]} weights"
-            raise InputError(f"network {self.name}", "weights", found, f"{stack.size} parameters")
-        return TorchMembers(stack, torch.as_tensor(weights))
+        return TorchMembers(self.stack(inputs, outputs), torch.as_tensor(weights))
 
     def _module(self, inputs: int, outputs: int) -> torch.nn.Module:
         where, wanted = f"network {self.name}", f"a torch.nn.Module (N, {inputs}) -> (N, {outputs})"
@@ -104,14 +100,9 @@ def load_file(path: str | Path) -> NetworkKind:
     return kind
 
 
-def named(name: str) -> NetworkKind | None:
-    """The network of a package or of a file that was loaded."""
-    return _loaded.get(name) or _of_packages().get(name)
-
-
 def chosen(given: str | Path) -> NetworkKind:
-    """The network of a file, or of a package by its name."""
-    if found := named(str(given)):
+    """The network of a package by its name, or of a file."""
+    if found := _of_packages().get(str(given)):
         return found
     if Path(given).suffix != ".py":
         known = ", ".join((*_of_packages(), "a Python file, .py"))
@@ -121,7 +112,7 @@ def chosen(given: str | Path) -> NetworkKind:
 
 def saved(name: str, origin: str, where: object) -> NetworkKind:
     """The network that a file of a predictor names."""
-    found = named(name)
+    found = _loaded.get(name) or _of_packages().get(name)
     if found is None or found.origin != origin:
         is_now = "not known" if found is None else f"now of another {found.origin.split()[0]}"
         raise InputError(where, f"network {name}", is_now, f"the {origin}: give it with --network")

@@ -125,7 +125,7 @@ def load(
         from longarm_comp.core.learn.others import saved
 
         network = saved(header.network.name, header.network.origin, path)
-        size = network.members(d, 3, arrays["weights"]).stack.size
+        size = network.stack(d, 3).size
     members, rank = (max(1, len(np.atleast_1d(arrays[n]))) for n in ("weights", "posterior"))
     shapes = {
         "mean": (d,), "input_scale": (d,), "lower": (columns,), "upper": (columns,),

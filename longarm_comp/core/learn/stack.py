@@ -8,7 +8,6 @@ Gram matrix ``B U B'`` serves all outputs. Rows are last: inputs (d, N), outputs
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -16,9 +15,6 @@ from torch.func import functional_call, jacrev, vmap
 
 from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
-
-_STRIPS = 4
-"""Of a symmetric product: the blocks below its diagonal are left out."""
 
 
 def _held(device: torch.device) -> int:
@@ -119,7 +115,8 @@ class TanhStack(Stack):
             slope = x1[:, None] * ((1.0 - z * z) * root)[:, None]
             # the residual as the last: its products are the gradient
             last = (z * root, root, residual[..., rows] * root)
-            _add_gram(gram, torch.cat((slope.flatten(1, 2), *last), dim=1))
+            basis = torch.cat((slope.flatten(1, 2), *last), dim=1)
+            gram += basis @ basis.mT
         ends = torch.eye(k, dtype=w.dtype, device=w.device).repeat(1, 1 + self.shape.hidden)
         lift = w.mT.repeat(1, 1, self.shape.inputs + 1)
         lift = torch.cat((lift, ends.expand(many, -1, -1)), dim=2)  # (M, k, D)
@@ -190,12 +187,3 @@ def hidden_alike(v: Tensor) -> Tensor:
 def _with_ones(x: Tensor) -> Tensor:
     """(d, N) -> (d+1, N), the bias input last."""
     return torch.nn.functional.pad(x, (0, 0, 0, 1), value=1.0)
-
-
-def _add_gram(gram: Tensor, basis: Tensor) -> None:
-    """Add ``B B'`` (M, C, C) of ``B`` (M, C, N)."""
-    edges = [gram.shape[1] * i // _STRIPS for i in range(_STRIPS + 1)]
-    for low, high in pairwise(edges):
-        product = basis[:, low:high] @ basis[:, low:].mT
-        gram[:, low:high, low:] += product
-        gram[:, high:, low:high] += product[:, :, high - low :].mT

@@ -24,7 +24,7 @@ _TAILS = (2.5, 3.0, 4.0, 6.0, 9.0, 15.0, 30.0, 100.0, 1e4)  # nu; the last is Ga
 _PLAIN_STEPS = 5  # steps before the evidence and the robust weights join in
 _ALPHA = (1e-4, 1e6)
 _SETTLED, _SETTLED_STEPS = 7e-4, 8  # change of log beta, and number of successive steps
-_TRIES = 5  # of a step, each with more damping
+_TRIES = 10  # of a step, each with more damping
 
 
 @dataclass(frozen=True)
