@@ -188,6 +188,9 @@ def _joint(root: ET.Element, arm: Arm, placed: Placed, parent: str) -> None:
         return
     ET.SubElement(node, "axis", {"xyz": _text(axis)})
     weights, offset = arm.mixing[0][joint.id - 1], arm.mixing[1][joint.id - 1]
+    if joint.coupling is not None:
+        allowed = "a joint that counts with no other: a URDF has no coupling of commanded joints"
+        raise InputError("export-urdf", f"joint {joint_name(joint)}", "coupling", allowed)
     if joint.commanded:
         lower, upper = joint.limits
     else:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.sim.hidden.drives import JointCoupling
 from longarm_comp.sim.hidden.loads import LinkMass
 from studies.true_camera import Hidden
 
@@ -85,6 +86,9 @@ def places(effect: Hidden, arm: Arm) -> frozenset[str]:
         if np.ndim(value) and np.shape(value)[-1] == arm.n and field != "delta":
             some: np.ndarray = np.any(np.reshape(value, (-1, arm.n)), axis=0)
             found |= {f"joint {row}" for j, row in enumerate(arm.commanded) if some[j]}
+    if isinstance(effect, JointCoupling):
+        before = dict(zip(arm.commanded[1:], arm.commanded, strict=False))
+        found = {f"{at}, other {before[int(at.split()[1])]}" for at in found}
     if isinstance(effect, LinkMass):
         found.add(f"frame {effect.row}")
     softer = getattr(effect, "softer", {})
@@ -102,7 +106,7 @@ def at_one_place(effect: Hidden, arm: Arm, rng: np.random.Generator) -> Hidden:
     for field in effect.sizes:
         value = getattr(effect, field)
         if np.ndim(value) and np.shape(value)[-1] == arm.n:
-            mask = np.array([f"joint {row}" == kept for row in arm.commanded])
+            mask = np.array([f"joint {row}" == kept.split(",")[0] for row in arm.commanded])
             changes[field] = value * mask
     if hasattr(effect, "softer"):
         changes["softer"] = {b: s for b, s in effect.softer.items() if f"beam {b}" == kept}

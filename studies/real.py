@@ -32,7 +32,8 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.placements import TipOffset
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.diagnosis import CALIBRATED, Diagnosis
+from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.proof import CALIBRATED
 from longarm_comp.core.model.model import Model, Slot
 from studies.interval import mean_ci95
 from studies.real_sessions import Measured, every_robot

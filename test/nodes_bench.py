@@ -45,9 +45,9 @@ class Bench:
 
     def start(
         self, node: str, params: Mapping[str, Any] | None = None, namespace: str = "",
-        words: tuple[str, ...] = (),
+        words: Sequence[str] = (),
     ) -> subprocess.Popen[str]:  # fmt: skip
-        """Start a node of ``longarm_comp.nodes``, with words of its own."""
+        """Start a node of ``longarm_comp.nodes``, with words of its own on its command line."""
         args = ["-m", f"longarm_comp.nodes.{node}", *words, "--ros-args"]
         if namespace:
             args += ["-r", f"__ns:=/{namespace}"]

@@ -118,7 +118,8 @@ class QuickArm:
         seen.header.stamp, seen.header.frame_id = now, "base"
         x, y, z = self._tip.tolist()
         seen.pose.pose.position = Point(x=x, y=y, z=z)
-        seen.pose.covariance = (1e-8 * np.eye(6)).ravel().tolist()
+        no_turn = [1e-8] * 3 + [0.0] * 3  # it measures no orientation
+        seen.pose.covariance = np.diag(no_turn).ravel().tolist()
         self._tips.publish(seen)
 
 

@@ -177,6 +177,8 @@ def base(rng: np.random.Generator) -> Diagnosis:
         },
         "noise": {"sigma_mm": list(SIGMA_MM), "source": "repeats", "rho": 0.03},
         "held_out": held_out(rows, "nominal", "calibrated", None),
+        "proof": {"folds": 5, "rows": 240, "passed": True, "why": ""},
+        "set_aside": {"rows": 2, "share": 0.008, "shared_by": []},
         "next_poses": [],
         "outliers": [
             {"index": 17, "why": "31 mm off, 58 standard deviations", "point": "P17"},

@@ -344,3 +344,23 @@ def test_a_file_that_is_no_arm(tmp_path: Path, write: Callable[[Path], Any], sai
     assert text.startswith(f"{path}: ")
     assert said in text
     assert "\n" not in text
+
+
+def test_a_coupling_is_a_mimic_of_two_commanded_joints() -> None:
+    """The forearm that counts with the upper arm, declared in its own row or as rows of its own."""
+    from small_arm import ARM
+
+    plain = ARM.model_dump(mode="json", exclude_defaults=True)
+    plain["joints"][3]["coupling"] = {"joint": 2, "factor": -1.0}
+    coupled = Arm.parse(plain, "coupled")
+    q = np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (20, 4))
+    turned = q.copy()
+    turned[:, 3] -= q[:, 1]
+    np.testing.assert_allclose(Model(coupled).tip(q), Model(ARM).tip(turned), atol=1e-12)
+    for key, value, told in (
+        ({"joint": 9, "factor": 1.0}, 9, "a commanded joint"),
+        ({"joint": 4, "factor": 1.0}, 4, "another joint"),
+    ):
+        plain["joints"][3]["coupling"] = key
+        with pytest.raises(InputError, match=rf"joints\.3\.coupling\.joint: {value}.*{told}"):
+            Arm.parse(plain, "coupled")

@@ -16,6 +16,8 @@ from driver_rig import Rig
 import longarm_comp as la
 from longarm_comp.cli import collect
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.devices.state_folder import state_folder
+from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.jobs import attend
 from longarm_comp.jobs.client import ArmClient, DriverStopped
 from longarm_interfaces.msg import DriverState
@@ -79,9 +81,16 @@ def test_without_an_arm_the_command_says_so(
     rig: Rig, shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(attend, "FOUND_S", 0.3)
-    for name in ("status", "hold"):
-        said = shell.refused(name, "--namespace", "moon", code=3)
-        assert "servo_driver" in said or "longarm up" in said
+    stop = StopLatch(state_folder(), "/moon", "", "/dev/ttyMOON")
+    stop.ask(Stop.ESTOP)
+    stop.keep()
+    for name, words in (
+        ("status", "longarm up"), ("status", "port /dev/ttyMOON"), ("hold", "nothing is stopped"),
+        ("stop", "cut its power"),
+    ):  # fmt: skip
+        assert words in shell.refused(name, "--namespace", "moon", code=3)
+    with stop.lifted(*Stop):
+        pass
 
 
 def test_a_job_names_the_state_of_a_stopped_driver_at_once(rig: Rig, shell: Shell) -> None:

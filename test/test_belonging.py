@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from small_arm import ARM as SMALL
 
 import longarm_comp as la
@@ -69,6 +70,25 @@ def swap(j: int, k: int) -> Spoil:
     return spoil
 
 
+def couple(j: int, k: int, factor: float, own: float = 1.0) -> Spoil:
+    """Rows of a controller whose joint j keeps its angle to what joint k carries."""
+
+    def spoil(session: Session) -> Session:
+        q = session.q.copy()
+        q[:, j] = own * q[:, j] + factor * q[:, k]
+        return with_q(session, q)
+
+    return spoil
+
+
+def moved_from(row: int) -> Spoil:
+    late = np.arange(150)[:, None] >= row
+    turned = Rotation.from_euler("z", 20, degrees=True)
+    return lambda s: dataclasses.replace(
+        s, xyz=np.where(late, np.add(turned.apply(np.array(s.xyz)), (0.3, 0.0, 0.1)), s.xyz)
+    )
+
+
 WRONG = {
     r"q1 looks negated: \d+ -> \d+(\.\d+)? mm": joint(0, np.negative),
     r"q6 looks negated: ": joint(5, np.negative),
@@ -78,6 +98,12 @@ WRONG = {
     r"q2 and q4 look swapped: ": swap(1, 3),
     r"x, y, z look written one row later than their joints: ": shift(1),
     r"x, y, z look written one row earlier than their joints: ": shift(-1),
+    r"q4 looks coupled with q2: the joint is q4 - q2: ": couple(3, 1, 1.0),
+    r"q6 looks coupled with q4: the joint is -q6 \+ q4: ": couple(5, 3, 1.0, -1.0),
+    r"row 91 on looks measured from another base, or of another arm: \S+ -> \d": moved_from(90),
+    r"0, 0, 0 in 6 rows at several poses": lambda s: dataclasses.replace(
+        s, xyz=np.where(np.isin(np.arange(len(s)), np.arange(3, 150, 28))[:, None], 0.0, s.xyz)
+    ),
     r"x, y, z look mirrored": lambda s: dataclasses.replace(s, xyz=s.xyz[:, [1, 0, 2]]),
     r"as if shuffled": lambda s: dataclasses.replace(
         s, xyz=np.random.default_rng(0).permutation(s.xyz)
@@ -182,19 +208,38 @@ def test_joints_beyond_their_limits_are_told_what_fits(rng: np.random.Generator)
         admit(joint(3, np.degrees)(rows), SMALL)
 
 
-@pytest.mark.parametrize(("noise_m", "between", "told"), [(0.11, (0.6, 0.69), True),
-                                                          (0.14, (0.71, 0.8), False)])  # fmt: skip
-def test_a_mistake_is_told_where_it_explains_half_of_the_squared_misfit(
-    demo: Arm, noise_m: float, between: tuple[float, float], told: bool
+@pytest.mark.parametrize(("noise_m", "told"), [(0.025, True), (0.03, False)])
+def test_a_mistake_is_told_where_it_explains_much_of_the_misfit(
+    demo: Arm, noise_m: float, told: bool
 ) -> None:
-    """Joint 6 is negated, under noise that hides it more and more."""
+    """Joint 6 is negated, under noise: without that 0.68 and 0.76 of the misfit are left."""
     rng = np.random.default_rng(5)
     q = rng.uniform(demo.lower, demo.upper, (100, demo.n))
     xyz = Model(demo).tip(q) + noise_m * rng.standard_normal((100, 3))
     rows = joint(5, np.negative)(Session.record(q, xyz))
-    own = register(Sightings.of(Model(demo), rows)).misfit
-    undone = [register(Sightings.of(Model(demo), s)).misfit for _, s in mistakes(demo, rows)]
-    assert between[0] < min(undone) / own < between[1]
     belief = believe(Model(demo), rows)
     assert belief is not None and bool(belief.mistake) == told
-    assert belief.misfit == pytest.approx(own)
+
+
+READ = {
+    "look w, x, y, z read as x, y, z, w": lambda q: np.roll(q, 1, axis=1),
+    "look x, y, z, w read as w, x, y, z": lambda q: np.roll(q, -1, axis=1),
+    "look inverted: the base in the tool": lambda q: q * (-1.0, -1.0, -1.0, 1.0),
+    "look w, x, y, z read as x, y, z, w and inverted: the base in the tool": lambda q: (
+        np.roll(q, 1, axis=1) * (-1.0, -1.0, -1.0, 1.0)
+    ),
+    "are not those of the tip": lambda q: np.random.default_rng(0).permutation(q),
+}
+
+
+@pytest.mark.parametrize("text", READ)
+def test_axes_in_another_order_are_told(rng: np.random.Generator, text: str) -> None:
+    """Also where the body sits anyhow on the tip; its own axes are admitted."""
+    q = rng.uniform(SMALL.lower, SMALL.upper, (40, 4))
+    truth = Model(SMALL, (ANYWHERE,))
+    axes = Rotation.from_matrix(truth.pose(q)[:, :3, :3]) * Rotation.from_euler("x", 1.1)
+    made = Session.record(q, truth.measured(q), readings={"orientation": axes.as_quat()})
+    assert not any(f.check == "belonging" for f in admit(made, SMALL).findings)
+    wrong = {"orientation": READ[text](axes.as_quat())}
+    with pytest.raises(InputError, match=rf"qx, qy, qz, qw {text}: \d\S+ -> \d\S+ mrad"):
+        admit(dataclasses.replace(made, readings=wrong), SMALL)

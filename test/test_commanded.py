@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -15,19 +16,23 @@ from small_arm import ARM
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.calibration.calibrate import declared_model
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.compensation.target_frame import placement
 from longarm_comp.core.data.commanded import (
     as_commanded,
     commanded_errors,
     not_commanded,
     own_way,
+    with_frame_shift,
 )
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.effect import Bias, Effect, parameter
-from longarm_comp.core.effects.placements import SensorPlace
+from longarm_comp.core.effects.placements import BasePose, SensorPlace
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import Creep, ThermalGrowth
+from longarm_comp.core.model.model_file import load_model, save_model, store
 
 
 @dataclass(frozen=True)
@@ -99,10 +104,30 @@ def test_of_a_side_that_was_told_nobody_knows_the_moves_before(rows: Session) ->
 
 def test_what_moves_all_seen_points_alike_misses_no_target(rows: Session) -> None:
     """Of a drift that the rows hold, the command is charged with its spread, not with its mean."""
-    model = declared_model(ARM).plus(CameraDrift(x=2e-3, y=1e-3))
+    model = with_frame_shift(declared_model(ARM).plus(CameraDrift(x=2e-3, y=1e-3)), rows)
     drift = errors(declared_model(ARM), rows) - errors(model, rows)
     charged = commanded_errors(model, rows) - errors(model, rows)
     assert charged == pytest.approx(drift - drift.mean(axis=0), abs=1e-12)
+
+
+def test_a_target_in_the_frame_of_the_measurements_is_missed_as_the_report_says(
+    rows: Session, tmp_path: Path
+) -> None:
+    """A camera 30 mm off was reported to miss by the spread of its error, and missed by 30 mm."""
+    drifting = declared_model(ARM).plus(BasePose(x=1.0), CameraDrift(x=3e-2, y=1e-2))
+    seen = dataclasses.replace(rows, xyz=drifting.measured(rows.q, rows.context()))
+    fitted = fit(declared_model(ARM).plus(BasePose(x=1.0), CameraDrift()), seen)
+    save_model(tmp_path / "model.yaml", store(fitted.model))
+    model = load_model(tmp_path / "model.yaml", ARM)
+    assert model.frame_shift == fitted.model.frame_shift
+    assert np.linalg.norm(model.frame_shift) > 5e-3
+    there = placement(model, seen.xyz, "measured")
+    tips = as_commanded(model).tip(seen.q, seen.context())
+    missed = np.array([there.carried(xyz) for xyz in seen.xyz]) - tips
+    np.testing.assert_allclose(missed, commanded_errors(fitted.model, seen), atol=1e-9)
+    np.testing.assert_allclose(missed.mean(axis=0), 0.0, atol=1e-4)
+    bare = placement(model.with_terms(model.effects), seen.xyz, "base")
+    np.testing.assert_allclose(bare.motion, placement(model, seen.xyz, "base").motion)
 
 
 def test_the_frame_of_a_sensor_stays() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from small_arm import measured
 
 from longarm_comp.core.arm.history import recorded
-from longarm_comp.core.data.holdout import Sealed, SealedError, blocked_split, spread
+from longarm_comp.core.data.holdout import blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 
@@ -151,18 +151,6 @@ def test_one_pose_cannot_be_split() -> None:
     session = Session.record(np.zeros((5, 2)), np.zeros((5, 3)))
     with pytest.raises(InputError, match="2 distinct poses"):
         blocked_split(session)
-
-
-def test_sealed_hold_out_opens_after_release_only(rng: np.random.Generator) -> None:
-    session = measured(5, rng)
-    sealed = Sealed(session)
-    with pytest.raises(SealedError, match="once the fit is finished"):
-        sealed.open("a peek")
-    assert sealed.uses == ()
-    sealed.release("hash of the model")
-    assert sealed.open("proof") is session
-    sealed.open("again")
-    assert sealed.uses == ("proof", "again")
 
 
 def test_of_a_long_session_runs_are_taken_from_end_to_end(rng: np.random.Generator) -> None:

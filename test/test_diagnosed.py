@@ -54,7 +54,7 @@ def test_a_tiny_effect_is_named_where_its_rows_tell_it(gain: float, named: bool)
 
 
 def test_a_place_that_the_rows_tell_stays_beside_a_far_larger_one() -> None:
-    gains = drives.JointGain(at(2, 0.02) + at(1, 1e-3))
+    gains = drives.JointGain(at(2, 0.02) + at(1, 2e-3))
     (found,) = diagnose(ARM, session([gains], n=2000), kinds=(JointGain,)).findings
     assert found.where == ("joint 1", "joint 2")
 

@@ -18,6 +18,8 @@ from longarm_comp.core.arm.moves import plan_move, wanted_sides
 from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.online import JointTrust, check_inside
 from longarm_comp.core.compensation.result import CompensationOptions, Method
+from longarm_comp.core.data.admission import admit
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import Engine, solve, solve_many, warm_up
 from longarm_comp.core.model.declared_model import declared_model
@@ -52,6 +54,23 @@ def test_where_poses_are_planned_is_no_limit() -> None:
     ):  # fmt: skip
         with pytest.raises(InputError, match="endless"):
             arm(180.0, wrong)
+
+
+def test_rows_turns_away_are_admitted_and_degrees_are_not() -> None:
+    made = turning()
+    q = np.random.default_rng(1).uniform(-0.9, 0.9, (30, 6)) * made.upper
+    tip = declared_model(made).tip(q)
+    turned, degrees, elbow = q.copy(), q.copy(), q.copy()
+    turned[5, 0] += 4.0 * np.pi
+    turned[6, 5] -= 2.0 * np.pi
+    admitted = admit(Session.record(turned, tip), made)
+    assert not [finding for finding in admitted.findings if finding.field == "limits"]
+    np.testing.assert_array_equal(admitted.session.q, turned)
+    degrees[:, 0] = np.degrees(q[:, 0])
+    elbow[7, 1] += 4.0 * np.pi
+    for wrong, words in ((degrees, "q1.*looks like degrees"), (elbow, "row 8, q2")):
+        with pytest.raises(InputError, match=words):
+            admit(Session.record(wrong, tip), made)
 
 
 def test_a_path_goes_on_for_turns() -> None:

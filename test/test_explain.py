@@ -119,7 +119,8 @@ def test_a_base_that_leans_as_all_do_is_no_finding(lean: float, named: bool) -> 
 def test_a_seat_that_gives_way_along_one_axis_only_is_hardly_likely() -> None:
     """About that axis it moves the tip as a soft joint does; both axes of a seat are alike."""
     found = one(explained(session_of(DEMO, 1, JointCompliance(4, compliance=8e-3)), *ELASTIC))
-    assert found.credible == ("joint_compliance",)
+    assert found.names["joint_compliance"] > 0.8
+    assert "bearing_tilt" not in found.credible
 
 
 def test_poses_tell_a_soft_base_from_a_bearing_that_turns() -> None:

@@ -236,7 +236,7 @@ def test_a_diagnosis_does_not_depend_on_where_the_base_stands() -> None:
     (one,), (other,) = near.findings, far.findings
     assert near.verdict == far.verdict
     assert (one.name, one.where, one.names) == (other.name, other.where, other.names)
-    assert other.log_bayes_factor == pytest.approx(one.log_bayes_factor, rel=0.05)
+    assert other.log_bayes_factor == pytest.approx(one.log_bayes_factor, rel=0.1)
     for name in ("calibrated", "with_effects"):
         assert far.held_out[name].mean == pytest.approx(near.held_out[name].mean, rel=0.02)
 

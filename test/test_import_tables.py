@@ -257,7 +257,7 @@ def test_outliers_are_called_by_their_point_numbers(work: Path, shell: Shell) ->
     raw.to_csv("log.csv", index=False)
     assert shell("import-data", "log.csv", "--units", "m,rad", "--arm", work / "arm.yaml") == 0
     assert shell("calibrate", work / "arm.yaml", "samples.csv") == 0, shell.err
-    assert "left out as outliers: P117;" in shell.err
+    assert "1 rows set aside (1.7%): P117;" in shell.err
     told = shell.json("diagnose", work / "arm.yaml", "samples.csv", "-o", "told", "--no-network")
     report = json.loads(Path("told/report.json").read_text())
     assert "P117" in [outlier["point"] for outlier in report["outliers"]], told

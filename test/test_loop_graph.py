@@ -144,7 +144,8 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
     kept = (files / "model.yaml").read_bytes()
     words = ("loop", files / "arm.yaml", "-o", "loop", "--rounds", 1, "--poses", 60, "--targets", 3)
     out = shell.folder / "loop"
-    assert shell(*words, *QUICK) == 3 and "there was no answer yes" in shell.err
+    assert shell(*words, *QUICK) == 3, shell.err
+    assert "there was no answer yes" in shell.err
     assert "joint_gain" in shell.err
     assert (files / "model.yaml").read_bytes() == kept
     shell.refused(*words, *QUICK)  # the folder is in use
@@ -159,7 +160,7 @@ def test_the_loop_asks_goes_on_and_is_taken_back(
 
     with pytest.MonkeyPatch.context() as patch:  # the model is replaced, and nobody knows it yet
         patch.setattr("longarm_comp.jobs.loop.write_text", killed)
-        assert shell(*words, *QUICK, "--resume", "--yes") == 130
+        assert shell(*words, *QUICK, "--resume", "--yes") == 130, shell.err
     assert (files / "model.yaml").read_bytes() == (out / "diagnosis" / "model.yaml").read_bytes()
     report = shell.json(*words, *QUICK, "--resume", "--yes")
     assert [file.stat().st_mtime_ns for file in session] == made  # not collected again

@@ -101,7 +101,7 @@ def test_an_effect_of_a_file_is_compensated(
     model = declared_model(arm).plus(kind(joint=5, driver=2, gain=0.03))
     save_model(tmp_path / "model.yaml", store(model))
     files = {"arm": demo_arm_path, "model": tmp_path / "model.yaml"}
-    stage.start("kinematics", {**files, "effects": example})
+    stage.start("kinematics", files, words=("--effects", str(example)))
     target = model.pose(arm.mid + 0.02)
     client = graph.COMPENSATE.client(stage.node)
     answer = stage.call(client, request(target, arm))

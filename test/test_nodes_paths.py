@@ -224,7 +224,7 @@ def test_a_plan_through_pi_goes_on_live_or_is_refused(
     file.write_text(yaml.safe_dump(declared(180.0, on_and_on) if endless else declared(360.0)))
     made, (goes, said) = Arm.load(file), through_pi()
     controller = Controller(stage, made)
-    controller.q = goes[0]
+    controller.walk.q = goes[0]
     stage.start("trajectory_compensator", {
         "arm": file, "controller": THEIRS, "acknowledged": False, "method": "deflection",
         "max_velocity": [1.0], "max_acceleration": [5.0], "planned_period_s": 0.05,
@@ -237,7 +237,7 @@ def test_a_plan_through_pi_goes_on_live_or_is_refused(
     assert np.abs([p.velocities for p in sent]).max() < 0.5
     assert sent[-1].time_from_start == duration(2.0)
     far = goes[-1] + np.outer(np.linspace(0.0, 1.0, 21), [4.0, 0, 0, 0, 0, 0])
-    stage.spin(lambda: controller.q[0] > 3.2)
+    stage.spin(lambda: controller.walk.q[0] > 3.2)
     goal = planner.send(names, wrapped(far), 20.0)
     if endless:
         planner.ends(goal, GoalStatus.STATUS_SUCCEEDED)

@@ -19,14 +19,17 @@ from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.duration import Duration as Lapse
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import Health
 from longarm_comp.nodes.orders import order_id
 from longarm_comp.nodes.params import ROS_OWN
+from longarm_comp.nodes.servo_driver import told
 from longarm_interfaces.msg import DriverState, Motion
 
 
@@ -370,3 +373,23 @@ def test_a_driver_that_says_ready_takes_a_trajectory_before_its_first_cycle(rig:
     assert rig.events("at once") == [Motion.ACCEPTED]
     rig.ends()
     rig.start()
+
+
+def test_an_exception_in_a_transition_is_told(rig: Rig) -> None:
+    """rclpy drops it, so the driver would only say that it is not configured."""
+
+    class Broken(LifecycleNode):
+        fault = ""
+
+        @told
+        def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+            raise ZeroDivisionError("by zero")
+
+    node = Broken("broken", context=rig.stage.node.context)
+    try:
+        node.health = Health(node, 1.0)
+        assert node.trigger_configure() != TransitionCallbackReturn.SUCCESS
+        assert node.fault == "on_configure: ZeroDivisionError: by zero"
+        assert node.health.faults == 1
+    finally:
+        node.destroy_node()

@@ -247,11 +247,9 @@ def test_diagnosis_and_calibration_mean_the_same_by_calibrated(rng: np.random.Ge
     wild = rng.random(120) < 0.05
     xyz = session.xyz + np.where(wild[:, None], 0.05, 0.0)
     session = dataclasses.replace(session, xyz=xyz)
-    calibrated = la.calibrate(SMALL, session).held_out.rows
-    diagnosed = la.diagnose(SMALL, session, network=False).held_out.rows
-    row = next(r for r in calibrated if r["model"] == "geometry")
-    other = next(r for r in diagnosed if r["model"] == "calibrated")
-    assert other["mean_mm"] == pytest.approx(row["mean_mm"], rel=0.01)
+    calibrated = la.calibrate(SMALL, session).model
+    diagnosed = la.diagnose(SMALL, session, network=False).diagnosis.models["calibrated"]
+    np.testing.assert_allclose(diagnosed.tip(session.q), calibrated.tip(session.q), atol=2e-5)
 
 
 # ------------------------------------------------------------------ what may not be believed
@@ -292,6 +290,14 @@ def test_gates() -> None:
     plausible.check_noise(np.full(3, 0.02), rows)
     with pytest.raises(JobError, match="more than noise"):
         plausible.check_noise(np.full(3, 0.084), rows)
+    plausible.check_noise(np.array([0.01, 5e-4, 6e-4]), rows)  # a camera's depth
+    with pytest.raises(JobError, match=r"9.8 mm is left along x beside 0.3 mm, which is no"):
+        plausible.check_noise(np.array([9.8e-3, 3e-4, 3e-4]), rows)
+    late = np.r_[error[:36], 5 * error[36:]]  # a tenth of the rows
+    with pytest.raises(JobError, match=r"of the worst 10% \d\S+ -> \d\S+ mm"):
+        plausible.check_worth(np.r_[0.5 * error[:36], 2 * late[36:]], late, "rows")
+    with pytest.raises(JobError, match=r"held-out rows: mean \d"):
+        plausible.check_carries_over(error, 9 * late, "rows")
 
 
 def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:

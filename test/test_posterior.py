@@ -15,6 +15,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.candidates import library
 from longarm_comp.core.calibration.linear import sized
+from longarm_comp.core.data.admission import admit
 from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.link_deflection import LinkDeflection
@@ -302,3 +303,16 @@ def test_a_distance_that_varies_less_than_its_tolerance_is_no_input(
     assert spans and min(spans.values()) >= Span.resolution
     monkeypatch.setattr(Span, "resolution", 1.01 * max(spans.values()))
     assert not any(n.startswith("distance_") for n in arm_inputs(arm, at, session).by_name)
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.9, False), (1.1, True)])
+def test_a_joint_that_stands_still_is_no_input(arm: Arm, share: float, told: bool) -> None:
+    """A run's label in disguise: where a joint came back to, to a few hundred thousandths."""
+    session = session_of(arm, 2)
+    q = session.q.copy()
+    q[:, 6] = arm.lower[6] + np.linspace(0.0, share * arm.telling[6], len(q))
+    at = Model(arm).posture([q[:, k] for k in range(arm.n)], session.context())
+    held = arm_inputs(arm, at, session).by_name
+    assert ("q7" in held) == told and ("side_7" in held) <= told
+    said = [f.field for f in admit(dataclasses.replace(session, q=q), arm).findings]
+    assert ("q7" in said) != told

@@ -11,7 +11,7 @@ from small_arm import ARM
 
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors
-from longarm_comp.core.identify.proof import NETWORK, prove
+from longarm_comp.core.identify.proof import NETWORK, Fold, prove
 from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.core.model.model_file import load_model
 
@@ -25,7 +25,8 @@ def test_a_network_is_proved_by_the_error_that_it_takes_away(work: Path) -> None
     promised = learned.predict(rows.q, rows.context())
     assert not promised.in_domain[0] and promised.in_domain.sum() > 20
     known = np.where(promised.in_domain[:, None], promised.error, 0.0)
-    proof = prove({"calibrated": model}, (model, learned), rows)
+    fold = Fold({"calibrated": model}, {}, rows, np.arange(len(rows)))
+    proof = prove([fold], lambda _: (model, learned))
     inside = promised.in_domain
     for told, of in ((proof.errors, errors), (proof.commanded, commanded_errors)):
         np.testing.assert_allclose(told["calibrated"], of(model, rows))
@@ -34,5 +35,5 @@ def test_a_network_is_proved_by_the_error_that_it_takes_away(work: Path) -> None
             np.linalg.norm(told[name][inside], axis=1).mean() for name in ("calibrated", NETWORK)
         )
         assert after < 0.8 * before, (after, before)
-    without = prove({"calibrated": model}, None, rows)
+    without = prove([fold])
     assert NETWORK not in without.errors

@@ -41,13 +41,16 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     """The rest fitted again to first order, against a whole fit; the size as a sum by hand."""
     found, fitted = real(), real().fit
     (drift,) = (f for f in found.findings if f.name == "camera_drift")
-    (made,) = practical(fitted, [drift.terms], found.held_out)
+    (made,) = practical(fitted, [drift.terms], found.fullest)
     rate = np.array([getattr(drift.terms[0], axis) for axis in "xyz"])
     hours = fitted.session.columns["t_s"] / 3600
     assert made.tip_m == pytest.approx(hours * np.linalg.norm(rate), rel=1e-6, abs=1e-7)
-    bare = dataclasses.replace(fitted.model, biases=())
-    again = fit(bare, found.train, **fitted.judged)
-    left = np.linalg.norm(errors(again.model, found.held_out), axis=1).mean()
+    left = []
+    for kept, rows in found.fullest:
+        bare = dataclasses.replace(kept.model, biases=())
+        again = fit(bare, kept.session, **kept.judged)
+        left.append(np.linalg.norm(errors(again.model, rows), axis=1))
+    left = np.concatenate(left).mean()
     assert made.seen.before == pytest.approx(left, rel=0.02)
     assert made.seen.after == pytest.approx(found.proof.rows["with_effects"].mean)
     assert made.seen.before > 1.5 * made.seen.after
@@ -80,7 +83,7 @@ def told(request: pytest.FixtureRequest) -> list[Told]:
     every, made = {}, []
     for base in bases:
         terms = [f.terms for f in base.findings]
-        of_each = practical(base.fit, terms, base.held_out)
+        of_each = practical(base.fit, terms, base.fullest)
         every |= {one[0].key: size for one, size in zip(terms, of_each, strict=True)}
     with pytest.MonkeyPatch.context() as patched:  # the same fit, so the same each time
         patched.setattr(

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -22,8 +23,11 @@ from servo_bench import MODELS, POSE, POSE_FLAGS, TRUE, bus, folder, off_by
 
 from longarm_comp.arm_folder.check import of_record
 from longarm_comp.arm_folder.measured import read_measured
+from longarm_comp.devices.servo_bus.registry import models, open_bus
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_setup import ServoSetup
+from longarm_comp.devices.state_folder import state_folder
+from longarm_comp.devices.stop_latch import Stop, StopLatch, kept_stops
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 
 RIGHT = ("--direction", "joint1=-", "--direction", "joint2=+", "--direction", "joint3=-",
@@ -171,6 +175,49 @@ def test_what_nobody_is_there_to_answer_names_its_flag(shell: Shell) -> None:
         assert shell("servo", "setup", mine, *words) == 0
         assert "now" in shell.out
     assert "servo file" in shell.refused("servo", "setup", shell.folder)
+
+
+@pytest.mark.parametrize("by", ["port", "file", "folder"])
+def test_nothing_moves_under_a_stop(shell: Shell, by: str, tmp_path: Path) -> None:
+    """A driver was killed under a stop or a hold: its servos stay as they are."""
+    mine = folder(shell, "sts3215")
+    file, state = mine / "servo_driver.yaml", state_folder()
+    if by == "folder":
+        state = tmp_path / "stops"
+        text, given = file.read_text(), f"state: {state}"
+        file.write_text(text.replace('state: ""', given))
+        assert given in file.read_text()
+    with bus("feetech") as emulator:
+        port = emulator.port if by != "file" else "/dev/elsewhere"
+        latch = StopLatch(state, "/left", "" if by == "port" else str(mine / "arm.yaml"), port)
+        latch.ask(Stop.HOLD)
+        latch.keep()
+        servos = dict.fromkeys((1, 2, 3), models()["sts3215"])
+        with closing(open_bus("feetech", emulator.port, 1000000, servos)) as line:
+            line.torque([1, 2, 3], on=True)
+        words = ("--port", emulator.port, *RIGHT, *POSE_FLAGS)
+        assert "held since" in untouched(mine, shell, *words)
+        if by == "port":
+            only = ("--port", emulator.port, "--ids", "1")
+            assert "held since" in shell.refused("servo", "set-id", 5, *only, code=3)
+            assert 5 not in emulator.torques_on()
+        assert all(emulator.torques_on().values())
+        with latch.lifted(Stop.HOLD):
+            pass
+        assert shell("servo", "setup", mine, *words) == 0, shell.err
+
+
+def test_stops_without_a_driver_are_shown_and_ended_one_by_one(shell: Shell) -> None:
+    for port in ("/dev/a", "/dev/b"):
+        latch = StopLatch(state_folder(), "/", "", port)
+        latch.ask(Stop.ESTOP)
+        latch.keep()
+    assert shell("reset", "--kept") == 3 and "no answer" in shell.err
+    assert len(kept_stops(state_folder())) == 2
+    assert shell("reset", "--kept", "--yes") == 0
+    assert "port /dev/a" in shell.err and "port /dev/b" in shell.err
+    assert not kept_stops(state_folder())
+    assert shell("reset", "--kept") == 0 and "nothing to reset" in shell.err
 
 
 # ---- setup in a dialogue ------------------------------------------------------------------------

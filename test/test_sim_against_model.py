@@ -26,6 +26,7 @@ from longarm_comp.core.effects.compliances import (
 )
 from longarm_comp.core.effects.drive_errors import (
     GearEccentricity,
+    JointCoupling,
     JointGain,
     PrismaticPitch,
     ServoQuantisation,
@@ -91,6 +92,14 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
     ),
     "thermal_growth": (lambda e: [ThermalGrowth(expansion=e.rate)], 0.5),  # d + q against d
     "joint_gain": (lambda e: _each(TURNING, JointGain, gain=e.gain), 0.01),
+    "joint_coupling": (
+        lambda e: [
+            JointCoupling(r, other=r - 1, coupling=float(e.factor[r - 1]))
+            for r in TURNING
+            if e.factor[r - 1]
+        ],
+        0.06,
+    ),
     "prismatic_pitch": (lambda e: _each(SLIDING, PrismaticPitch, gain=e.gain), 0.15),
     "gear_eccentricity": (_eccentric, 0.01),
     "servo_quantisation": (

@@ -33,6 +33,7 @@ LIBRARY = (
     *(
         "gear_eccentricity",
         "joint_gain",
+        "joint_coupling",
         "prismatic_pitch",
         "servo_droop",
         "servo_deadband",

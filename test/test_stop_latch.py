@@ -11,7 +11,7 @@ from conftest import unprivileged
 
 from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.devices.state_folder import state_folder
-from longarm_comp.devices.stop_latch import Stop, StopLatch
+from longarm_comp.devices.stop_latch import Stop, StopLatch, kept_stops, refuse_under_stop
 
 PORT = "/dev/ttyUSB0"
 
@@ -63,6 +63,44 @@ def test_an_arm_is_known_by_its_port_and_by_its_file_in_its_namespace(tmp_path: 
             pass
     renumbered = latch(tmp_path, port="/dev/ttyUSB1", arm=file, namespace="/left")
     assert renumbered.standing
+
+
+def test_a_port_is_known_by_where_its_name_leads(tmp_path: Path) -> None:
+    device, link = tmp_path / "ttyUSB0", tmp_path / "by-id"
+    device.touch()
+    link.symlink_to(device)
+    stopped(tmp_path, port=str(link))
+    assert latch(tmp_path, port=str(device)).standing
+    with latch(tmp_path, port=str(link)).lifted(*Stop):
+        pass
+    assert not latch(tmp_path, port=str(device)).standing
+    stopped(tmp_path, port=str(device))
+    assert latch(tmp_path, port=str(link)).standing
+
+
+def test_without_a_driver_what_is_stopped_is_not_moved(tmp_path: Path) -> None:
+    """By its ports, or by its file in whatever namespace; a simulated arm is another."""
+    state, file, other = tmp_path / "state", tmp_path / "arm.yaml", tmp_path / "other.yaml"
+    refuse_under_stop(state, [PORT], file)
+    kept = stopped(tmp_path, Stop.HOLD, namespace="/left", arm=str(file))
+    for ports, arm in (([PORT], None), (["/dev/x", PORT], other), (["/dev/x"], file)):
+        with pytest.raises(JobError, match=r"(?s)held since .*longarm reset --kept"):
+            refuse_under_stop(state, ports, arm)
+    refuse_under_stop(state, ["/dev/x"], other)
+    refuse_under_stop(tmp_path, [PORT], file)  # they are of the arms of a folder below
+    assert {stop.of for stop in kept_stops(tmp_path)} == {f"port {PORT}", f"/left {file}"}
+    for stop in kept:
+        garbled(stop)
+    assert {stop.of for stop in kept_stops(tmp_path)} == {stop.stem for stop in kept}
+    with pytest.raises(JobError, match="held since"):
+        refuse_under_stop(state, [PORT])
+
+
+def test_stops_that_cannot_be_read_are_not_taken_for_none() -> None:
+    with unprivileged(), tempfile.TemporaryDirectory() as place:
+        (Path(place) / "state").mkdir(0o000)
+        with pytest.raises(JobError, match="cannot be read"):
+            refuse_under_stop(Path(place) / "state", [PORT])
 
 
 def emptied(file: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry
 from longarm_comp.core.calibration.candidates import Candidate, library
-from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.fit import fit, unfitted
 from longarm_comp.core.calibration.linear import OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
@@ -48,9 +48,10 @@ def rows(arm: Arm) -> Session:
 
 
 def fitted(arm: Arm, rows: Session, start: Backlash, *others: JointCompliance) -> ModelFit:
-    """A robust fit with a threshold that is taken for granted."""
+    """A fit to the rows that a threshold does not contradict, taken for granted."""
     model = Model(arm, (LinkDeflection(), *geometry(arm, rows), start, *others))
-    return fit(model, rows, sigma=SIGMA)
+    off = np.abs(unfitted(model, rows).residual) / (OUTLIER * SIGMA)
+    return fit(model, rows, sigma=SIGMA, weights=(off.max(axis=1) <= 1.0).astype(float))
 
 
 def tried(arm: Arm, rows: Session) -> tuple[Candidate, ...]:

@@ -332,7 +332,7 @@ def test_what_touches_cannot_be(session: Session) -> None:
 
 def test_rows_of_another_arm_are_refused(session: Session) -> None:
     mixed = session.q[np.random.default_rng(0).permutation(len(session))]
-    refused = r"not of this arm|fails at held-out|do not determine"
+    refused = r"not of this arm|fails at held-out|do not determine|as the arm touched them"
     with pytest.raises((JobError, InputError), match=refused):
         la.calibrate(ARM, dataclasses.replace(session, q=mixed))
 

@@ -14,7 +14,6 @@ from small_arm import ARM
 
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.discovered import Discovered
@@ -22,7 +21,7 @@ from longarm_comp.core.effects.drive_errors import PrismaticPitch
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
-from longarm_comp.core.identify.practical import expected_commanded, least
+from longarm_comp.core.identify.proof import Fold, prove
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import checked
@@ -52,36 +51,32 @@ def test_what_a_camera_may_have_moved_is_a_commands_error_as_far_as_it_may_be_th
     plain = calibrated(ARM, drifting())
     camera = fit(plain.model.plus(CameraDrift()), plain.session, sigma=np.full(3, 2e-4))
     fits = {"calibrated": plain, "with_effects": camera}
+    models = {name: fitted.model for name, fitted in fits.items()}
+    proof = prove([Fold(models, fits, plain.session, np.arange(len(plain.session)))])
     (term,) = (b for b in camera.model.biases if isinstance(b, CameraDrift))
     sure, unsure, absent = (
-        expected_commanded(fits, [single(term, *how)])
+        proof.expected([single(term, *how)], list(fits))
         for how in ((1.0,), (1.0, ("base_drift", 0.5)), (0.5,))
     )
-    told = commanded_errors(camera.model, plain.session)
-    assert sure["with_effects"] < 1.2 * np.sqrt((camera.residual**2).sum(1).mean())
-    half = 0.5 * (sure["with_effects"] ** 2 + (told**2).sum(1).mean())
-    assert unsure["with_effects"] == pytest.approx(np.sqrt(half), rel=0.02)
-    assert absent == pytest.approx(unsure)
-    nothing = expected_commanded(fits, [single(PrismaticPitch(3), 0.6)])
-    assert nothing == pytest.approx(sure)  # the arm's own effects move the tip, sure or not
-
-
-def test_a_models_own_doubt_counts_against_it() -> None:
-    """By Mallows' C_p, as rows that it never saw show: few rows, many parameters."""
-    rows, held_out = measured(ARM, (), 12, 5), measured(ARM, (), 400, 6)
-    plain = calibrated(ARM, rows)
-    plain = fit(plain.model, rows, sigma=np.full(3, 2e-4), weights=np.ones(12))
-    (expected,) = expected_commanded({"calibrated": plain}, ()).values()
-    seen = np.sqrt((plain.residual**2).sum(1).mean())
-    unseen = np.sqrt((commanded_errors(plain.model, held_out) ** 2).sum(1).mean())
-    assert seen < 0.9 * unseen
-    assert expected == pytest.approx(unseen, rel=0.3)
-    assert expected > 1.1 * seen
+    seen, told = ((e["with_effects"] ** 2).sum(1) for e in (proof.errors, proof.commanded))
+    assert sure["with_effects"] == pytest.approx(np.sqrt(seen))
+    assert unsure["with_effects"] == pytest.approx(np.sqrt(0.5 * seen + 0.5 * told))
+    assert unsure["with_effects"].mean() > 1.5 * sure["with_effects"].mean()
+    assert absent["with_effects"] == pytest.approx(unsure["with_effects"])
+    nothing = proof.expected([single(PrismaticPitch(3), 0.6)], list(fits))
+    assert nothing["with_effects"] == pytest.approx(
+        sure["with_effects"]
+    )  # the arm's own effects move the tip, sure or not
 
 
 def test_the_least_is_written_and_of_equals_the_plainer() -> None:
-    assert least({"calibrated": 2.0, "with_effects": 1.0, "with_functions": 1.5}) == "with_effects"
-    assert least({"calibrated": 1.0, "with_effects": 1.0}) == "calibrated"
+    names = ("calibrated", "with_effects", "with_functions")
+    lengths = {name: np.full(9, size) for name, size in zip(names, (2.0, 1.0, 1.5), strict=True)}
+    even = dict.fromkeys(names, np.ones(9))
+    written, failed = core._proven(lengths, lengths)
+    assert written == names[1] and failed.startswith("with_effects -> with_functions: ")
+    assert core._proven(even, even) == (names[0], "")
+    assert core._proven(lengths, even) == (names[1], ""), "a doubt about the camera fails no proof"
 
 
 def test_a_thermal_term_balanced_by_the_measuring_side_is_not_written() -> None:

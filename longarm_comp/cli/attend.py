@@ -8,7 +8,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, say
-from longarm_comp.cli.signals import on_graph
+from longarm_comp.cli.signals import agreed, on_graph
 from longarm_comp.core.errors import JobError
 
 
@@ -59,16 +59,45 @@ def _asked_of_the_driver(name: str, what: str) -> click.Command:
 hold = _asked_of_the_driver(
     "hold",
     "Stop the running arm smoothly and keep it where it is, torque on; `longarm reset` goes on.\n\n"
-    "Trajectories are refused meanwhile.",
+    "Trajectories are refused meanwhile. Without a driver that answers, nothing is held.",
 )
 stop = _asked_of_the_driver(
     "stop",
     "Cut the torque of the running arm now: an arm without brakes drops. No safety function.\n\n"
-    "`longarm reset` switches it on again. To keep a heavy arm up: `longarm hold`.",
+    "`longarm reset` switches it on again. To keep a heavy arm up: `longarm hold`.\n\n"
+    "Without a driver that answers nothing is stopped, and the command says so.",
 )
-reset = _asked_of_the_driver(
-    "reset", "End a hold, a stop, or a fault whose cause is gone. The arm stays where it is."
-)
+
+
+@click.command()
+@options.namespace
+@options.flag("--kept", "End stops that no driver is there to end; each is shown and asked.")
+@options.flag("--yes", "With --kept: end all that are shown.")
+def reset(namespace: str, kept: bool, yes: bool) -> None:
+    """End a hold, a stop, or a fault whose cause is gone. The arm stays where it is.
+
+    A driver that runs ends its own stops, without --kept.
+
+    \b
+    Examples:
+      longarm reset
+      longarm reset --kept
+    """
+    if kept:
+        from longarm_comp.devices.state_folder import state_folder
+        from longarm_comp.devices.stop_latch import kept_stops
+
+        standing = kept_stops(state_folder())
+        for stop in standing:
+            note(str(stop))
+            if agreed("End it?", yes):
+                stop.file.unlink(missing_ok=True)
+        note("nothing to reset" if not standing else "a driver that runs stays as it is")
+        return
+    from longarm_comp.jobs.attend import Attendant
+
+    with on_graph("reset", namespace) as client:
+        note(Attendant(client).reset())
 
 
 def _fault(name: str, parameter: str, metavar: str, what: str, example: str) -> click.Command:

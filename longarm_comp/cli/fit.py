@@ -51,7 +51,7 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
         note(f"the rows do not show {place}: left as declared")
     for name in calibration.not_helping:
         note(f"{name} did not lower the held-out error: better leave it out")
-    rows, final = calibration.held_out.rows, calibration.fit
+    rows, final, aside = calibration.held_out.rows, calibration.fit, calibration.set_aside
     print_json(
         {
             "output": str(output),
@@ -59,6 +59,7 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
             "parameters": [vars(p) for p in calibration.parameters],
             "sigma_mm": 1e3 * final.sigma,
             "outliers": final.session.index[final.outliers],
+            "set_aside": aside.record,
             "converged": final.converged,
             "session_hash": calibration.session.hash,
             "placed": calibration.placed,
@@ -75,7 +76,7 @@ def calibrate(arm: options.Arm, session: Path, output: Path, **how: Any) -> None
     called_rows = final.session.labels.get("point", final.session.index)
     left = ", ".join(map(str, called_rows[final.outliers]))
     which = f": {left}" if left else ""
-    note(f"{len(final.outliers)} rows left out as outliers{which}; model in {output}")
+    note(f"{aside.said}{which}; model in {output}")
     if not final.converged:
         note(
             "the fit did not converge: its last step was above a hundredth of the errors after "

@@ -136,15 +136,18 @@ def set_id(servo_id: int, port: str | None, **line: Any) -> None:
     """Give the only connected servo the id ID; the servo keeps it without power.
 
     New servos all have the id 1. Connect one alone, give it its id, disconnect it, connect the
-    next.
+    next. Refused while an arm on this port is stopped or held: its torque would go off.
 
     \b
     Example:
       longarm servo set-id 3 --port /dev/ttyUSB0
     """
     from longarm_comp.devices.servo_bus.registry import renumber
+    from longarm_comp.devices.state_folder import state_folder
+    from longarm_comp.devices.stop_latch import refuse_under_stop
 
     found = _scanned("servo set-id", port, **line)
+    refuse_under_stop(state_folder(), [found.port])
     old = renumber(found, servo_id)
     note(f"servo {old} is servo {servo_id} now: write it on the servo")
     note("next: connect the next servo alone; when all are done, longarm servo setup DIR")
@@ -211,7 +214,7 @@ def setup(
     move each joint by 5 degrees (a slide by 5 mm) and ask which way it went. Then the file is
     written in one step, read again, and the joints' values are shown. Every question is also an
     option. The torque is off at the end and after an interruption; an interruption leaves the file
-    as it was.
+    as it was. While the arm is stopped or held nothing is touched.
 
     \b
     Examples:
@@ -220,12 +223,15 @@ def setup(
         --direction joint1=+ --direction joint2=-
     """
     from longarm_comp.arm_folder.measured import note_measured
+    from longarm_comp.arm_folder.parameter_file import read_parameters
     from longarm_comp.arm_folder.servos import KEYS, SERVOS, with_joints
     from longarm_comp.core.files import write_text
     from longarm_comp.devices.servo_bus.registry import open_bus
     from longarm_comp.devices.servo_check import check_reach
     from longarm_comp.devices.servo_config import ServoConfig
     from longarm_comp.devices.servo_setup import ServoSetup, shown, zero_from_pose
+    from longarm_comp.devices.state_folder import state_folder
+    from longarm_comp.devices.stop_latch import refuse_under_stop
 
     file, wait = folder / SERVOS, partial(go_on, _COMMAND, yes)
     if not file.is_file():
@@ -233,6 +239,8 @@ def setup(
     config = ServoConfig.load(file)
     held, directions, bus = _held(config, pose), _given(config, direction), config.bus
     found = _scanned(_COMMAND, port, known=bus.port, **line)
+    stops = Path(read_parameters(file).get("state") or state_folder())
+    refuse_under_stop(stops, {found.port, bus.port}, folder / "arm.yaml")
     _show(found)
     blind = _on_the_bus(config, found)
     wait("The torque goes off: hold or support the arm.")

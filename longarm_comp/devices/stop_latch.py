@@ -6,8 +6,9 @@ import hashlib
 import os
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
@@ -33,16 +34,17 @@ class StopLatch:
     Args:
         folder: of the files.
         namespace, arm, port: of the arm's graph; its file, if known; its servos' port. An arm is
-            known by its file in its namespace, and by its port.
+            known by its file in its namespace, and by its port, as given and where a link leads.
 
     Attributes:
         standing: what stops the arm, in words.
         trouble: why that would not outlast this process; empty where it would.
+        names: of the arm's files, without suffix, and what each stands for.
     """
 
     def __init__(self, folder: Path, namespace: str, arm: str, port: str) -> None:
-        known_by = [f"port {port}"] + [f"{namespace} {os.path.realpath(arm)}"] * bool(arm)
-        self._folder, self._names = folder, [*map(_file_name, known_by)]
+        known_by = _of_port(port) | ({_of_arm(namespace, arm)} if arm else set())
+        self._folder, self.names = folder, {_file_name(text): text for text in known_by}
         self.standing: dict[Stop, str] = {}
         self.trouble, self._owing = "", False
         try:
@@ -58,8 +60,14 @@ class StopLatch:
     @property
     def words(self) -> str:
         """Why the arm is stopped, in a sentence; empty where it is not."""
-        lasts = f"this ends with the driver: {self.trouble}" if self.trouble else ""
-        return "; ".join(filter(None, (*self.standing.values(), lasts))) if self.standing else ""
+        if not self.standing:
+            return ""
+        said = [
+            f"{words}; call ~/{stop.name.lower()} with false to go on"
+            for stop, words in self.standing.items()
+        ]
+        lasts = [f"this ends with the driver: {self.trouble}"] * bool(self.trouble)
+        return "; ".join((*said, *lasts))
 
     def ask(self, stop: Stop, why: str = "") -> None:
         """Stop the arm from now on; `keep` writes it."""
@@ -73,8 +81,8 @@ class StopLatch:
             return
         try:
             for stop, words in self.standing.items():
-                for file in self._files(stop):
-                    write_text(file, words + "\n")
+                for file, of in self._files(stop).items():
+                    write_text(file, f"{words}\n{of}\n")
             folder = os.open(self._folder, os.O_RDONLY)
             try:
                 os.fsync(folder)  # the names too outlast a loss of power
@@ -112,8 +120,69 @@ class StopLatch:
     def _try_folder(self) -> None:
         write_text(self._folder / "README.txt", _EXPLAINED)
 
-    def _files(self, stop: Stop) -> list[Path]:
-        return [self._folder / f"{name}.{stop.name.lower()}" for name in self._names]
+    def _files(self, stop: Stop) -> dict[Path, str]:
+        """The files of a stop, and whose each is."""
+        return {self._folder / f"{n}.{stop.name.lower()}": of for n, of in self.names.items()}
+
+
+@dataclass(frozen=True)
+class KeptStop:
+    """A file of a stop. ``of``: whose, in words; where it is damaged, the file's name says it."""
+
+    file: Path
+    of: str
+    words: str
+
+    def __str__(self) -> str:
+        return f"{self.words} ({self.of}; {self.file})"
+
+
+def kept_stops(folder: Path) -> list[KeptStop]:
+    """All stops that are kept in a folder and those below, where arms are simulated."""
+    kept = []
+    for stop in Stop:
+        for file in sorted(folder.rglob(f"*.{stop.name.lower()}")):
+            said = [""]
+            with suppress(OSError):
+                said = file.read_bytes()[:4096].decode("utf-8", "replace").splitlines()
+            whole = len(said) == 2 and _file_name(said[1]) == file.stem
+            with suppress(FileNotFoundError):
+                words = _words(stop, file.lstat().st_mtime)
+                kept.append(KeptStop(file, said[1] if whole else file.stem, words))
+    return kept
+
+
+def refuse_under_stop(folder: Path, ports: Collection[str], arm: Path | None = None) -> None:
+    """Refuse to move or power servos without a driver while a stop of them stands.
+
+    Args:
+        arm: the arm's file, in whatever namespace.
+
+    Raises:
+        JobError: saying what stands, and how it is ended. Also where stops cannot be read.
+    """
+    latches = [StopLatch(folder, "/", str(arm or ""), port) for port in ports]
+    for latch in latches:
+        if latch.trouble:
+            raise JobError(f"nothing is moved: stops cannot be read: {latch.trouble}")
+    names = {name for latch in latches for name in latch.names}
+    for kept in kept_stops(folder):
+        of_arm = arm is not None and kept.of.endswith(_of_arm("", str(arm)))
+        if kept.file.parent == folder and (of_arm or kept.file.stem in names):
+            raise JobError(
+                f"nothing is moved: {kept}. To go on: `longarm reset`; where no driver runs, "
+                "`longarm reset --kept`"
+            )
+
+
+def _of_port(port: str) -> set[str]:
+    """What a port is known by; the number of a pseudo-terminal is another's tomorrow."""
+    leads = os.path.realpath(port)
+    return {f"port {name}" for name in (port, leads) if name == port or "/pts/" not in name}
+
+
+def _of_arm(namespace: str, arm: str) -> str:
+    return f"{namespace} {os.path.realpath(arm)}"
 
 
 def _file_name(text: str) -> str:
@@ -125,4 +194,4 @@ def _file_name(text: str) -> str:
 def _words(stop: Stop, since: float, why: str = "") -> str:
     at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(since))
     reason = f", {why}" if why else ""
-    return f"{stop.value} since {at}{reason}; call ~/{stop.name.lower()} with false to go on"
+    return f"{stop.value} since {at}{reason}"

@@ -13,8 +13,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from longarm_comp.core.at_work import LEARNED_SAID
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.state_folder import state_folder
+from longarm_comp.devices.stop_latch import kept_stops
 from longarm_comp.jobs.client import STOPPED
-from longarm_comp.jobs.graph_client import FOUND_S, GraphClient, Reports
+from longarm_comp.jobs.graph_client import FOUND_S, GraphClient, Interrupted, Reports
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import INSTANCE, TIP_SAID
 from longarm_comp.nodes.interfaces import Service
@@ -53,8 +55,11 @@ class Attendant:
             here = {name for name, space in found if space == where and name != own}
             return here & KNOWN
 
-        running = "does `longarm up` run, in this ROS_DOMAIN_ID?"
-        client.until(there, FOUND_S, f"no node of an arm runs in namespace {where} ({running})")
+        kept = [str(stop) for stop in kept_stops(state_folder())]
+        if not client.wait(there, FOUND_S):
+            said = f"no node of an arm runs in namespace {where}"
+            running = "does `longarm up` run, in this ROS_DOMAIN_ID?"
+            raise JobError("; ".join((f"{said} ({running})", *kept)))
 
         def heard() -> bool:
             named = there()
@@ -73,7 +78,7 @@ class Attendant:
             step += f" --namespace {self._namespace[1:]}"
         return {
             "driver": words,
-            "why": driver.message if driver else f"no {DRIVER} is on the graph",
+            "why": driver.message if driver else "; ".join((f"no {DRIVER} is on the graph", *kept)),
             "nodes": sorted(reports.nodes),
             "troubles": [
                 {"node": node, "part": part, "level": _LEVELS[min(ord(said.level), 3)],
@@ -89,11 +94,11 @@ class Attendant:
 
     def hold(self) -> str:
         """Stop smoothly and stay, with torque on. What the driver said."""
-        return self._ask(graph.HOLD, SetBool.Request(data=True))
+        return self._halt(graph.HOLD)
 
     def stop(self) -> str:
         """Torque off now. What the driver said."""
-        return self._ask(graph.ESTOP, SetBool.Request(data=True))
+        return self._halt(graph.ESTOP)
 
     def reset(self) -> str:
         """End stop, hold and fault, whichever there are. What the driver said."""
@@ -102,6 +107,16 @@ class Attendant:
         if driver.state not in STOPPED:
             return "nothing to reset"
         return self._ask(graph.RESET, Trigger.Request())
+
+    def _halt(self, service: Service) -> str:
+        """Ask for a stop. Where no driver says that it stopped, what to do is said."""
+        try:
+            return self._ask(service, SetBool.Request(data=True))
+        except Interrupted:
+            raise
+        except JobError as error:
+            cure = "if the arm moves or holds somebody, cut its power"
+            raise JobError(f"{error}; nothing is stopped by this command: {cure}") from error
 
     def _ask(self, service: Service, request: Any) -> str:
         answer = self._client.ask(DRIVER, service, request, FOUND_S)

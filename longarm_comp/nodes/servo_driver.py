@@ -9,7 +9,8 @@ trajectory is taken, in any state.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from typing import Any
 
 from pydantic import BaseModel
@@ -73,6 +74,25 @@ _BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD)
 _FAILED = TransitionCallbackReturn.FAILURE
 
 
+Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
+
+
+def told(transition: Transition) -> Transition:
+    """A transition that tells of an exception: rclpy drops it, and the driver would wait for ever
+    for a reason that nobody sees."""
+
+    @wraps(transition)
+    def tell(driver: _ServoDriver, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(driver, state)
+        except Exception as error:
+            driver.health.fault(error)
+            driver.fault = f"{transition.__name__}: {driver.health.last_fault}"
+            raise
+
+    return tell
+
+
 class _ServoDriver(ArmNode, LifecycleNode):
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "servo_driver", PARAMS, tuple(SECTIONS))
@@ -85,7 +105,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self.active = self._ended = False
         self._last: Cycle | None = None
         self.tally.counts |= {"trajectories": 0, "refused": 0, "incomplete cycles": 0}
-        self._fault = self._trouble = self._waiting = self._motion = ""
+        self.fault = self._trouble = self._waiting = self._motion = ""
         self._said: tuple[int, str] | None = None
         self._patient_until = time.monotonic() + p["patience_s"]
         self._joint_states = graph.JOINT_STATES.publisher(self)
@@ -130,17 +150,19 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if self.arm is not None and not self.active:
             self.trigger_activate()
 
+    @told
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             self.arm = ServoArm(self._config, self._keeps_out, self._shapes, self.p["trim"])
         except LongarmError as error:
             return self._failed(error)
-        for said in self._arm.said:
+        for said in self.arm.said:
             self.get_logger().info(said)
-        self._fault = ""
+        self.fault = ""
         self._stops.let_go()
         return super().on_configure(state)
 
+    @told
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Torque on, unless a stop stands; the arm holds its present position."""
         try:
@@ -148,9 +170,10 @@ class _ServoDriver(ArmNode, LifecycleNode):
                 self._machine.power(True)
         except LongarmError as error:
             return self._failed(error)
-        self._fault, self.active, self._autostart = "", True, False
+        self.fault, self.active, self._autostart = "", True, False
         return super().on_activate(state)
 
+    @told
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.active = self._autostart = False
         self._tell(Motion.BROKEN_OFF, self._motion, "torque off")
@@ -160,6 +183,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self._failed(error)  # torque off is sent as soon as the bus is back
         return super().on_deactivate(state)
 
+    @told
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Torque off, back to unconfigured."""
         self._release()
@@ -167,6 +191,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     on_error = on_cleanup
 
+    @told
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._autostart = False
         self._release()
@@ -184,9 +209,9 @@ class _ServoDriver(ArmNode, LifecycleNode):
                 self.get_logger().info(f"waiting for the servos on {self._config.bus.port}")
             self._waiting = str(error)
             return _FAILED
-        if str(error) != self._fault:
+        if str(error) != self.fault:
             self.get_logger().error(str(error))
-        self._fault = str(error)
+        self.fault = str(error)
         return _FAILED
 
     def _release(self) -> None:
@@ -301,7 +326,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
     @property
     def state(self) -> tuple[int, str]:
         """State as in `DriverState`, and why."""
-        unready = "" if self.arm else self._fault or self._waiting or "not configured"
+        unready = "" if self.arm else self.fault or self._waiting or "not configured"
         follower = self.arm.follower.state if self.arm else None
         held, (stopped, why) = self._stops.standing, self._stops.state
         if self._ended:
@@ -314,15 +339,15 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if unready:
             return DriverState.UNCONFIGURED, unready
         if not self.active:
-            return DriverState.INACTIVE, self._fault or "not active: torque is off"
+            return DriverState.INACTIVE, self.fault or "not active: torque is off"
         moving = follower is FollowerState.TRACKING
         return (DriverState.MOVING if moving else DriverState.READY), ""
 
     def _bus_report(self) -> Report:
         facts: dict[str, object] = {"port": self._config.bus.port}
         if self.arm is None:
-            why = self._fault or self._waiting or "not configured"
-            return Report(ERROR if self._fault else WARN, why, facts)
+            why = self.fault or self._waiting or "not configured"
+            return Report(ERROR if self.fault else WARN, why, facts)
         if (bus := self.arm.bus) is not None:
             facts |= {name: getattr(bus.counters, name) for name in bus.counters.__slots__}
         for name, servo_id in self._config.ids.items():
@@ -339,7 +364,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if self.arm is not None:
             facts["state"] = self.arm.follower.state.value
         if state in (DriverState.UNCONFIGURED, DriverState.INACTIVE):
-            return Report(WARN, self._fault or "not active: torque is off", facts)
+            return Report(WARN, self.fault or "not active: torque is off", facts)
         stopped = state in (DriverState.FAULT, DriverState.ESTOP) or self._stops.unkept
         return Report(ERROR if stopped else OK, why or str(facts["state"]), facts)
 

@@ -11,10 +11,11 @@ from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.data.commanded import not_commanded
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.diagnosis import WITH_EFFECTS, WITH_FUNCTIONS, Diagnosis
+from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import EffectFinding, left_in_words
 from longarm_comp.core.identify.practical import Gain, Practical, practical
+from longarm_comp.core.identify.proof import WITH_EFFECTS, WITH_FUNCTIONS
 from longarm_comp.report.candidate_states import Smallest, candidate_rows, sizes
 from longarm_comp.report.detail import SPLITS, Detail, detail
 from longarm_comp.report.noise_floor import FIGURES, excess, noise_floor
@@ -67,7 +68,7 @@ def record_of(
     structure, noise = diagnosis.structure, diagnosis.search.noise
     sigma = _position_noise(diagnosis)
     terms = [f.terms for f in diagnosis.findings]
-    real = practical(diagnosis.search.fit, terms, diagnosis.held_out)
+    real = practical(diagnosis.search.fit, terms, diagnosis.fullest)
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
@@ -84,6 +85,13 @@ def record_of(
             "inputs": list(structure.inputs),
             "size_mm": 1e3 * structure.size_m,
         },
+        "proof": {
+            "folds": diagnosis.proof.folds,
+            "rows": len(diagnosis.held_out),
+            "passed": not diagnosis.failed,
+            "why": diagnosis.failed,
+        },
+        "set_aside": diagnosis.set_aside.record,
         "noise": {
             "sigma_mm": None if sigma is None else [1e3 * float(s) for s in sigma],
             "source": noise.source,
@@ -113,7 +121,7 @@ def record_of(
             for f in diagnosis.search.doubtful
         ],
         "called": diagnosis.arm.called,
-        "provenance": _provenance(diagnosis.seed, data_sha256, diagnosis.holdout_uses),
+        "provenance": _provenance(diagnosis.seed, data_sha256, diagnosis.proof.folds),
     }
 
 
@@ -129,17 +137,17 @@ def refused(
         "structure_left": {"flag": False, "inputs": []},
         "noise": {},
         "held_out": {"n": 0, "rows": []},
-        "provenance": _provenance(seed, data_sha256, ()),
+        "provenance": _provenance(seed, data_sha256, 0),
     }
     return report, Detail(title=title)
 
 
-def _provenance(seed: int, data_sha256: str, uses: tuple[str, ...]) -> dict[str, Any]:
+def _provenance(seed: int, data_sha256: str, folds: int) -> dict[str, Any]:
     return {
         "seed": seed,
         "data_sha256": data_sha256,
         "version": __version__,
-        "holdout_uses": list(uses),
+        "holdout_uses": [f"every row once, {folds} folds"] if folds else [],
     }
 
 

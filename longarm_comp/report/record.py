@@ -221,10 +221,36 @@ class Doubtful(_Record):
     probability: float = Field(ge=0, le=1)
 
 
+class ReportProof(_Record):
+    """Whether what was found errs less, as commanded, at rows that it was fitted without."""
+
+    folds: int
+    rows: int
+    passed: bool
+    why: str
+
+
+class SharedInput(_Record):
+    """What rows set aside have in common: an input, where in it, how many, by what chance."""
+
+    input: str
+    value: str
+    rows: int
+    p_value: float
+
+
+class ReportSetAside(_Record):
+    """Rows that the fit does not believe, their share of all, and what they share."""
+
+    rows: int
+    share: float
+    shared_by: list[SharedInput]
+
+
 class ReportProvenance(_Record):
     """What is needed to repeat the diagnosis to the byte.
 
-    `holdout_uses` is the hash of the final model, for which alone the hold-out was opened.
+    `holdout_uses` says how often each row was held out.
     """
 
     seed: int
@@ -244,6 +270,8 @@ class DiagnosisReport(_Record):
     structure_left: StructureLeft
     noise: ReportNoise
     held_out: HeldOut
+    proof: ReportProof | None = None
+    set_aside: ReportSetAside | None = None
     next_poses: list[list[float]]
     outliers: list[Outlier]
     discovered: list[ReportDiscovered] = Field(default_factory=list)

@@ -23,6 +23,7 @@ from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.errors import InputError
@@ -85,6 +86,7 @@ class Calibration:
             `effect_rungs` add an effect each.
         held_out_rows: number of held-out rows, including those without a marker.
         fit: fit of the last rung to all rows.
+        set_aside: rows that it set aside, and what they share.
         kind_of: models of other arms of the kind that it was expected to be like, with hashes.
     """
 
@@ -94,6 +96,7 @@ class Calibration:
     fit: ModelFit
     session: Session
     seed: int
+    set_aside: SetAside
     kind_of: str = ""
 
     @cached_property
@@ -107,6 +110,7 @@ class Calibration:
         return ErrorTable(
             {rung.name: rung.held_out for rung in self.rungs},
             {rung.name: rung.commanded for rung in self.rungs},
+            {rung.name: len(rung.fit.outliers) if rung.fit else 0 for rung in self.rungs},
         )
 
     @property
@@ -211,9 +215,7 @@ def calibrate(
     Raises:
         InputError: the session was refused; an effect has no place on this arm or needs an input
             that was not recorded.
-        JobError: a fit diverged or is not plausible: it is worse at held-out rows than placed
-        frames alone, much worse there than at the fitted rows, or has an effect of a size that no
-        arm has.
+        JobError: a fit diverged, or may not be believed (`plausible.refuse`).
     """
     whole = inputs.admitted(session, arm, note=note)
     chosen = [_named(effect, arm, whole, note) for effect in effects]
@@ -227,10 +229,6 @@ def calibrate(
     )  # fmt: skip
     last = rungs[-1].model
     size, unit = (errors, "mm") if held_out.placed.any() else (turns, "mrad")
-    held = size(last, held_out)
-    for rung, than in ((rungs[1], "placed frames alone"), (rungs[0], "the declared arm")):
-        plausible.check_worth(held, size(rung.model, held_out), whole.source, than, unit)
-    plausible.check_carries_over(size(last, train), held, whole.source, unit)
     tell("all rows", (steps - 1) / steps)
     if kind is None:
         final = fit(last, whole)
@@ -240,9 +238,17 @@ def calibrate(
             terms = [term for _, each in chosen for term in each]
             final = fit(final.model.plus(*terms), whole, usual=kind.noise)
         final = folded(final)
-    plausible.check_fits(final.model, whole)
-    plausible.check_sizes(final.model, whole.source)
-    return Calibration(tuple(rungs), len(chosen), len(held_out), final, whole, seed, origin)
+    left_out = held_out.take(plausible.believed(final, held_out))
+    plainer = {"placed frames alone": rungs[1].model, "the declared arm": rungs[0].model}
+    aside = plausible.refuse(
+        final,
+        size(last, train.take(plausible.believed(final, train))),
+        size(last, left_out),
+        {than: size(model, left_out) for than, model in plainer.items()},
+        unit,
+    )
+    made = tuple(rungs), len(chosen), len(held_out)
+    return Calibration(*made, final, whole, seed, aside, origin)
 
 
 def _recorded(terms: tuple[Term, ...], session: Session, note: inputs.Note) -> tuple[Term, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +28,12 @@ class ErrorTable(Mapping[str, Errors]):
     """Errors (m) as seen by model name, in the order of the ladder: ``table["calibrated"].mean``.
 
     `commanded`: the same as a command would have them (`core/data/commanded.py`).
+    `set_aside`: how many rows the fit of a model did not believe, of those that were fitted.
     """
 
     errors: Mapping[str, Errors]
     commanded: Mapping[str, Errors]
+    set_aside: Mapping[str, int] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Errors:
         return self.errors[name]
@@ -45,7 +47,11 @@ class ErrorTable(Mapping[str, Errors]):
     @property
     def rows(self) -> list[dict[str, Any]]:
         """One row a model, in millimetres (and mrad), under the names of report.json."""
-        return [_row(name, self[name], self.commanded[name]) for name in self]
+        return [
+            _row(name, self[name], self.commanded[name])
+            | ({"set_aside": self.set_aside[name]} if name in self.set_aside else {})
+            for name in self
+        ]
 
     def _repr_html_(self) -> str:
         return html_table("errors on rows that were not fitted", self.rows)
@@ -170,4 +176,4 @@ def evaluate(
         "predictor": None if learned is None else learned.provenance.session_hash,
     }
     fitted = tuple(name for name, origin in origins.items() if origin == session.hash)
-    return Evaluation(seen, commanded, outside, refused, placed, fitted)
+    return Evaluation(seen, commanded, {}, outside, refused, placed, fitted)

@@ -30,6 +30,7 @@ from longarm_comp.core.arm.measuring import (
 from longarm_comp.core.arm.parts import (
     Beam,
     Box,
+    Coupling,
     Cylinder,
     Mimic,
     Payload,
@@ -45,6 +46,9 @@ from longarm_comp.core.arm.spatial import IDENTITY
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
+
+STILL = 1e-4
+"""Share of a joint's range that is none: 0.04 degrees of a turn, less than drives come back to."""
 
 
 class Joint(Declared):
@@ -77,6 +81,9 @@ class Joint(Declared):
     mimic: Mimic | list[Mimic] | None = Field(
         default=None, description="a passive joint; several terms are summed"
     )
+    coupling: Coupling | None = Field(
+        default=None, description="a commanded joint that counts with another one"
+    )
     moves: bool = Field(
         default=True,
         description="false: a commanded joint beside the chain, which other rows mimic",
@@ -96,6 +103,8 @@ class Joint(Declared):
         key = {"revolute": "limits_deg", "prismatic": "limits_m"}.get(self.type)
         if self.type == "fixed" and self.mimic:
             raise Misdeclared("mimic", self.mimic, "none in a fixed row")
+        if self.coupling and not (self.commanded and self.moves):
+            raise Misdeclared("coupling", "given", "in the row of a commanded joint that moves")
         if not self.moves and not self.commanded:
             raise Misdeclared("moves", False, "true, but in the row of a commanded joint")
         if self.pose is not None and self.type != "fixed":
@@ -145,7 +154,9 @@ class Joint(Declared):
 
     @property
     def mimics(self) -> list[Mimic]:
-        """The mimic terms, none for a commanded joint."""
+        """The joints that it moves with: of a commanded joint the one that it counts with."""
+        if self.coupling is not None:
+            return [Mimic(joint=self.coupling.joint, multiplier=self.coupling.factor)]
         if self.mimic is None:
             return []
         return self.mimic if isinstance(self.mimic, list) else [self.mimic]
@@ -222,7 +233,12 @@ class Arm(Declared):
                     isinstance(mimic.joint, int) and mimic.joint in self.commanded
                 ):
                     allowed = f"a commanded joint: {list(self.commanded)}, {list(self.joint_names)}"
-                    raise Misdeclared(f"joints.{joint.id - 1}.mimic.joint", mimic.joint, allowed)
+                    key = "coupling" if joint.coupling else "mimic"
+                    raise Misdeclared(f"joints.{joint.id - 1}.{key}.joint", mimic.joint, allowed)
+            mine = (joint.id, joint.name or f"joint{joint.id}")
+            if joint.coupling and joint.coupling.joint in mine:
+                field = f"joints.{joint.id - 1}.coupling.joint"
+                raise Misdeclared(field, joint.coupling.joint, "another joint")
         for number, whole in zip(self.commanded, self.circular, strict=True):
             if self.joints[number - 1].endless and not whole:
                 allowed = "where the rows that mimic it turn, by whole turns"
@@ -334,6 +350,12 @@ class Arm(Declared):
     def steps(self) -> np.ndarray:
         """Steps of the joints' servos, (n,), rad or m; 0 where a joint is continuous."""
         return np.array([self.joints[i - 1].step for i in self.commanded])
+
+    @cached_property
+    def telling(self) -> np.ndarray:
+        """Span of every joint, (n,), rad or m, from which on its position says anything: below its
+        servo's step, or a ten-thousandth of its range, it stands still."""
+        return np.maximum(self.steps, STILL * (self.upper - self.lower))
 
     @property
     def mid(self) -> np.ndarray:

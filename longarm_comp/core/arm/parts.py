@@ -48,6 +48,13 @@ class Mimic(Declared):
     offset: float = Field(default=0.0, description="rad or m")
 
 
+class Coupling(Declared):
+    """A commanded joint whose value is its command and ``factor`` times that of another joint."""
+
+    joint: int | str = Field(description="id or name of the other commanded joint")
+    factor: float
+
+
 class Tolerance(Declared):
     """Prior standard deviations of a row's geometry, from the drawing or the print."""
 

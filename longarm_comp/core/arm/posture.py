@@ -129,6 +129,26 @@ class Chain:
             made.append((row, self.rows[at - 1].bearing, axis, moved[at]))
         return made
 
+    @cached_property
+    def tilted_at(self) -> tuple[float, ...]:
+        """Per row, the place that its axis tilts about: so far (m) along z of the frame before.
+
+        It is that frame's origin, but not where this is farther off than the arm is long: rows of
+        nearly parallel axes put it anywhere along the axis.  Then it is the point that is closest
+        to the place before, so what a tilt does is the same however the rows are written.
+        """
+        frames, _ = self.place(tuple(self.arm.mid.tolist()), {})
+        at, length, off = np.array(frames[BASE].p), 0.0, []
+        before = [frames[BASE], *(frames[row.frame] for row in self.rows)]
+        for frame in before:
+            origin, axis = np.array(frame.p), np.array(frame.a)
+            along = float((at - origin) @ axis)
+            length += float(np.linalg.norm(origin + along * axis - at))
+            at = origin + along * axis
+            off.append(along)
+        length += float(np.linalg.norm(np.array(frames[self.spots[""]].p) - at))
+        return tuple(along if abs(along) > length else 0.0 for along in off[:-1])
+
     def place(self, q: Sequence[Scalar], twists: Twists) -> tuple[list[Frame], list[Scalar]]:
         """Every station's frame in the base frame, and every element's length by station.
 

@@ -6,7 +6,7 @@ the product (geodesic acceleration; Transtrum and Sethna 2012, arXiv 1201.5885).
 has a prior (a tolerance), which is what holds the gauge freedoms of a redundant geometry; that of
 an unknown placement lies around its start, so that what the rows do not determine stays there.
 Sign bounds are kept exactly; rows that no model of this kind explains get weight 0, anew at every
-step.
+step but the first, in which all rows are in.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> Mo
     part = SessionProblem(model, session, robust=False)
     part.near = None if near is None else near.posture
     part.look()
-    part.weigh(settled=False)
+    part.weigh(1)
     return part.fitted(np.diag(priors(model.slots) ** 2))
 
 
@@ -131,7 +131,7 @@ def _fit_parts(
     cost, best, least, stalled = np.inf, now, np.inf, 0
     for step in range(1, GAUSS_NEWTON_STEPS + 1):
         for part in parts:
-            part.weigh(settled=step > 2)
+            part.weigh(step)
         try:
             gram, moment, square = _normal(parts, scale, centre)
             posterior = linear.solved(gram, moment, lower, upper)

@@ -18,6 +18,7 @@ from longarm_comp.core.calibration.linear import (
     whiten,
 )
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.data.commanded import with_frame_shift
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
@@ -95,8 +96,11 @@ class SessionProblem:
         self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
     ) -> ModelFit:
         """The model as it is now."""
+        model = self.model
+        if any(not b.geometry for b in model.biases):
+            model = with_frame_shift(model, self.seen)
         found = ModelFit(
-            self.model, self.seen, self.residual, self.columns, covariance, self.weights,
+            model, self.seen, self.residual, self.columns, covariance, self.weights,
             self.noise, self.effective, iterations, converged, self.rho,
         )  # fmt: skip
         found.__dict__["posture"] = self.posture
@@ -120,13 +124,18 @@ class SessionProblem:
         """Squared residual of the inliers in units of the noise."""
         return float((self._white(self.residual[..., None]) ** 2).sum())
 
-    def weigh(self, settled: bool) -> None:
-        """Outliers and noise for the residual as it is now."""
+    def weigh(self, step: int) -> None:
+        """Outliers and noise for the residual as it is now, at a step of the fit from 1.
+
+        All rows are in at first, so that no start decides which of them are believed; with them in,
+        a row is judged by what the whole session says.
+        """
         if self.robust and self.fixed is None:
-            known = self.noise if settled else None
-            count = believed(self.residual, self.uneven, self.seen.measured)
-            even = self.residual * np.sqrt(count)[:, None]
-            self.weights = count * inliers(even, self.seen.measured, known)
+            self.weights = believed(self.residual, self.uneven, self.seen.measured)
+            if step > 1:
+                even = self.residual * np.sqrt(self.weights)[:, None]
+                known = self.noise if step > 2 else None
+                self.weights = self.weights * inliers(even, self.seen.measured, known)
         if self.sigma is None:
             self.noise = self._common(self.spread())
 

@@ -1,8 +1,9 @@
 """The frame of targets: the arm's own base, or the frame in which the rows were measured.
 
 A calibrated model computes in the frame of the measurements, and carries a target given in the base
-over.  Where nobody said the frame, both have to mean the same place, to within an ordinary error of
-setting up; else the targets are refused.
+over.  What its measuring side moved all rows by is part of that frame, as in the errors as
+commanded (`core/data/commanded.py`).  Where nobody said the frame, both have to mean the same
+place, to within an ordinary error of setting up; else the targets are refused.
 """
 
 from __future__ import annotations
@@ -85,6 +86,7 @@ def placement(
         raise InputError(where, "group", group or "missing", f"{names}: the base stood in several")
     base = found.get(group, declared) if len(found) > 1 else next(iter(found.values()), declared)
     motion, still = base @ np.linalg.inv(declared), np.eye(4)
+    still[:3, 3] = np.negative(model.frame_shift)
     if frame == MEASURED:
         if not found and model.arm.tolerance.base is None:
             allowed = f"{BASE}, or a calibrated model, which says where the base stands"

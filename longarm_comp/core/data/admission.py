@@ -191,12 +191,15 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
     q, arm = case.session.q, case.arm
     reach = arm.upper - arm.lower
     beyond = np.maximum(np.maximum(arm.lower - q, q - arm.upper), 0.0)
+    endless = np.isinf(arm.bounds[1])
+    # half a range; an endless joint may stand turns away, and so far it is another unit
+    most = np.where(endless, 5.0 * np.pi, 0.5 * reach)
     turning = np.array([arm.joints[row - 1].type == "revolute" for row in arm.commanded])
     for kind, factor, hint in (
         (turning, np.pi / 180, "radians (this looks like degrees)"),
         (~turning, 1e-3, "metres (this looks like millimetres)"),
     ):
-        far = (beyond > 0.5 * reach) & kind  # beyond the limits by half a range
+        far = (beyond > most) & kind
         if not far.any():
             continue
         row, j = np.unravel_index(np.argmax(np.where(far, beyond / reach, 0)), q.shape)
@@ -214,7 +217,7 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
                 f"{hint}: {limits}"
             )  # fmt: skip
         raise case.refuse(f"row {row + 1}, q{j + 1}", float(q[row, j]), limits)
-    for j in np.flatnonzero((beyond > 1e-6).any(0)):
+    for j in np.flatnonzero((beyond > 1e-6).any(0) & ~endless):
         count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()
         text = f"{count} rows up to {worst:.3g} beyond its limits"
         yield AdmissionFinding("limits", f"q{j + 1}", text)
@@ -250,7 +253,7 @@ def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
 
 
 def _constant(case: _Case) -> Iterator[AdmissionFinding]:
-    for j in np.flatnonzero(np.ptp(case.session.q, axis=0) < 1e-9):
+    for j in np.flatnonzero(np.ptp(case.session.q, axis=0) < case.arm.telling):
         yield AdmissionFinding("constant", f"q{j + 1}", "never moved: its effects do not show")
     for name, values in case.session.columns.items():
         if len(case.session) > 1 and np.ptp(values) == 0:
@@ -275,6 +278,10 @@ def _copies(case: _Case) -> Iterator[AdmissionFinding]:
             copies += 1
         else:
             frozen += 1
+    hidden = (seen.xyz == 0.0).all(axis=1)
+    if len(np.unique(seen.pose_id[hidden])) > 1:
+        value = f"0, 0, 0 in {hidden.sum()} rows at several poses"
+        raise case.refuse("x, y, z", value, "blank where the marker was hidden")
     if 2 * copies > len(seen):
         raise case.refuse("rows", f"{copies} of {len(seen)} are copies", "measured rows, once each")
     if copies:
@@ -359,7 +366,7 @@ def _belongs(case: _Case, judge: bool) -> Iterator[AdmissionFinding]:
         return
     field, value = "rows", f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
     if belief.mistake:
-        value = f"{belief.mistake}: {1e3 * belief.misfit:.3g} -> {1e3 * belief.undone:.3g} mm"
+        value = f"{belief.mistake}: {belief.fall}"
     elif belief.stray >= MOST_STRAYS:
         field, value = "x, y, z", f"{belief.stray:.0%} of the rows are far off the others"
     else:

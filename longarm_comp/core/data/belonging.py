@@ -2,7 +2,8 @@
 
 The rigid arm is registered to the sightings (`registration`) as the rows are, and under every
 mistake that is easily made.  A mistake that explains much more than the rows as they are is told,
-never repaired.
+never repaired.  All rows count, a stranger's no more than any other stranger's: a mistake in one
+joint may spoil the few rows in which it moves.
 """
 
 from __future__ import annotations
@@ -10,13 +11,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, permutations, product
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.registration import Sightings, median_spread, register
+from longarm_comp.core.data.kinds import matrices
+from longarm_comp.core.data.registration import Registration, Sightings, median_spread, register
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.sites import near
 from longarm_comp.core.model.model import Model
 
 MIN_POSES = 20
@@ -24,6 +28,8 @@ MIN_POSES = 20
 _SUSPECT_SHARE = 0.015
 """Misfit, as a share of the sightings' spread, from which on the mistakes are tried: an arm that is
 not calibrated errs by less, a mistake by more."""
+_STRANGE_SHARE = 0.25
+"""Misfit, as such a share, of rows that are not this arm's: no row counts for more."""
 _TELLING_SHARE = 0.7
 """A mistake that leaves less of the misfit than this (half of its square) is told."""
 _ALIKE_RATIO = 1.02
@@ -31,6 +37,10 @@ _ALIKE_RATIO = 1.02
 _STRAY_RATIO, MOST_STRAYS = 8.0, 0.3
 """Rows so many times farther off than the closest quarter stray (of normal errors none does);
 this share of them may: the median of the others still fits."""
+_SUSPECT_TURN, _STRANGE_TURN = 0.1, 0.5
+"""The same for the tip's axes, rad."""
+_TRIED_ROWS = 100
+"""Rows that the mistakes are tried on, spread over the session."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +53,7 @@ class _Belief:
     spread: float
     stray: float  # share of the rows far beyond where the closest quarter is
     mistake: str = ""  # what explains much more of them, if anything does
-    undone: float = 0.0  # median distance without that mistake, m
+    fall: str = ""  # mean error with and without that mistake, in words
     signs: tuple[tuple[int, float], ...] = ()
     """Joints whose sign cannot be told, with the RMS distance (m) by which the tip moves when they
     are negated and base and tip are placed anew."""
@@ -51,8 +61,8 @@ class _Belief:
     @property
     def belong(self) -> bool:
         """Whether the rows may be this arm's."""
-        # Misfit, as a share of the sightings' spread, of rows that are not this arm's
-        return not self.mistake and self.misfit < 0.25 * self.spread and self.stray < MOST_STRAYS
+        near = self.misfit < _STRANGE_SHARE * self.spread
+        return not self.mistake and near and self.stray < MOST_STRAYS
 
 
 def believe(model: Model, session: Session) -> _Belief | None:
@@ -68,24 +78,106 @@ def believe(model: Model, session: Session) -> _Belief | None:
     spread = median_spread(seen.xyz)
     least = max(_STRAY_RATIO * float(np.quantile(distance, 0.25)), _SUSPECT_SHARE * spread)
     belief = _Belief(found.misfit, spread, float((distance > least).mean()))
-    # Rows that the mistakes are tried on, spread over the session
-    rows = np.unique(np.linspace(0, len(session) - 1, 100).astype(int))
-    if found.misfit < _SUSPECT_SHARE * spread:
-        signs = _signs(model, seen.take(np.unique(rows * len(seen) // len(session))), found.misfit)
-        return dataclasses.replace(belief, signs=signs)
-    own = register(Sightings.of(model, session.take(rows))).misfit
-    tried = [
-        (register(Sightings.of(model, undone.take(rows))).misfit, what, undone)
-        for what, undone in mistakes(model.arm, session)
-    ]
-    best = min(misfit for misfit, *_ in tried)
-    if best > _TELLING_SHARE * own:
+    if _off(found, spread) < _SUSPECT_SHARE * spread:
+        turned = _turned(model, session)
+        if turned is not None:
+            return dataclasses.replace(belief, mistake=turned[0], fall=turned[1])
+        some = np.unique(np.linspace(0, len(seen) - 1, _TRIED_ROWS).astype(int))
+        return dataclasses.replace(belief, signs=_signs(model, seen.take(some), found.misfit))
+    parts = _parts(model, session, found)
+    told, undone = _mistakes_of(model, session, parts, spread)
+    if not told:
         return belief
-    what, undone = next(
-        (what, rows) for misfit, what, rows in tried if misfit <= _ALIKE_RATIO * best
-    )
-    misfit = register(Sightings.of(model, undone)).misfit
-    return dataclasses.replace(belief, mistake=what, undone=misfit)
+    left = np.linalg.norm(register(Sightings.of(model, undone)).residual, axis=1)
+    fall = f"{1e3 * distance.mean():.3g} -> {1e3 * left.mean():.3g} mm"
+    return dataclasses.replace(belief, mistake=" and ".join(told), fall=fall)
+
+
+def _off(found: Registration, spread: float) -> float:
+    """Mean distance (m) of all rows, none farther off than a stranger's."""
+    distance = np.linalg.norm(found.residual, axis=1)
+    return float(np.minimum(distance, _STRANGE_SHARE * spread).mean())
+
+
+def _mistakes_of(
+    model: Model, session: Session, parts: tuple[str, Session], spread: float
+) -> tuple[list[str], Session]:
+    """The mistakes that explain much of the misfit, the most telling first, and rows without them.
+
+    Another is looked for while what is left is suspect.
+    """
+    rows = np.unique(np.linspace(0, len(session) - 1, _TRIED_ROWS).astype(int))
+
+    def misfit(tried: Session) -> float:
+        return _off(register(Sightings.of(model, tried.take(rows))), spread)
+
+    told: list[str] = []
+    own = misfit(session)
+    while own > _SUSPECT_SHARE * spread and len(told) < session.n:
+        every = (*mistakes(model.arm, session), *(() if told else (parts,)))
+        tried = [(misfit(undone), what, undone) for what, undone in every]
+        best = min(left for left, *_ in tried)
+        if best > _TELLING_SHARE * own:
+            break
+        own, what, session = next(t for t in tried if t[0] <= _ALIKE_RATIO * best)
+        told.append(what)
+    return told, session
+
+
+def _parts(model: Model, session: Session, found: Registration) -> tuple[str, Session]:
+    """The two parts, in order, whose rows are farthest apart, as measured from two bases.
+
+    The place is where the sums of the distances (bounded, as those of strangers are) from their
+    median are largest (Page 1954, Biometrika 41).
+    """
+    seen = np.flatnonzero(session.located)
+    away = found.residual - np.median(found.residual, axis=0)
+    bound = 3.0 * np.median(np.abs(away), axis=0) + 1e-12
+    sums = np.cumsum(np.clip(away, -bound, bound) / bound, axis=0)[:-1]
+    before = np.arange(1, len(sums) + 1)
+    size = ((sums - sums[-1] * (before / len(away))[:, None]) ** 2).sum(axis=1)
+    cut = int(np.argmax(size / (before * (len(away) - before)))) + 1
+    first = seen[cut]
+    while first and session.pose_id[first] == session.pose_id[first - 1]:
+        first -= 1
+    old = session.labels.get("group", np.full(len(session), ""))
+    late = np.where(np.arange(len(session)) >= first, "moved", "")
+    group = np.char.add(old, late)
+    parts = dataclasses.replace(session, labels={**session.labels, "group": group})
+    return f"row {first + 1} on looks measured from another base, or of another arm", parts
+
+
+def _turned(model: Model, session: Session) -> tuple[str, str] | None:
+    """How measured axes look written, with the fall of the error: None where they fit, or no row
+    has them beside a position."""
+    rows = session.take(session.located & session.turned)
+    if len(np.unique(rows.pose_id)) < MIN_POSES:
+        return None
+    sightings = Sightings.of(model, rows)
+    found = register(sightings)
+    axes = found.rotation[sightings.group] @ model.pose(rows.q, rows.context())[:, :3, :3]
+    read = rows.readings["orientation"]
+
+    def misfit(values: np.ndarray) -> float:
+        body = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ matrices(values))
+        return float((body * body.mean().inv()).magnitude().mean())
+
+    own = misfit(read)
+    if own < _SUSPECT_TURN:
+        return None
+    tried = []
+    for back, order in ((0, ""), (-1, "w, x, y, z read as x, y, z, w"),
+                        (1, "x, y, z, w read as w, x, y, z")):  # fmt: skip
+        for sign, way in ((1.0, ""), (-1.0, "inverted: the base in the tool")):
+            values = np.roll(read * (sign, sign, sign, 1.0), back, axis=1)
+            what = "qx, qy, qz, qw look " + " and ".join(filter(None, (order, way)))
+            tried.append((misfit(values), what))
+    left, what = min(tried[1:], key=lambda t: t[0])
+    if left > _TELLING_SHARE * own:
+        if own < _STRANGE_TURN:
+            return None
+        left, what = own, "qx, qy, qz, qw are not those of the tip"
+    return what, f"{1e3 * own:.4g} -> {1e3 * left:.3g} mrad"
 
 
 def _signs(model: Model, rows: Session, misfit: float) -> tuple[tuple[int, float], ...]:
@@ -133,3 +225,11 @@ def mistakes(arm: Arm, session: Session) -> Iterator[tuple[str, Session]]:
         order[[j, k]] = k, j
         swapped = dataclasses.replace(session, q=q[:, order])
         yield f"q{j + 1} and q{k + 1} look swapped", swapped
+    kinds = [arm.joints[row - 1].type for row in arm.commanded]
+    for j, k in permutations(range(session.n), 2):
+        if kinds[j] != kinds[k] or not near(j, k):
+            continue
+        for own, factor in product((1.0, -1.0), repeat=2):
+            text = f"{'-' * (own < 0)}q{j + 1} {'-' if factor < 0 else '+'} q{k + 1}"
+            coupled = joint(j, own * q[:, j] + factor * q[:, k])
+            yield f"q{j + 1} looks coupled with q{k + 1}: the joint is {text}", coupled

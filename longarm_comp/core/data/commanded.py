@@ -24,15 +24,24 @@ MEASURING_SIDE = "(measuring side)"
 def commanded_errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
     """(M, 3) measured - predicted of the rows that `errors` has, with what a command knows, m.
 
-    What the measuring side moves all rows by alike is a choice of frame: it misses no target.
+    What the measuring side moves the fitted rows by alike is a choice of frame (`frame_shift`), in
+    which targets are taken too (`core/compensation/target_frame.py`).
     `near` is a similar model's posture at these rows, as in `errors`.
     """
+    told = as_commanded(model)
+    missed = errors(told, own_way(session), near)
+    return missed if told.biases == model.biases else missed - model.frame_shift
+
+
+def with_frame_shift(model: Model, session: Session) -> Model:
+    """The model with the mean of what its measuring side moves the rows of a session by."""
     told, rows = as_commanded(model), own_way(session)
-    missed = errors(told, rows, near)
-    if told.biases == model.biases or not len(missed):
-        return missed
-    seen = errors(dataclasses.replace(told, biases=model.biases), rows, near)
-    return missed - (missed - seen).mean(axis=0)
+    placed = rows.take(rows.placed)
+    if told.biases == model.biases or not len(placed):
+        return dataclasses.replace(model, frame_shift=(0.0, 0.0, 0.0))
+    seen = dataclasses.replace(told, biases=model.biases)
+    x, y, z = (errors(told, placed) - errors(seen, placed)).mean(axis=0).tolist()
+    return dataclasses.replace(model, frame_shift=(x, y, z))
 
 
 def as_commanded(model: Model) -> Model:

@@ -1,11 +1,11 @@
-"""Hold-outs: split by whole blocks and whole poses, sealed until the fit is finished."""
+"""Rows held out, and rows drawn again, by whole blocks of successive poses."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.errors import InputError
 
 
 def blocked_split(
@@ -19,13 +19,10 @@ def blocked_split(
     """
     if not 0 < fraction < 1:
         raise InputError("split", "fraction", fraction, "between 0 and 1")
-    _, first, inverse = np.unique(session.pose_id, return_index=True, return_inverse=True)
-    poses = len(first)
+    poses = len(np.unique(session.pose_id))
     if poses < 2:
         raise InputError(session.source, "poses", poses, "at least 2 distinct poses to split")
-    place = np.empty(poses, dtype=np.int64)
-    place[np.argsort(first)] = np.arange(poses)
-    block = (place * min(25, poses) // poses)[inverse]
+    block = blocks_of(session)
     held = np.zeros(len(session), dtype=bool)
     for drawn in np.random.default_rng(rng).permutation(np.unique(block)):
         more = held | (block == drawn)
@@ -51,33 +48,48 @@ def spread(session: Session, most: int) -> Session:
     return session.take(np.unique(starts[:, None] + np.arange(_RUN)))
 
 
-class SealedError(LongarmError):
-    """A hold-out was read before the fit that it tests was finished."""
+FOLDS, MORE_FOLDS = 5, 10
+"""Folds of a session, and of one with fewer poses than `FEW`, whose fits need most of them."""
+FEW = 100
+"""Poses below which a fold takes a tenth of them."""
+BLOCKS = 25
+"""Blocks of successive poses; noise that lasts for a while stays within one."""
+PLACED_APART = ("group", "marker", "sensor", "anchor")
+"""Labels whose placement is solved from their own rows."""
 
 
-class Sealed:
-    """A hold-out that cannot be read until `release`.
+def blocks_of(session: Session) -> np.ndarray:
+    """(N,) number of the block of successive poses of each row, each pose with all its visits."""
+    _, first, inverse = np.unique(session.pose_id, return_index=True, return_inverse=True)
+    poses = len(first)
+    place = np.empty(poses, dtype=np.int64)
+    place[np.argsort(first)] = np.arange(poses)
+    return np.asarray((place * min(BLOCKS, poses) // poses)[inverse])
 
-    `open(reason)` returns it and is counted, since a hold-out that was used often proves little.
+
+def folds_of(session: Session, rng: np.random.Generator | int = 0) -> np.ndarray:
+    """(N,) number of the fold in which each row is held out, by whole blocks.
+
+    -1 of a row that is in every fit: the other folds do not tell where its marker, sensor or base
+    is.
     """
+    block = blocks_of(session)
+    names = np.unique(block)
+    count = min(FOLDS if len(np.unique(session.pose_id)) >= FEW else MORE_FOLDS, len(names))
+    drawn = np.random.default_rng(rng).permutation(len(names)) % count
+    fold = drawn[np.searchsorted(names, block)]
+    for label in set(PLACED_APART) & set(session.labels):
+        for value in np.unique(session.labels[label]):
+            mine = session.labels[label] == value
+            if len(np.unique(fold[mine])) == 1:
+                fold = np.where(mine, -1, fold)
+    return np.asarray(fold)
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._finished = ""
-        self._uses: list[str] = []
 
-    @property
-    def uses(self) -> tuple[str, ...]:
-        """Reasons for which it was opened, in order."""
-        return tuple(self._uses)
-
-    def release(self, finished: str) -> None:
-        """Allow `open`, given the hash of the finished model that is to be tested."""
-        self._finished = finished
-
-    def open(self, reason: str) -> Session:
-        """The rows. Raises `SealedError` before `release`."""
-        if not self._finished:
-            raise SealedError(f"the held-out rows may be read once the fit is finished: {reason}")
-        self._uses.append(reason)
-        return self._session
+def resampled(session: Session, count: int, rng: np.random.Generator | int = 0) -> np.ndarray:
+    """(count, N) how often each row counts where whole blocks are drawn with replacement."""
+    block = blocks_of(session)
+    names, inverse = np.unique(block, return_inverse=True)
+    share = np.full(len(names), 1.0 / len(names))
+    drawn = np.random.default_rng(rng).multinomial(len(names), share, size=count)
+    return np.asarray(drawn[:, inverse])

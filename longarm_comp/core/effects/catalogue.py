@@ -29,6 +29,7 @@ from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.drive_errors import (
     GearEccentricity,
     GuideCurvature,
+    JointCoupling,
     JointGain,
     PrismaticPitch,
     ServoQuantisation,
@@ -83,7 +84,7 @@ _OURS: tuple[Kind, ...] = (
     *(JointCompliance, BearingTilt, LinkStiffness, TipPayload, LinkMass, TelescopeClearance),
     *(LinkBending, SlidePlay, GuideCurvature, BaseCompliance, BaseSettling, MeasuredTilt),
     *(GravityDirection, Backlash, CylinderPlay, FrictionHysteresis, GearEccentricity, JointGain),
-    *(PrismaticPitch, ServoDroop, ServoDeadband, ServoQuantisation, ThermalGrowth),
+    *(JointCoupling, PrismaticPitch, ServoDroop, ServoDeadband, ServoQuantisation, ThermalGrowth),
     *(ThermalSoftening, Creep),
     *(CameraScale, CameraRadial, CameraDrift, Discovered, DiscoveredView),
 )

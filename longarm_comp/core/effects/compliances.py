@@ -6,11 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+from typing_extensions import Self
+
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar
-from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
+from longarm_comp.core.effects.effect import Effect, Parameter, Sites, form, parameter, place
 from longarm_comp.core.effects.joint_term import JointTerm, reach, typical_loads
 from longarm_comp.core.effects.link_deflection import extra_sag
 from longarm_comp.core.effects.sites import beams, rows
@@ -20,7 +23,8 @@ from longarm_comp.core.effects.sites import beams, rows
 class JointCompliance(JointTerm):
     """Linear torsion of gear, shaft and servo: ``dq = compliance * torque`` (Khalil & Besnard).
 
-    A prismatic joint gives way along its axis: m/N.
+    A prismatic joint gives way along its axis: m/N.  Rows that are coupled to the joint follow its
+    torsion where a linkage drives them (`follows` 1), and do not where the controller couples them.
     """
 
     name = "joint_compliance"
@@ -35,6 +39,22 @@ class JointCompliance(JointTerm):
     elastic = True
 
     compliance: float = parameter("rad/(N m)", "torsion per gravity torque", prior=4e-3, lower=0.0)
+    follows: int = form(1, tried=(1, 0))
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """Both forms where other rows are coupled to a joint that moves."""
+        mixing, _ = arm.mixing
+        led = {row for k, row in enumerate(arm.commanded) if np.count_nonzero(mixing[:, k]) > 1}
+        alone = {row for row in led if mixing[row - 1, arm.commanded.index(row)] != 0.0}
+        return [(t,) for (t,) in super().candidates(arm) if t.follows or t.joint in alone]
+
+    @classmethod
+    def for_arm(cls, arm: Arm) -> tuple[Self, ...]:
+        return tuple(t for t in super().for_arm(arm) if t.follows)
+
+    def moved_rows(self, posture: Posture) -> tuple[tuple[int, float], ...]:
+        return super().moved_rows(posture) if self.follows else ((self.joint, 1.0),)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: 20 mrad (2 % of the reach) under the arm's typical load.

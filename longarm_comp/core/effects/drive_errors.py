@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import ClassVar
@@ -11,8 +12,9 @@ from typing_extensions import Self
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture, Twists
-from longarm_comp.core.effects.effect import form, parameter
+from longarm_comp.core.effects.effect import Sites, form, parameter, place
 from longarm_comp.core.effects.joint_term import JointTerm
+from longarm_comp.core.effects.sites import moving_joints, near
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,35 @@ class PrismaticPitch(JointGain):
     free_levels = 0
 
     gain: float = parameter("1", "extra travel per commanded travel", prior=0.02)
+
+
+@dataclass(frozen=True)
+class JointCoupling(JointTerm):
+    """A turning joint turns by ``coupling`` times the command of a turning joint near it.
+
+    Rods, belts and gears that run past one joint to the next couple neighbours, or joints with one
+    between them (`near`). All of a command (factor 1 or -1) is declared: `coupling` in arm.yaml.
+
+    Attributes:
+        other: row id of the joint that it counts with.
+    """
+
+    name = "joint_coupling"
+    title = "coupling of two joints"
+    action = "Check the rod, belt or gear that runs past one joint to the other, and its ratio."
+
+    other: int = place(moving_joints)
+    coupling: float = parameter("1", "motion per commanded motion of the other", prior=5e-3)
+
+    @classmethod
+    def sites(cls, arm: Arm) -> Sites:
+        turning = [(k, row) for k, row in enumerate(arm.commanded) if cls.fits(arm, row)]
+        pairs = itertools.permutations(turning, 2)
+        return [{"joint": j, "other": o} for (a, j), (b, o) in pairs if near(a, b)]
+
+    def twists(self, posture: Posture) -> Twists:
+        commanded = posture.q[posture.arm.commanded.index(self.other)]
+        return self.motion(posture, self.coupling * commanded)
 
 
 @dataclass(frozen=True)

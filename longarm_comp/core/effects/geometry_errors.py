@@ -98,9 +98,15 @@ class DhError(Effect):
                 raise InputError(where, f"{self.name}.{p.name} at {self.where}", value, allowed)
 
     def twists(self, posture: Posture) -> Twists:
-        """``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i."""
+        """``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i.
+
+        The tilts are about the place of the axis there (`Chain.tilted_at`).
+        """
+        a, b, off = self.a, self.b, posture.chain.tilted_at[self.row - 1]
+        if off:
+            a, b = a - off * self.beta, b + off * self.alpha
         return {
-            posture.frame(self.row - 1): (self.a, self.b, 0.0, self.alpha, self.beta, 0.0),
+            posture.frame(self.row - 1): (a, b, 0.0, self.alpha, self.beta, 0.0),
             posture.frame(self.row): (0.0, 0.0, self.d, 0.0, 0.0, self.theta),
         }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -67,13 +67,17 @@ class JointTerm(Effect):
         Passive joints coupled to it (mimic) follow.
         """
         twists: dict[int, Twist] = {}
-        for row, weight in posture.chain.coupled(self.joint):
+        for row, weight in self.moved_rows(posture):
             moved = amount if weight == 1.0 else weight * amount
             if posture.arm.joints[row - 1].type == "prismatic":
                 twists[posture.bearing(row)] = (0.0, 0.0, moved, 0.0, 0.0, 0.0)
             else:
                 twists[posture.bearing(row)] = (0.0, 0.0, 0.0, 0.0, 0.0, moved)
         return twists
+
+    def moved_rows(self, posture: Posture) -> tuple[tuple[int, float], ...]:
+        """Rows that move with the joint, and how far per unit of it: its own, then coupled ones."""
+        return posture.chain.coupled(self.joint)
 
     def slides(self, arm: Arm) -> bool:
         """Whether its joint is a slide."""
@@ -84,8 +88,8 @@ class JointTerm(Effect):
         return posture.q[posture.arm.commanded.index(self.joint)]
 
     def load(self, posture: Posture) -> Scalar:
-        """Its `joint_load`."""
-        return joint_load(posture, self.joint)
+        """Its `row_loads`."""
+        return row_loads(posture, self.moved_rows(posture))
 
     def direction(self, posture: Posture) -> Scalar:
         """Side that the joint arrived from, -1, 0 (unknown) or +1."""
@@ -153,8 +157,13 @@ class RestingTerm(JointTerm):
 def joint_load(posture: Posture, joint: int) -> Scalar:
     """Gravity torque (N m) about, or force (N) along, the z axis of a row's joint, by virtual work
     with the loads of passive joints coupled to it."""
+    return row_loads(posture, posture.chain.coupled(joint))
+
+
+def row_loads(posture: Posture, rows: Iterable[tuple[int, float]]) -> Scalar:
+    """Work of gravity on some rows, (row, how far it moves), per unit of motion: N m or N."""
     total: Scalar = 0.0
-    for row, weight in posture.chain.coupled(joint):
+    for row, weight in rows:
         station = posture.bearing(row)
         sliding = posture.arm.joints[row - 1].type == "prismatic"
         share = posture.force(station)[2] if sliding else posture.moment(station)[2]

@@ -10,6 +10,15 @@ def moving_joints(arm: Arm) -> list[int]:
     return [joint.id for joint in arm.joints if joint.type != "fixed"]
 
 
+GEARED = 2
+"""Commanded joints that gears or rods couple are neighbours, or have one joint between them."""
+
+
+def near(joint: int, other: int) -> bool:
+    """Whether gears or rods may couple two commanded joints, by their numbers."""
+    return 0 < abs(joint - other) <= GEARED
+
+
 def rows(arm: Arm) -> list[int]:
     """Ids of all rows."""
     return [joint.id for joint in arm.joints]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -17,25 +16,29 @@ from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, folded
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import from_repeats
-from longarm_comp.core.calibration.plausible import check_fits, check_noise
+from longarm_comp.core.calibration.plausible import believed, check_noise, refuse
 from longarm_comp.core.calibration.standing import standing
-from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
+from longarm_comp.core.data.holdout import spread
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.diagnosis import (
-    CALIBRATED,
-    WITH_EFFECTS,
-    WITH_FUNCTIONS,
-    Diagnosis,
-)
+from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.intervals import intervals
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.offers import tolerances
-from longarm_comp.core.identify.practical import expected_commanded, least
-from longarm_comp.core.identify.proof import prove
+from longarm_comp.core.identify.proof import (
+    CALIBRATED,
+    WITH_EFFECTS,
+    WITH_FUNCTIONS,
+    Fold,
+    Proof,
+    folds,
+    prove,
+    worse,
+)
 from longarm_comp.core.identify.structure import examine, with_left_out, with_unseen
 from longarm_comp.core.identify.wind_up import as_fitted, run_up, taken, with_run_ups
 from longarm_comp.core.learn.predictor import Predictor
@@ -67,7 +70,7 @@ def diagnose(
     Args:
         arm: as declared.
         session: admitted measurements.
-        test: hold-out; whole blocks of the session are locked away when not given.
+        test: hold-out; every row of the session is held out once, in folds, when not given.
         model: what is known already (its effects are never added twice).
         kind: what other arms of the kind say of its geometry and of what they all have.
         kinds: the effects to try; all of the catalogue where None.
@@ -77,15 +80,10 @@ def diagnose(
 
     Raises:
         InputError: too few rows.
-        JobError: a fit did not stay finite, or what is left is no instrument's noise.
+        JobError: a fit did not stay finite or may not be believed (`plausible.refuse`), or what is
+            left is no instrument's noise.
     """
     say = progress or (lambda _: None)
-
-    @cache
-    def rows(length: float) -> tuple[Session, Session]:
-        """To fit and to hold out, with unrecorded run-ups taken to be so long (rad)."""
-        held = None if test is None else with_run_ups(test, arm, length)
-        return _split(with_run_ups(session, arm, length), held, seed)
 
     nominal = model or declared_model(arm)
     session = as_fitted(session, nominal)
@@ -93,31 +91,48 @@ def diagnose(
     if not any(ORDER in e.inputs for e in nominal.effects):  # what the model holds has happened
         test = None if test is None else _in_order(test, len(session))
         session = _in_order(session)
-    train, rest = _split(session, test, seed)
+    train, test = _split(session, test)
     staged = dict(stages(nominal, train, say, kind))
     calibrated = staged["geometry"].model
     start = calibrated.with_missing(through_others(arm))
     offered = library(arm, train.context(), kinds, start.terms)
     candidates = offered.testable
     say("memory of the joints")
-    length = run_up(start, lambda length: rows(length)[0], candidates)
+    length = run_up(start, lambda length: with_run_ups(train, arm, length), candidates)
     if length:
-        candidates, (train, rest) = taken(candidates, length), rows(length)
+        candidates, train = taken(candidates, length), with_run_ups(train, arm, length)
+        test = None if test is None else with_run_ups(test, arm, length)
     found = explain_session(
         start,
         train,
         candidates,
         known_noise=from_repeats(start, train),
         stepped=offered.stepped,
+        seed=seed,
         progress=say,
     )
     say("structure")
     fits = _fits(calibrated, found)
+    models = {
+        "nominal": standing(nominal, train)[0],
+        "frames_only": staged["frames_only"].model,
+        **{name: folded(fitted).model for name, fitted in fits.items()},
+    }
+    say("every row held out once")
+    if test is None:
+        held_out, made = folds(nominal, staged["frames_only"].model, fits, found, seed)
+    else:
+        held_out = test.take(test.seen)
+        made = (Fold(models, fits, held_out, np.arange(len(held_out))),)
+    proof = prove(made)
+    lengths = proof.expected(found.found, list(fits))
+    seen = {name: np.linalg.norm(each, axis=1) for name, each in proof.errors.items()}
+    written, failed = _proven(lengths, seen)
     beside = tolerances(found.fit, found.candidates, found.found, found.tolerance)
     structure = examine(found.fit, fits[CALIBRATED], beside)
-    expected = expected_commanded(fits, found.found)
-    written = least(expected)
-    final = fits[written]
+    structure = with_left_out(structure, found.fit)
+    structure = with_unseen(structure, [(list(f.fits.values())[-1], f.rows) for f in made])
+    final = folded(fits[written])
     named = findings(found.found)
     added = [t for f in found.found for t in f.terms if t.key in {s.key for s in final.model.terms}]
     network = None
@@ -125,37 +140,40 @@ def diagnose(
         say("network")
         learned = train_network(final.model, final.session.take(final.weights > 0))
         network = learned if learned.gain.helps else None
+    if network is not None and train_network is not None:
+        train_one = train_network
+
+        def trained(fold: Fold) -> tuple[Model, Predictor]:
+            if test is not None:
+                return final.model, network
+            kept = fold.fits[written]
+            return kept.model, train_one(kept.model, kept.session.take(kept.weights > 0))
+
+        proof = prove(made, trained)
+    aside = _refused(final, proof, held_out.take(held_out.placed), written)
     without_name = causes(found.fit, found.found)
     unnamed = [t for cause in without_name for t in cause.terms]
     say("next poses")
-    models = {
-        "nominal": standing(nominal, train)[0],
-        "frames_only": staged["frames_only"].model,
-        **{name: fitted.model for name, fitted in fits.items()},
-    }
-    open_ = [f for f in named if f.alternatives]
     split_by = tuple(
         splitting_poses(found.fit, f.candidate, f.alternatives[0].candidate, POSES, seed)
-        for f in open_
+        for f in named
+        if f.alternatives
     )
-    ends = intervals(final, added, candidates)
-    sealed = Sealed(rest)
-    finished = _hash(final.model)
-    sealed.release(finished)
-    held_out = sealed.open(finished)
-    held_out = held_out.take(held_out.seen)
     diagnosis = Diagnosis(
         arm=arm,
         search=found,
         findings=named,
         causes=without_name,
-        fits=fits,
-        expected=expected,
+        fits={name: folded(fitted) for name, fitted in fits.items()},
+        expected={name: float(each.mean()) for name, each in lengths.items()},
         written=written,
-        intervals=ends,
-        structure=with_unseen(with_left_out(structure, found.fit), found.fit, held_out),
+        failed=failed,
+        intervals=intervals(final, added, candidates),
+        structure=structure,
+        set_aside=aside,
         models=models,
-        proof=prove(models, None if network is None else (final.model, network), held_out),
+        folds=made,
+        proof=proof,
         network=network,
         split_by=split_by,
         doubts=doubts(found.fit, unnamed),
@@ -163,13 +181,35 @@ def diagnose(
         not_testable=offered.not_testable,
         train=train,
         held_out=held_out,
-        holdout_uses=sealed.uses,
         seed=seed,
     )
-    check_fits(diagnosis.model, train)
     if diagnosis.verdict == "noise":
         check_noise(found.noise.sigma, train)
     return diagnosis
+
+
+def _refused(final: ModelFit, proof: Proof, rows: Session, written: str) -> SetAside:
+    """What `calibrate` refuses is refused: else the rows that the final fit set aside."""
+    at = {name: error[believed(final, rows)] for name, error in proof.errors.items()}
+    plainer = {"calibration": at[CALIBRATED], "the declared arm": at["nominal"]}
+    return refuse(final, None, at[written], plainer)
+
+
+def _proven(expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray]) -> tuple[str, str]:
+    """The model to write, and how the proof of a fuller one failed.
+
+    It has the least mean of the errors (M,) that a command may expect; of equals it is the
+    plainer, which comes first.  None errs more, beyond chance, than a plainer one.  A proof fails
+    where that is so of what was seen, which no doubt about the measuring side explains.
+    """
+    written, failed = dict(expected), dict[str, str]()
+    for name, plainer in combinations(list(expected)[::-1], 2):
+        if worse(expected[plainer], expected[name]):
+            written.pop(name, None)
+        if rise := worse(seen[plainer], seen[name]):
+            failed[name] = f"{plainer} -> {name}: {rise}"
+    left = {name: each.mean() for name, each in written.items() if name not in failed}
+    return min(left, key=left.__getitem__), "; ".join(failed.values())
 
 
 def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
@@ -182,7 +222,7 @@ def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
     if functions:
         less = fit(whole.model.without(functions), whole.session, **whole.judged)
         made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
-    return {name: folded(fitted) for name, fitted in made.items()}
+    return made
 
 
 def _in_order(session: Session, first: int = 0) -> Session:
@@ -196,19 +236,9 @@ def _in_order(session: Session, first: int = 0) -> Session:
     return dataclasses.replace(session, columns={**session.columns, ORDER: order})
 
 
-def _hash(model: Model) -> str:
-    """SHA-256 of a model's terms and values."""
-    terms = repr([t.variant for t in model.terms]).encode()
-    return hashlib.sha256(terms + np.asarray(model.values, float).tobytes()).hexdigest()
-
-
-def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
-    """Rows to fit and to hold out: as given, as labelled, or by blocks."""
+def _split(session: Session, test: Session | None) -> tuple[Session, Session | None]:
+    """Rows to fit, and those to hold out where they are given or labelled."""
     roles = session.labels.get("role", np.array([]))
-    if test is not None:
-        train, rest = session, test
-    elif (roles == "test").any() and (roles != "test").any():
-        train, rest = session.take(roles != "test"), session.take(roles == "test")
-    else:
-        train, rest = blocked_split(session, rng=seed)
-    return spread(train, MOST_ROWS), rest
+    if test is None and (roles == "test").any() and (roles != "test").any():
+        session, test = session.take(roles != "test"), session.take(roles == "test")
+    return spread(session, MOST_ROWS), test

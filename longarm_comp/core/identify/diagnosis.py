@@ -12,19 +12,18 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import EffectFinding, improvement, left_in_words, sentence
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.identify.practical import Gain
-from longarm_comp.core.identify.proof import NETWORK, Proof
+from longarm_comp.core.identify.proof import CALIBRATED, NETWORK, Fold, Proof
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import SplittingPoses
-
-CALIBRATED, WITH_EFFECTS, WITH_FUNCTIONS = "calibrated", "with_effects", "with_functions"
 
 
 @dataclass(frozen=True)
@@ -39,11 +38,14 @@ class Diagnosis:
         fits: calibrated, with_effects, with_functions (where there are functions), fitted to the
             same rows with the same noise.
         expected: by these names, the error (m) that a command may expect.
-        written: the one of least error: the model to use.
+        written: the one of least error whose proof holds: the model to use.
+        failed: how a fuller one failed its proof; empty where none did.
         intervals: of its parameters, by position in its slots.
         structure: what the search left.
+        set_aside: rows that the fit of the model to use does not believe.
         models: nominal, frames_only and the models of `fits`.
-        proof: held-out errors of all models.
+        folds: all of it fitted without some rows, once for each row.
+        proof: errors of all models at the rows that they were fitted without.
         network: the learned correction of what is left, where it helps at poses left out.
         split_by: poses per set.
         doubts: what the data cannot tell of the functions.
@@ -51,7 +53,6 @@ class Diagnosis:
         not_testable: (effect, why).
         train: rows that were fitted.
         held_out: the rows of the proof.
-        holdout_uses: hash of the final model, for which the hold-out was opened.
         seed: of everything random.
     """
 
@@ -62,9 +63,12 @@ class Diagnosis:
     fits: Mapping[str, ModelFit]
     expected: Mapping[str, float]
     written: str
+    failed: str
     intervals: Mapping[int, Interval]
     structure: Structure
+    set_aside: SetAside
     models: Mapping[str, Model]
+    folds: tuple[Fold, ...]
     proof: Proof
     network: Predictor | None
     split_by: tuple[SplittingPoses, ...]
@@ -73,7 +77,6 @@ class Diagnosis:
     not_testable: tuple[tuple[str, str], ...]
     train: Session
     held_out: Session
-    holdout_uses: tuple[str, ...]
     seed: int
 
     @property
@@ -85,6 +88,11 @@ class Diagnosis:
     def model(self) -> Model:
         """The model to use from now on."""
         return self.fit.model
+
+    @property
+    def fullest(self) -> list[tuple[ModelFit, Session]]:
+        """Fits without some rows of the model that holds all that was found, and these rows."""
+        return [(list(fold.fits.values())[-1], fold.rows) for fold in self.folds]
 
     @property
     def left_out(self) -> bool:
@@ -101,8 +109,10 @@ class Diagnosis:
     @property
     def verdict(self) -> str:
         """``noise``, ``named``, ``set``, ``partly`` or ``unknown``."""
-        if self.causes or self.structure.flag:
-            return "partly" if self.findings or self.causes else "unknown"
+        found = bool(self.findings or self.causes)
+        if self.causes or self.structure.flag or (self.failed and found):
+            contradicted = self.failed and self.written == CALIBRATED
+            return "partly" if found and not contradicted else "unknown"
         if not self.findings:
             return "noise"
         return "set" if any(f.open for f in self.findings) else "named"
@@ -159,12 +169,14 @@ def _summary(found: Diagnosis) -> str:
             return f"{text}Beyond it only noise is left. {gain}."
         text = "After calibration only noise is left; no effect was added."
         return f"{text} {gain} by the calibration."
-    if found.verdict == "unknown":
+    if found.verdict == "unknown" and not found.failed:
         return f"The model lacks something that no effect of the library explains: {left}."
     said = [sentence(f, found.search.fit, found.intervals_of(f)) for f in found.findings]
     said += [f"without a name: {cause.sentence}" for cause in found.causes]
     text = "; ".join(said)
-    if found.left_out:
+    if found.failed:
+        text = f"The proof failed ({found.failed}): {found.written} was written. Found: {text}"
+    elif found.left_out:
         text += f". A command is expected to err least with the model {found.written}, "
         text += "which was written"
     doubt = f" In doubt: {'; '.join(found.doubts)}." if found.doubts else ""

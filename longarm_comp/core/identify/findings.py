@@ -10,7 +10,7 @@ from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.intervals import Interval
-from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, Rival
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.structure import Structure
 
@@ -56,8 +56,8 @@ class EffectFinding:
 
     @property
     def open(self) -> bool:
-        """Whether it may as well be something else."""
-        return bool(self.alternatives or self.unnamed)
+        """Whether it may as well be something else, or not be there in another session."""
+        return bool(self.alternatives or self.unnamed) or self.probability < CREDIBLE
 
     @property
     def candidate(self) -> Candidate:
@@ -167,6 +167,8 @@ def sentence(
         remark = f"; {part.name} could stand for its {part.part}"
     if finding.unnamed:
         remark += "; or a cause without a name"
+    if finding.probability < CREDIBLE:
+        remark += f"; {100 * finding.probability:.0f} % probable"
     return f"{names}: {said}{other}{remark}"
 
 

@@ -41,18 +41,27 @@ class Slack(NamedTuple):
 
     Attributes:
         form: share of its own shift by which the form of an effect in the model may err.
-        give: whether every part gives way a little, as in real arms.
+        give: how much every part gives way, as a share of `GIVE`, and so what gives way more than
+            that: the parts of one arm are stiff alike. 0: only what is found gives way.
     """
 
     form: float
-    give: bool
+    give: float
+
+    @property
+    def stiffness(self) -> float:
+        """Size of an elastic effect that is found, as a share of its prior."""
+        return self.give or 1.0
 
 
 FORMS = (0.01, 0.03, 0.1)
 """Shares of its own shift by which an effect's form may err, equally likely beforehand: play,
 friction and stiffness of real joints differ by a tenth from place to place along their way."""
-TOLERANCES = tuple(Slack(form, give) for form in FORMS for give in (True, False))
-"""Each as likely as the others; the first two where nothing is in the model."""
+SCALES = (1.0, 0.125, 0.0)
+"""How much every part of an arm gives way, equally likely beforehand: arms of plastic and of steel
+differ by ten, the parts of one arm by less."""
+TOLERANCES = tuple(Slack(form, give) for form in FORMS for give in SCALES)
+"""Each as likely as the others; the first of each scale where nothing is in the model."""
 
 
 def little(library: Sequence[Candidate]) -> tuple[Term, ...]:
@@ -73,7 +82,7 @@ def a_little(columns: FitColumns, library: Sequence[Candidate]) -> tuple[np.ndar
     return columns.white(every), sizes / np.sqrt([forms[s.owner.key] for s in slots])
 
 
-def with_give(fitted: ModelFit, library: Sequence[Candidate]) -> ModelFit:
+def with_give(fitted: ModelFit, library: Sequence[Candidate], give: float = 1.0) -> ModelFit:
     """A fit with what every arm has besides, as much as the rows ask for; same rows and noise.
 
     That is every effect of the arm that reads no recorded column, in its first form, where it
@@ -85,19 +94,18 @@ def with_give(fitted: ModelFit, library: Sequence[Candidate]) -> ModelFit:
         wanted = isinstance(t, Effect) and set(t.inputs) <= set(PER_JOINT)
         if wanted and t.key not in held and slots_of(fitted.model.arm, [t]):
             added.setdefault(t.key, t)
-    every = _with(fitted, added)
+    every = _with(fitted, added, give)
     columns, terms = FitColumns(every), {t.key: t for t in every.model.terms}
     moved = {
         key: every.whitened(shift_of(every, columns, [terms[key]])[..., None]) for key in added
     }
-    return _with(
-        fitted, {k: t for k, t in added.items() if np.sqrt((moved[k] ** 2).mean()) >= OF_NOISE}
-    )
+    seen = {k: t for k, t in added.items() if np.sqrt((moved[k] ** 2).mean()) >= OF_NOISE}
+    return _with(fitted, seen, give)
 
 
-def _with(fitted: ModelFit, added: Mapping[tuple[str, str], Term]) -> ModelFit:
+def _with(fitted: ModelFit, added: Mapping[tuple[str, str], Term], give: float) -> ModelFit:
     model = fitted.model.plus(*added.values())
-    small = tuple((s.identity, _size(s.owner)) for s in model.slots if s.owner.key in added)
+    small = tuple((s.identity, give * _size(s.owner)) for s in model.slots if s.owner.key in added)
     model = dataclasses.replace(model, beyond=(*model.beyond, *small))
     return fit(model, fitted.session, near=fitted, **fitted.judged)
 

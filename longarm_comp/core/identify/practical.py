@@ -1,7 +1,6 @@
-"""In practice: which model is written, and what a finding means.
+"""In practice: what a finding means.
 
-Written is the model with the least error that a command may expect of it.  A finding has a size at
-the tip and brings something on held-out rows.
+A finding has a size at the tip and brings something on held-out rows.
 
 The gain of one finding among several is that of the whole model over the model without it, the
 rest fitted again (to first order), so that what geometry can take up does not count for it.
@@ -9,7 +8,7 @@ rest fitted again (to first order), so that what geometry can take up does not c
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import compress
 
@@ -19,12 +18,15 @@ from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
-from longarm_comp.core.data.commanded import as_commanded, commanded_errors, own_way
+from longarm_comp.core.data.commanded import (
+    as_commanded,
+    commanded_errors,
+    own_way,
+    with_frame_shift,
+)
 from longarm_comp.core.data.measurement import errors, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.identify.intervals import BLOCKS
-from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.model.model import Model
 
 
@@ -44,9 +46,13 @@ class Gain:
     @classmethod
     def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
         """From the (M, 3) errors of two models on the same rows; zeros of no rows."""
-        if not len(before):
+        return cls.between(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1))
+
+    @classmethod
+    def between(cls, long: np.ndarray, short: np.ndarray) -> Gain:
+        """From the (M,) lengths of the errors of two models on the same rows."""
+        if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))
-        long, short = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
         gain = long - short
         blocks = np.array_split(gain - gain.mean(), min(BLOCKS, len(gain)))
         off = np.array([block.sum() for block in blocks]) / len(gain)
@@ -71,41 +77,50 @@ class Practical:
 
 
 def practical(
-    fitted: ModelFit, findings: Sequence[Sequence[Term]], held_out: Session
+    fitted: ModelFit,
+    findings: Sequence[Sequence[Term]],
+    held_out: Sequence[tuple[ModelFit, Session]],
 ) -> list[Practical]:
     """What the terms of each finding mean in practice.
 
     Args:
         fitted: the final fit, which holds the terms.
         findings: terms of each finding.
-        held_out: rows that were not fitted.
+        held_out: fits without some rows, and these rows.
     """
-    if not findings:
-        return []
-    model = fitted.model
-    tips = model.measured_at(fitted.posture)
-    placed = held_out.take(held_out.placed)
-    own = own_way(placed)
-    at = posture(model, placed), posture(as_commanded(model), own)
-    after = errors(model, placed, at[0]), commanded_errors(model, own, at[1])
     made = []
     for terms in findings:
         places = {t.key for t in terms}
-        without = model.without(places)
-        still = without.measured_at(without.posture_near(fitted.posture))
-        # A first-order fit may overshoot; what is left without any fit is then nearer
-        less = min(
-            (refitted_without(fitted, places), without),
-            key=lambda left: float(np.linalg.norm(errors(left, placed, at[0]))),
+        still = fitted.model.without(places)
+        moved = fitted.model.measured_at(fitted.posture)
+        tip = np.linalg.norm(moved - still.measured_at(still.posture_near(fitted.posture)), axis=1)
+        pairs = [_without(fit, places, rows.take(rows.placed)) for fit, rows in held_out]
+        seen, commanded = (
+            [np.concatenate(parts) for parts in zip(*each, strict=True)]
+            for each in zip(*pairs, strict=True)
         )
-        made.append(
-            Practical(
-                np.linalg.norm(tips - still, axis=1),
-                Gain.of(errors(less, placed, at[0]), after[0]),
-                Gain.of(commanded_errors(less, own, at[1]), after[1]),
-            )
-        )
+        made.append(Practical(tip, Gain.of(*seen), Gain.of(*commanded)))
     return made
+
+
+Pair = tuple[np.ndarray, np.ndarray]
+
+
+def _without(fitted: ModelFit, places: set[tuple[str, str]], rows: Session) -> tuple[Pair, Pair]:
+    """Errors (M, 3) at rows without and with the terms at some places: as seen, as commanded."""
+    model, own = fitted.model, own_way(rows)
+    at = posture(model, rows), posture(as_commanded(model), own)
+    after = errors(model, rows, at[0]), commanded_errors(model, own, at[1])
+    if places.isdisjoint(t.key for t in model.terms):
+        return (after[0], after[0]), (after[1], after[1])
+    # A first-order fit may overshoot; what is left without any fit is then nearer
+    less = min(
+        (refitted_without(fitted, places), model.without(places)),
+        key=lambda left: float(np.linalg.norm(errors(left, rows, at[0]))),
+    )
+    less = with_frame_shift(less, fitted.session)
+    before = errors(less, rows, at[0]), commanded_errors(less, own, at[1])
+    return (before[0], after[0]), (before[1], after[1])
 
 
 def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
@@ -118,37 +133,3 @@ def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
     upper = np.array([s.parameter.upper for s in kept]) / scale
     values[free] = linear.solve(marginal.a, marginal.y, lower, upper).u * scale
     return left.with_values(values)
-
-
-def expected_commanded(
-    fits: Mapping[str, ModelFit], found: Sequence[FoundEffect]
-) -> dict[str, float]:
-    """RMS error (m) of a command by each model, expected under the posterior.
-
-    By the rows that were fitted.  A row's residual is what the model leaves there, less the share
-    that the fit took: twice the variance of the prediction is added, which is what it misses on a
-    new row (Mallows' C_p).  What the measuring side is said to do moves what is seen, not the tip,
-    with the probability that it is the measuring side that does it; otherwise a command errs by it.
-
-    Args:
-        fits: by name, on the same rows.
-        found: single effects of the fullest of them.
-    """
-    ours = 1.0
-    for f in found:
-        if isinstance(f.terms[0], Bias):
-            ours *= f.there * f.chance
-    made = {}
-    for name, fit in fits.items():
-        rows = fit.session.take(fit.weights > 0)
-        seen, told = errors(fit.model, rows), commanded_errors(fit.model, rows)
-        square = ours * (seen**2).sum(1) + (1.0 - ours) * (told**2).sum(1)
-        columns = fit.columns[fit.weights > 0] * fit.metres[:, None]
-        variance = np.einsum("nip,pq,niq->n", columns, fit.covariance, columns, optimize=True)
-        made[name] = float(np.sqrt(square.mean() + 2.0 * variance.mean()))
-    return made
-
-
-def least(expected: Mapping[str, float]) -> str:
-    """The model to write; of equals the plainer one, which comes first."""
-    return min(expected, key=lambda name: expected[name])

@@ -1,64 +1,229 @@
-"""The proof: every model on poses that no fit has seen.  It reports; it selects nothing."""
+"""The proof: every row predicted by models that were fitted without it.
+
+The search is repeated without each fold of the rows (`Resampling.explained`), so an error is that
+of the whole procedure, not of one lucky model.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from longarm_comp.core.calibration.calibrate import Errors
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.standing import standing
 from longarm_comp.core.data.commanded import commanded_errors
+from longarm_comp.core.data.holdout import folds_of
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.identify.posterior.explain import NEAR, ExplainedSession
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
+from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 
+CALIBRATED, WITH_EFFECTS, WITH_FUNCTIONS = "calibrated", "with_effects", "with_functions"
 NETWORK = "with_network"
 """Name of the stage with a learned correction on top of the model."""
+WORST = 0.1
+"""Share of the rows, those that err most by either of two models, that are compared by themselves:
+a mean does not see that a few commands became dangerous."""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Models fitted without some rows, and these rows.
+
+    Attributes:
+        models: by name, in the order of the ladder.
+        fits: of those above the geometry.
+        rows: that were held out, all seen, in time order.
+        numbers: (M,) their positions among all held-out rows.
+    """
+
+    models: Mapping[str, Model]
+    fits: Mapping[str, ModelFit]
+    rows: Session
+    numbers: np.ndarray
 
 
 @dataclass(frozen=True)
 class Proof:
-    """Held-out errors of every model.
+    """Errors of every model at rows that it was fitted without.
 
     Attributes:
         errors: by model name, (M, 3) measured - predicted of the rows that say where the tip is,
             m (`core/data/measurement.py`).
         commanded: the same as a command would have them (`core/data/commanded.py`).
         turned: by model name, (K, 3) of the rows that say how the tip is turned, rad.
+        folds: number of folds; 1 where the rows to hold out were given.
     """
 
     errors: Mapping[str, np.ndarray]
     commanded: Mapping[str, np.ndarray]
     turned: Mapping[str, np.ndarray]
+    folds: int
 
     @property
     def rows(self) -> dict[str, Errors]:
         """Figures of `errors` by model name."""
         return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
 
+    def expected(self, found: Sequence[FoundEffect], names: Sequence[str]) -> dict[str, np.ndarray]:
+        """(M,) error (m) that a command may expect at each row, of some models.
 
-def prove(
-    models: Mapping[str, Model], network: tuple[Model, Predictor] | None, rows: Session
-) -> Proof:
-    """Errors of every model on the hold-out.
+        What the measuring side is said to do moves what is seen, not the tip, with the probability
+        that it is the measuring side that does it; otherwise a command errs by it.
+
+        Args:
+            found: single effects of the fullest of them.
+            names: of the models.
+        """
+        ours = 1.0
+        for f in found:
+            if isinstance(f.terms[0], Bias):
+                ours *= f.there * f.chance
+        made = {}
+        for name in names:
+            seen, told = ((e[name] ** 2).sum(1) for e in (self.errors, self.commanded))
+            made[name] = np.sqrt(ours * seen + (1.0 - ours) * told)
+        return made
+
+
+def worse(before: np.ndarray, after: np.ndarray) -> str:
+    """How errors (M,), m, rise beyond chance, on all rows or on the worst tenth of them.
+
+    Empty where they do not.
+    """
+    longest = np.maximum(before, after)
+    worst = np.sort(np.argsort(-longest, kind="stable")[: math.ceil(WORST * len(longest))])
+    for rows, said in ((np.arange(len(longest)), "rows"), (worst, "worst rows")):
+        gain = Gain.between(before[rows], after[rows])
+        if gain.ci95[1] < 0.0:
+            change = f"{1e3 * gain.before:.2f} -> {1e3 * gain.after:.2f} mm"
+            return f"{change} at {len(rows)} {said}"
+    return ""
+
+
+def folds(
+    nominal: Model,
+    frames_only: Model,
+    fits: Mapping[str, ModelFit],
+    search: ExplainedSession,
+    seed: int,
+) -> tuple[Session, tuple[Fold, ...]]:
+    """Everything fitted anew without each fold of the rows; the rows, each held out once.
 
     Args:
-        models: by name, in the order of the ladder.
-        network: a learned correction and the model that it stands on; inside its domain only.
-        rows: the hold-out, in time order, all rows seen.
+        nominal: as declared.
+        frames_only: that with its placements fitted.
+        fits: of the calibrated model and those above it, to all rows.
+        search: that found what they hold.
+        seed: of the folds.
+
+    Raises:
+        JobError: a fit without some rows did not stay finite.
     """
-    seen = {name: errors(model, rows) for name, model in models.items()}
-    told = {name: commanded_errors(model, rows) for name, model in models.items()}
-    turned = {name: turns(model, rows) for name, model in models.items()}
-    if network is not None:
-        model, learned = network
-        placed = rows.take(rows.placed)
-        expected = learned.predict(placed.q, placed.context())
-        known = (expected.in_domain & placed.located)[:, None]
-        error = np.where(known, expected.error, 0.0)
-        seen[NETWORK] = errors(model, placed) - error
-        told[NETWORK] = commanded_errors(model, placed) - error
-        turned[NETWORK] = turns(model, placed)
-    return Proof(seen, told, turned)
+    session = search.fit.session
+    fold = folds_of(session, seed)
+    numbers = np.flatnonzero(fold >= 0)
+    made = []
+    for number in range(int(fold.max()) + 1):
+        kept = fold != number
+        rows = session.take(kept)
+        models = {
+            "nominal": standing(nominal, rows)[0],
+            "frames_only": fit(frames_only, rows, close=NEAR).model,
+        }
+        again = _fitted_again(fits, search, kept)
+        models |= {name: fitted.model for name, fitted in again.items()}
+        at = np.flatnonzero(fold[numbers] == number)
+        made.append(Fold(models, again, session.take(~kept), at))
+    return session.take(numbers), tuple(made)
+
+
+def _fitted_again(
+    fits: Mapping[str, ModelFit], search: ExplainedSession, kept: np.ndarray
+) -> dict[str, ModelFit]:
+    """The models with what the kept rows (N,) alone would find, fitted to these rows."""
+    whole, session = search.fit, search.fit.session.take(kept)
+    judged = {"sigma": whole.sigma, "rho": whole.rho, "weights": whole.weights[kept]}
+
+    def again(model: Model) -> ModelFit:
+        return fit(model, session, close=NEAR, **judged)
+
+    made = {CALIBRATED: again(fits[CALIBRATED].model)}
+    found = search.linear.explained(kept.astype(float)) if search.linear is not None else ()
+    sure = [f for f in found if f.there >= CREDIBLE]
+    named = again(_with(search, [f for f in sure if not f.unnamed]))
+    made[WITH_EFFECTS] = named
+    if WITH_FUNCTIONS in fits:
+        more = any(f.unnamed for f in sure)
+        made[WITH_FUNCTIONS] = again(_with(search, sure)) if more else named
+    return made
+
+
+def _with(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
+    """The model of a search with other effects in the place of what it found."""
+    model = search.fit.model
+    known = {t.variant: t for t in model.terms}
+    terms = {t.key: known.get(t.variant, t) for f in found for t in f.terms}
+    gone = {t.key for f in search.found for t in f.terms}
+    other = model.without(gone | set(terms)).plus(*terms.values())
+    small = {s.identity for s in other.slots if s.owner.key in terms}
+    beyond = tuple(b for b in model.beyond if b[0] not in small)
+    return dataclasses.replace(other, beyond=beyond)
+
+
+def prove(
+    made: Sequence[Fold], learned: Callable[[Fold], tuple[Model, Predictor]] | None = None
+) -> Proof:
+    """Errors of every model at the rows that it was fitted without, in their order.
+
+    Args:
+        made: the folds.
+        learned: trains a correction without a fold's rows, and gives the model that it stands on;
+            it counts inside its domain only.
+    """
+    seen, told, turned = (_Rows() for _ in range(3))
+    for fold in made:
+        placed, bent = (fold.rows.take(m) for m in (fold.rows.placed, fold.rows.turned))
+        at, turns_at = fold.numbers[fold.rows.placed], fold.numbers[fold.rows.turned]
+        for name, model in fold.models.items():
+            seen.put(name, at, errors(model, placed))
+            told.put(name, at, commanded_errors(model, placed))
+            turned.put(name, turns_at, turns(model, bent))
+        if learned is not None:
+            model, network = learned(fold)
+            expected = network.predict(placed.q, placed.context())
+            known = (expected.in_domain & placed.located)[:, None]
+            error = np.where(known, expected.error, 0.0)
+            seen.put(NETWORK, at, errors(model, placed) - error)
+            told.put(NETWORK, at, commanded_errors(model, placed) - error)
+            turned.put(NETWORK, turns_at, turns(model, bent))
+    return Proof(seen.ordered, told.ordered, turned.ordered, len(made))
+
+
+class _Rows:
+    """Errors of models, fold by fold, and at which rows."""
+
+    def __init__(self) -> None:
+        self._parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+
+    def put(self, name: str, at: np.ndarray, values: np.ndarray) -> None:
+        self._parts.setdefault(name, []).append((at, values))
+
+    @property
+    def ordered(self) -> dict[str, np.ndarray]:
+        """By model name, in the order of the rows."""
+        made = {}
+        for name, parts in self._parts.items():
+            order = np.argsort(np.concatenate([at for at, _ in parts]))
+            made[name] = np.concatenate([values for _, values in parts])[order]
+        return made

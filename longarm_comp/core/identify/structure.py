@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -233,7 +233,7 @@ OFF = 0.5
 """Excess over the noise, as a share of it, that counts: the noise itself is known to a tenth."""
 
 
-def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure:
+def with_unseen(structure: Structure, held_out: Sequence[tuple[ModelFit, Session]]) -> Structure:
     """The structure, also where only the held-out poses show it.
 
     What the parameters may err by moves all poses together, so it is taken off first. Of what is
@@ -242,26 +242,17 @@ def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure
 
     Args:
         structure: as it shows in the fitted rows.
-        fit: final.
-        rows: the hold-out.
+        held_out: fits without some rows, and these rows.
     """
-    found = equations(fit.model, rows, posture(fit.model, rows))
-    known = dict(zip(fit.session.channels, fit.sigma, strict=True))
-    sigma = np.array([known.get(name, np.inf) for name in rows.channels])
-    held = rows.measured & np.isfinite(sigma)
-    noise = np.where(np.isfinite(sigma), sigma, 1.0) * fit.uneven(rows)[:, None]
-    some = held.any(axis=1)
-    if structure.flag or not some.any():
+    parts = [_noise_and_rest(fit, rows) for fit, rows in held_out]
+    ratio, square = (np.concatenate(each) for each in zip(*parts, strict=True))
+    fit = held_out[0][0]
+    if structure.flag or not len(ratio):
         return structure
-    size, ways = np.linalg.eigh(fit.covariance)
-    moved = found.columns @ (ways * np.sqrt(np.maximum(size, 0.0)))
-    a = (moved * (held / noise)[..., None])[some]
-    size = _beyond(a, (found.residual * held / noise)[some], held[some])
-    ratio = size / np.sqrt(2.0 * gammaincinv(held.sum(axis=1)[some] / 2, 0.5))
     count = max(round(len(ratio) * (1.0 - fit.rho) / (1.0 + fit.rho)), 1)  # rows that count
     above = round(float((ratio > 1.0).mean()) * count)
     p = float(bdtrc(above - 1, count, 0.5))
-    expected = np.sqrt(((noise * metres(fit.model, rows)) ** 2 * held).sum(1)[some].mean())
+    expected = np.sqrt(square.mean())
     excess = float(expected * np.sqrt(max(np.median(ratio) ** 2 - 1.0, 0.0)))
     if p > SIGNIFICANT or excess < max(OFF * expected, smallest(fit)):
         return structure
@@ -273,6 +264,24 @@ def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure
         size_m=excess,
         sign="shows in the held-out poses",
     )
+
+
+def _noise_and_rest(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.ndarray]:
+    """(M,) what rows that were not fitted leave, over the median of noise; its square, m^2."""
+    found = equations(fit.model, rows, posture(fit.model, rows))
+    known = dict(zip(fit.session.channels, fit.sigma, strict=True))
+    sigma = np.array([known.get(name, np.inf) for name in rows.channels])
+    held = rows.measured & np.isfinite(sigma)
+    noise = np.where(np.isfinite(sigma), sigma, 1.0) * fit.uneven(rows)[:, None]
+    some = held.any(axis=1)
+    if not some.any():
+        return np.zeros(0), np.zeros(0)
+    size, ways = np.linalg.eigh(fit.covariance)
+    moved = found.columns @ (ways * np.sqrt(np.maximum(size, 0.0)))
+    a = (moved * (held / noise)[..., None])[some]
+    left = _beyond(a, (found.residual * held / noise)[some], held[some])
+    ratio = left / np.sqrt(2.0 * gammaincinv(held.sum(axis=1)[some] / 2, 0.5))
+    return ratio, ((noise * metres(fit.model, rows)) ** 2 * held).sum(1)[some]
 
 
 def with_left_out(structure: Structure, fit: ModelFit) -> Structure:

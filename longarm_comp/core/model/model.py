@@ -81,6 +81,8 @@ class Model:
             and what every arm yields by. Each fit finds them again; no file holds them.
         uncertainty: how far its tip may be from the true tip; None if that is not known.
         ended_s: where the clock of its session stood at the end, s; None if that is not known.
+        frame_shift: m, what the measuring side moved the fitted rows by, on average: so far from
+            where the arm is lies the frame in which it was measured.
     """
 
     arm: Arm
@@ -93,6 +95,7 @@ class Model:
     beyond: tuple[tuple[tuple[object, ...], float], ...] = field(default=(), compare=False)
     uncertainty: ModelUncertainty | None = field(default=None, compare=False)
     ended_s: float | None = field(default=None, compare=False)
+    frame_shift: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), compare=False)
 
     def __repr__(self) -> str:
         counts = Counter(term.name for term in self.terms)

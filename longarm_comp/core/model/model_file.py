@@ -97,6 +97,7 @@ class StoredModel(Declared):
     ended_s: float | None = Field(
         default=None, description="where the clock of the session, its t_s, stood at the end"
     )
+    frame_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     schema_: Literal["longarm/model/1"] = Field(alias="schema")
 
 
@@ -148,7 +149,8 @@ def store(
         schema="longarm/model/1", version=version, arm=arm, passes=model.passes,
         elements_per_beam=model.elements_per_beam, arrivals=model.arrivals,
         provenance={**(provenance or {}), **outside}, placement=_bases(model),
-        uncertainty=_stored_uncertainty(model), ended_s=model.ended_s, **sides,
+        uncertainty=_stored_uncertainty(model), ended_s=model.ended_s,
+        frame_shift_m=model.frame_shift, **sides,
     )  # fmt: skip
 
 
@@ -263,7 +265,8 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
         arrivals=stored.arrivals, ended_s=_ended(stored, terms),
     )  # fmt: skip
     model = bare.with_terms(terms)
-    return dataclasses.replace(model, uncertainty=_uncertainty(stored, model, where))
+    told = _uncertainty(stored, model, where)
+    return dataclasses.replace(model, uncertainty=told, frame_shift=stored.frame_shift_m)
 
 
 def _ended(stored: StoredModel, terms: Sequence[Effect | Bias]) -> float | None:

@@ -64,6 +64,12 @@ def _cogging(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     return drives.CoggingBump(joint, centre, 0.12 * span, float(rng.choice([-1e-2, 1e-2])))
 
 
+def _coupling(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
+    turning = _kind(arm, "revolute")
+    pairs = turning * np.r_[0.0, turning[:-1]]
+    return drives.JointCoupling(pairs * rng.uniform(0.005, 0.02, arm.n) * _signs(rng, arm.n))
+
+
 def _cable(arm: Arm, rng: np.random.Generator) -> HiddenEffect:
     joint, one, two = rng.permutation(np.flatnonzero(_kind(arm, "revolute")))[:3]
     return drives.CableDrag(int(joint), (int(one), int(two)), float(rng.choice([-1e-2, 1e-2])))
@@ -91,6 +97,7 @@ HIDDEN: dict[str, _Maker] = {
     "joint_gain": lambda arm, rng: drives.JointGain(
         _turning(arm, rng, 0.01, 0.03) * _signs(rng, arm.n)
     ),
+    "joint_coupling": _coupling,
     "prismatic_pitch": lambda arm, rng: drives.PrismaticPitch(
         _kind(arm, "prismatic") * rng.uniform(0.02, 0.05, arm.n) * _signs(rng, arm.n)
     ),

@@ -27,6 +27,16 @@ class PrismaticPitch(JointGain):
 
 
 @dataclass(frozen=True)
+class JointCoupling(HiddenEffect):
+    """A rod past one joint to the next: it turns by factor of the one before; factor (n,)."""
+
+    factor: Array
+
+    def joints(self, q: Array, state: State) -> Array:
+        return q + self.factor * np.roll(q, 1, axis=-1)
+
+
+@dataclass(frozen=True)
 class GearEccentricity(HiddenEffect):
     """Gears off centre: q + sum over orders k of amplitude_k sin(k q + phase_k); (2, n), rad."""
 

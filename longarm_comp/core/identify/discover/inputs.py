@@ -122,16 +122,21 @@ def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
         widest[type(found)] = max(largest, float(np.ptp(values)))
         read.append((name, found, values))
     for name, found, values in read:
-        if np.ptp(values) < _resolved(found, values, widest[type(found)]):
+        if np.ptp(values) < _resolved(arm, posture, found, values, widest[type(found)]):
             continue
         _add(made, name, values, arm)
     kept = {i.name for i in made} - {ORDER}
     return Arguments(tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n)
 
 
-def _resolved(found: Quantity, values: np.ndarray, widest: float) -> float:
+def _resolved(
+    arm: Arm, posture: Posture, found: Quantity, values: np.ndarray, widest: float
+) -> float:
     """The span from which on an input counts: beyond what is known of it."""
-    if isinstance(found, (JointPosition, JointSide)) or not isinstance(found, OfPosture):
+    if isinstance(found, (JointPosition, JointSide)):
+        span = float(np.ptp(np.asarray(posture.q[found.joint], float)))
+        return 0.0 if span >= arm.telling[found.joint] else np.inf
+    if not isinstance(found, OfPosture):
         return 0.0
     largest = float(np.abs(values).max(initial=0.0))
     share = 0.0 if isinstance(found, Span) else LEAST_SPAN * max(widest, LEAST_SPAN * largest)

@@ -21,7 +21,7 @@ from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.give import TOLERANCES, Slack, with_give
+from longarm_comp.core.identify.give import SCALES, TOLERANCES, Slack, with_give
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.forms import refined
@@ -34,6 +34,7 @@ from longarm_comp.core.identify.posterior.found import (
 from longarm_comp.core.identify.posterior.offered_effects import Explained, OfferedEffects
 from longarm_comp.core.identify.posterior.offers import offered
 from longarm_comp.core.identify.posterior.propositions import propositions
+from longarm_comp.core.identify.posterior.resampled import Resampling
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.identify.step_scan import scan
 from longarm_comp.core.model.model import Model
@@ -57,6 +58,7 @@ class ExplainedSession:
         doubtful: single effects whose presence is in doubt, not in the model.
         candidates: the library as it was offered last.
         tolerance: what moves the rows besides.
+        linear: its linear stage, to be repeated on other rows.
     """
 
     fit: ModelFit
@@ -64,7 +66,8 @@ class ExplainedSession:
     noise: NoiseEstimate
     doubtful: tuple[FoundEffect, ...] = ()
     candidates: tuple[Candidate, ...] = ()
-    tolerance: Slack = TOLERANCES[1]
+    tolerance: Slack = TOLERANCES[len(SCALES) - 1]
+    linear: Resampling | None = None
 
     @property
     def chosen(self) -> tuple[Term, ...]:
@@ -85,6 +88,7 @@ def explain_session(
     known_noise: NoiseEstimate | None = None,
     stepped: Sequence[type[Effect]] = (),
     functions: bool = True,
+    seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> ExplainedSession:
     """Find what the model lacks.
@@ -96,13 +100,14 @@ def explain_session(
         known_noise: from repeats; judged from the residual otherwise.
         stepped: effects whose steps are scanned.
         functions: whether functions without a name are offered.
+        seed: of the samples of the rows that the probabilities are averaged over.
         progress: told what is going on.
 
     Raises:
         InputError, JobError: as `fit`.
     """
     say = progress or (lambda _: None)
-    return _Search(base, session, list(candidates), known_noise, stepped, say).run(functions)
+    return _Search(base, session, list(candidates), known_noise, stepped, say).run(functions, seed)
 
 
 @dataclass
@@ -116,26 +121,47 @@ class _Search:
     stepped: Sequence[type[Effect]]
     say: Callable[[str], None]
     propositions: tuple[Proposition, ...] = ()
+    usual: frozenset[tuple[str, str]] = frozenset()
 
-    def run(self, functions: bool) -> ExplainedSession:
+    def run(self, functions: bool, seed: int) -> ExplainedSession:
         self.say("geometry")
-        state = self._repeated(self._fitted(self.base, (), None))
-        if functions:
-            state = self._repeated(state, functions=True)
+        state = self._fitted(self.base, (), None)
+        if any(t.through_others for t in self.base.terms):  # what yields a little tells of weights
+            state = replace(state, fit=with_give(state.fit, self.candidates))
+            self.usual = frozenset(t.key for t in state.fit.model.terms)
+            self.usual -= frozenset(t.key for t in self.base.terms)
+        state = self._repeated(state)
+        if functions:  # only beside the best of what has a name
+            state, _, changed = self._compared(state)
+            state = self._repeated(self._repeated(state) if changed else state, functions=True)
         state, doubtful, changed = self._compared(state)
         if changed:
             state = self._repeated(state)
             state, again, _ = self._compared(state)
-            held = {t.key for f in (*state.found, *again) for t in f.terms}
-            left = (f for f in doubtful if held.isdisjoint(t.key for t in f.terms))
+            taken = {t.key for f in (*state.found, *again) for t in f.terms}
+            left = (f for f in doubtful if taken.isdisjoint(t.key for t in f.terms))
             doubtful = (*again, *left)
         slack = self._standing(state.fit, state.found)[1]
-        fitted = _plain(with_give(state.fit, self.candidates) if slack.give else state.fit)
+        self.say("resampled rows")
+        linear = Resampling(
+            state.fit, tuple(self.candidates), self.propositions, state.found, slack, self.usual
+        )
+        found = linear.averaged(seed)
+        stable = tuple(f for f in found if f.there > 0.5)
+        fewer = self._taken(state, stable) if len(stable) < len(found) else None
+        if fewer is not None:
+            doubtful = (*doubtful, *(f for f in found if f.there <= 0.5))
+            linear, state = replace(linear, fit=fewer.fit, found=fewer.found), fewer
+        else:
+            state = replace(state, found=found)
+        fitted = _plain(
+            with_give(state.fit, self.candidates, slack.give) if slack.give else state.fit
+        )
         known = {t.variant: t for t in fitted.model.terms}
-        found = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
+        held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
         left = (f for f in doubtful if f.in_doubt)
         return ExplainedSession(
-            fitted, tuple(found), state.noise, tuple(left), tuple(self.candidates), slack
+            fitted, tuple(held), state.noise, tuple(left), tuple(self.candidates), slack, linear
         )
 
     def _repeated(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
@@ -245,10 +271,11 @@ class _Search:
         near: ModelFit | None = None,
     ) -> list[OfferedEffects]:
         """By tolerance; forms count where something is in the model."""
-        tried = TOLERANCES if found else TOLERANCES[:2]
+        tried = TOLERANCES if found else TOLERANCES[: len(SCALES)]
         return offered(
-            fitted, self.candidates, self.propositions, found, tried, others=others, near=near
-        )
+            fitted, self.candidates, self.propositions, found, tried, others=others, near=near,
+            usual=self.usual,
+        )  # fmt: skip
 
     def _scan(self, state: ExplainedSession) -> None:
         """Offer the steps that the residual shows."""

@@ -30,6 +30,9 @@ LOOKED_AT = 1e-4
 """Probability from which on another name is fitted in the place of an effect: columns are those of
 small changes, so a fit may be worth ten log units more."""
 
+IMPOSSIBLE = 1e-12
+"""Probability below which a name is none: a fit may be worth thirty log units at most."""
+
 
 @dataclass(frozen=True)
 class Explained:
@@ -83,6 +86,28 @@ class OfferedEffects:
         found = tuple(f for f in every if f.there >= CREDIBLE)
         doubtful = tuple(f for f in every if f.there < CREDIBLE)
         return Explained(found, doubtful, self.base + evidence, best.effects)
+
+    def single_effects(self) -> tuple[FoundEffect, ...]:
+        """The effects of the best explanation, each with the names among which it is shared."""
+        made = []
+        for effect in explain(self.bank, self.known).effects:
+            shares: dict[str, tuple[float, Candidate]] = {}
+            for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
+                terms = self.things[n].terms
+                alike = [Candidate(terms[0].name, terms)]
+                alike += [self._named(name, terms) for name in self._alike(terms)]
+                for one in alike:
+                    before, first = shares.get(one.name, (0.0, one))
+                    share = float(effect.q[n]) / effect.there / len(alike)
+                    shares[one.name] = before + share, first
+            offer = effect.offers.get(effect.best, self.bank.offers[effect.best])
+            terms = self._terms(effect.best, offer, effect.mean[list(offer.places)])
+            worth = math.log(effect.there) - math.log1p(-min(effect.there, 1.0 - 1e-16))
+            rivals = (Rival(c, worth, p) for name, (p, c) in shares.items() if name != offer.name)
+            made.append(
+                FoundEffect(terms, effect.there, worth, shares[offer.name][0], tuple(rivals))
+            )
+        return tuple(made)
 
     @cached_property
     def standing(self) -> float:
@@ -190,8 +215,13 @@ class OfferedEffects:
             may.append((n, offer, rest))
             most.append(paid)
         worth = self.bank.evidences([[*rest, offer] for _, offer, rest in may]) + most
-        for one, enough in zip(may, worth >= least, strict=True):
-            if enough:
+        enough = worth >= least
+        if any(t.through_others for t in self.fitted.model.terms):  # weights move with a fit only
+            for name in {o.name for (n, o, _) in may if self.things[n].terms[0].elastic}:
+                mine = np.array([o.name == name for _, o, _ in may])
+                enough[int(np.argmax(np.where(mine, worth, -np.inf)))] = True
+        for one, looked in zip(may, enough, strict=True):
+            if looked:
                 yield one
 
     def _worth(self, offers: list[Offer], k: int) -> float:

@@ -41,6 +41,8 @@ def offered(
     *,
     others: bool = True,
     near: ModelFit | None = None,
+    counts: np.ndarray | None = None,
+    usual: frozenset[tuple[str, str]] = frozenset(),
 ) -> list[OfferedEffects]:
     """The banks at a fit, one for each tolerance.
 
@@ -52,22 +54,31 @@ def offered(
         slacks: what may move the rows besides.
         others: whether more than these is on offer.
         near: a similar fit of the same rows and noise: what every arm has is about as there.
+        counts: (N,) how often each row counts: once where None.
+        usual: places where the fit holds what every arm has; the banks have that besides.
     """
     listed = _listed(fitted.model.arm, library, functions, found)
     if not others:
         kept = {_variant(f.terms) for f in found}
         listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
     raw = _raw(fitted, listed)
-    marginal = FitColumns(fitted).without({t.key for f in found for t in f.terms})
+    marginal = FitColumns(fitted).without(usual | {t.key for f in found for t in f.terms})
     beside, sizes = _beside(fitted, library, found, slacks, near)
-    gram, along = marginal.normal(np.concatenate([beside, raw.b], axis=1))
-    moving, offers = _priced(fitted.model.arm, np.diag(gram)[beside.shape[1] :], raw, listed)
+    columns = np.concatenate([beside, raw.b], axis=1)
+    if counts is not None:
+        root = np.sqrt(np.repeat(counts[fitted.weights > 0], fitted.width))
+        marginal = Marginal(root[:, None] * marginal.a, root * marginal.y)
+        columns = root[:, None] * columns
+    gram, along = marginal.normal(columns)
+    squares = np.diag(gram)[beside.shape[1] :]
+    moving, plain = _priced(fitted.model.arm, squares, raw, listed)
     things = [listed[n][0] for n in moving]
     at = {_variant(c.terms): n for n, c in enumerate(things)}
     known = tuple(at[_variant(f.terms)] for f in found if _variant(f.terms) in at)
     banks = []
     for slack, size in zip(slacks, sizes, strict=True):
         evidence, s, t = marginalised(gram, along, size)
+        offers = [_as_stiff(o, c, slack) for o, c in zip(plain, things, strict=True)]
         bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like)
         base = marginal.evidence + evidence
         banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, slack))
@@ -103,6 +114,13 @@ def _listed(
             prior = prior if f.log_prior is None else f.log_prior
             listed.append((Candidate(f.name, f.terms), prior, SIZES, CHANCES))
     return listed
+
+
+def _as_stiff(offer: Offer, candidate: Candidate, slack: Slack) -> Offer:
+    """An offer of what gives way, of a size that an arm as stiff as this may have."""
+    if offer.fixed or not candidate.terms[0].elastic:
+        return offer
+    return dataclasses.replace(offer, sizes=tuple(slack.stiffness * s for s in offer.sizes))
 
 
 def _variant(terms: Sequence[Term]) -> tuple[object, ...]:

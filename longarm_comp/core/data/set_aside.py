@@ -1,0 +1,159 @@
+"""Rows that a fit sets aside: gross errors come alone and anywhere, else they are a cause.
+
+What they share is tried in every input.  In texts and in joints that mostly stand still it is the
+chance that so many are found at one value (Fisher's exact test).  Along numbers it is the chance
+that so many lie together: the densest of the stretches that begin and end at one of them, its two
+ends not counted.  Rows of one visit to a pose are one: a knock spoils them all.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import hypergeom
+
+from longarm_comp.core.data.session import Session
+
+SIGNIFICANT = 1e-3
+"""Chance, all inputs together, from which on rows share something: of a thousand sessions whose
+gross errors come alone, one is suspected."""
+RESTING = 0.5
+"""Share of the visits at one value from which on a joint stands there, and moves in the others."""
+FEW = 3
+"""Visits that can share something, at least."""
+
+
+@dataclass(frozen=True)
+class SharedBy:
+    """What rows set aside have in common.
+
+    Attributes:
+        input: column of the session, or ``order`` (the row's place in the file).
+        value: where in it, in words.
+        rows: how many of the rows set aside are there.
+        p_value: chance of so many, had they come anywhere, times the inputs that were tried.
+    """
+
+    input: str
+    value: str
+    rows: int
+    p_value: float
+
+    def __str__(self) -> str:
+        return f"{self.input} {self.value} ({self.rows} of them, p {self.p_value:.1g})"
+
+
+@dataclass(frozen=True)
+class SetAside:
+    """Rows of a session that a fit does not believe.
+
+    Attributes:
+        rows: their places among the rows that were fitted.
+        share: of these.
+        shared_by: what they have in common, the least probable first.
+    """
+
+    rows: tuple[int, ...]
+    share: float
+    shared_by: tuple[SharedBy, ...]
+
+    @classmethod
+    def of(cls, session: Session, aside: np.ndarray) -> SetAside:
+        """From the rows that were fitted and a mask (N,) of those set aside."""
+        tried = [(name, found) for name, found in _tried(session, aside) if found is not None]
+        found = [
+            SharedBy(name, value, rows, min(p * len(tried), 1.0))
+            for name, (value, rows, p) in tried
+            if p * len(tried) < SIGNIFICANT
+        ]
+        places = tuple(np.flatnonzero(aside).tolist())
+        share = float(aside.mean()) if len(aside) else 0.0
+        return cls(places, share, tuple(sorted(found, key=lambda s: s.p_value)))
+
+    @property
+    def record(self) -> dict[str, object]:
+        """As report.json holds it: their number, share, and what they share."""
+        shared = [dataclasses.asdict(each) for each in self.shared_by]
+        return {"rows": len(self.rows), "share": self.share, "shared_by": shared}
+
+    @property
+    def said(self) -> str:
+        """How many they are, and what they share."""
+        shared = " and ".join(map(str, self.shared_by[:2]))
+        text = f"{len(self.rows)} rows set aside ({self.share:.1%})"
+        return f"{text}, which share {shared}" if shared else text
+
+
+_Found = tuple[str, int, float]
+
+
+def _tried(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Found | None]]:
+    """Every input with what the rows set aside share in it: value, rows, chance."""
+    visit = np.cumsum(np.r_[0, np.diff(session.pose_id) != 0])
+    first = np.unique(visit, return_index=True)[1]
+    spoilt = np.maximum.reduceat(aside.astype(int), first) > 0
+    rows = np.add.reduceat(aside.astype(int), first)
+    for j, values in enumerate(session.q[first].T, 1):
+        yield f"q{j}", _moved(values, spoilt, rows)
+        yield f"q{j}", _together(values, spoilt, rows)
+    for j, sides in enumerate(session.approach[first].T, 1):
+        yield f"approach of q{j}", _alike(np.where(sides < 0, "-1", "+1"), spoilt, rows)
+    yield "order", _together(first + 1.0, spoilt, rows)
+    for name, values in session.columns.items():
+        yield name, _together(values[first], spoilt, rows)
+    for name, texts in session.labels.items():
+        constant = (texts == texts[first][visit]).all()
+        once = (texts[first], spoilt, rows) if constant else (texts, aside, aside.astype(int))
+        yield name, _alike(*once)
+    where = np.isfinite(session.xyz).all(axis=1)
+    for name, values in zip("xyz", session.xyz[where].T, strict=True):
+        yield name, _together(values, aside[where], aside[where].astype(int))
+
+
+def _alike(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
+    """The text that most visits set aside have in common; None where there is one text only."""
+    names = np.unique(texts)
+    if len(names) < 2 or spoilt.sum() < FEW:
+        return None
+    chances = []
+    for name in names:
+        mine = texts == name
+        both = int((mine & spoilt).sum())
+        p = float(hypergeom.sf(both - 1, len(texts), spoilt.sum(), mine.sum()))
+        chances.append((p * len(names), str(name), int(rows[mine].sum())))
+    p, value, count = min(chances)
+    return value, count, p
+
+
+def _moved(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
+    """Whether the visits set aside are those in which a joint left the place where it stands."""
+    levels, which, count = np.unique(values, return_inverse=True, return_counts=True)
+    rest = int(np.argmax(count))
+    if len(levels) < 2 or count[rest] < RESTING * len(values):
+        return None
+    moved = np.where(which == rest, "rests", "moves")
+    found = _alike(moved, spoilt, rows)
+    return found and (f"other than {levels[rest]:.4g}" if found[0] == "moves" else
+                      f"at {levels[rest]:.4g}", *found[1:])  # fmt: skip
+
+
+def _together(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
+    """The stretch of a number in which the visits set aside lie closest together."""
+    order = np.argsort(values, kind="stable")
+    values, spoilt, rows = values[order], spoilt[order], rows[order]
+    at = values[spoilt]
+    k, n = len(at), len(values)
+    if k < FEW or values[0] == values[-1]:
+        return None
+    low, high = np.searchsorted(values, at, "left"), np.searchsorted(values, at, "right")
+    begin, end = np.triu_indices(k, FEW - 1)
+    span = high[end] - low[begin]
+    inside = np.searchsorted(at, at[end], "right") - np.searchsorted(at, at[begin], "left")
+    chance = hypergeom.sf(inside - 3, n - 2, k - 2, span - 2) * len(begin)
+    best = int(np.argmin(chance))
+    a, b = at[begin[best]], at[end[best]]
+    held = int(rows[(values >= a) & (values <= b)].sum())
+    return f"{a:.4g} to {b:.4g}", held, float(chance[best])

@@ -1,0 +1,131 @@
+"""The posterior over explanations, averaged over resampled rows.
+
+A posterior that believes its own library is certain of the nearest wrong name, and its certainty
+jumps with the sample.  Averaged over samples of whole blocks, drawn with replacement, it says what
+another session of this size would say (Huggins and Miller 2023, "Reproducible model choice using
+bagged posteriors", Bayesian Analysis 18, arXiv 2007.14845).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
+from longarm_comp.core.calibration.linear import Marginal
+from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.data.holdout import resampled
+from longarm_comp.core.identify.give import Slack
+from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, Rival
+from longarm_comp.core.identify.posterior.offers import offered
+
+SAMPLES = 12
+"""Samples of the rows; a probability is then known to 0.15 at worst, and to less near 0 and 1."""
+SAME_ROLE = 0.5
+"""Share of an effect's shift (squared correlation, geometry taken off) from which another effect
+stands in its place."""
+
+
+@dataclass(frozen=True)
+class Resampling:
+    """A finished search, whose linear stage may be repeated on other rows.
+
+    Attributes:
+        fit: geometry and what was found, without what every arm has besides.
+        candidates, functions: what is on offer.
+        found: what was found.
+        tolerance: what moves the rows besides.
+        usual: as of `offered`.
+    """
+
+    fit: ModelFit
+    candidates: Sequence[Candidate]
+    functions: Sequence[Proposition]
+    found: Sequence[FoundEffect]
+    tolerance: Slack
+    usual: frozenset[tuple[str, str]] = frozenset()
+
+    def explained(self, counts: np.ndarray) -> tuple[FoundEffect, ...]:
+        """The effects that explain the rows where each counts so often, (N,), from nothing."""
+        (bank,) = offered(
+            self.fit, self.candidates, self.functions, self.found, [self.tolerance],
+            counts=counts, usual=self.usual,
+        )  # fmt: skip
+        return bank.single_effects()
+
+    def averaged(self, seed: int) -> tuple[FoundEffect, ...]:
+        """What was found, each effect and name with its probability over samples of the rows."""
+        if not self.found:
+            return ()
+        whole = self.explained(np.ones(len(self.fit.session)))
+        samples = [self.explained(c) for c in resampled(self.fit.session, SAMPLES, seed)]
+        return tuple(self._averaged(f, whole, samples) for f in self.found)
+
+    def _averaged(
+        self,
+        found: FoundEffect,
+        whole: Sequence[FoundEffect],
+        samples: Sequence[Sequence[FoundEffect]],
+    ) -> FoundEffect:
+        """An effect with the names of what stands in its place in each sample.
+
+        Columns are those of small changes: by how much fits of all rows made a name likelier than
+        its columns did, they would in a sample.
+        """
+        there, chances = 0.0, dict.fromkeys(found.names, 0.0)
+        linear = self._in_its_place(found, whole)
+        told = {} if linear is None else linear.names
+        fitted = {name: p / told[name] for name, p in found.names.items() if told.get(name)}
+        rivals = {r.name: r for r in found.rivals}
+        for effects in samples:
+            other = self._in_its_place(found, effects)
+            if other is None:
+                continue
+            there += other.there / len(samples)
+            theirs = {other.name: Candidate(other.name, other.terms)}
+            theirs |= {r.name: r.candidate for r in other.rivals}
+            likely = {name: p * fitted.get(name, 1.0) for name, p in other.names.items()}
+            for name, chance in likely.items():
+                share = other.there * chance / sum(likely.values())
+                chances[name] = chances.get(name, 0.0) + share / len(samples)
+                rivals.setdefault(name, Rival(theirs[name], found.log_bayes_factor, 0.0))
+        total = sum(chances.values())
+        if not total:
+            return replace(found, there=0.0)
+        others = [replace(r, probability=chances[n] / total) for n, r in rivals.items()]
+        return replace(
+            found,
+            there=min(there, found.there),
+            chance=chances[found.name] / total,
+            rivals=tuple(
+                sorted((r for r in others if r.name != found.name), key=lambda r: -r.probability)
+            ),
+        )
+
+    def _in_its_place(
+        self, found: FoundEffect, effects: Sequence[FoundEffect]
+    ) -> FoundEffect | None:
+        """The effect that moves the rows as it does: one that may bear its name before others."""
+        mine = self._shift(found)
+        shared = [_correlation(mine, self._shift(e)) ** 2 for e in effects]
+        alike = [(e, s) for e, s in zip(effects, shared, strict=True) if s >= SAME_ROLE]
+        namesakes = [(e, s) for e, s in alike if found.name in e.credible]
+        return max(namesakes or alike, key=lambda pair: pair[1], default=(None, 0.0))[0]
+
+    @cached_property
+    def _geometry(self) -> Marginal:
+        places = {t.key for f in self.found for t in f.terms}
+        return FitColumns(self.fit).without(places)
+
+    def _shift(self, found: FoundEffect) -> np.ndarray:
+        """(m,) what an effect adds to the rows beyond the geometry, in units of the noise."""
+        shift = shift_of(self.fit, FitColumns(self.fit), found.terms)
+        return self._geometry.project(self.fit.whitened(shift[..., None]))[:, 0]
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
