@@ -12,23 +12,25 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from longarm_comp.core.learn.sparrow import CANONICAL, Chance, Flock, Rules, diagonal_step
+from longarm_comp.core.learn.sparrow import CANONICAL, Flock, Rules, diagonal_step, normal, uniform
 
 
 class Printed(Rules):
     """Those of the paper; discoverers move as in the reference."""
 
-    def follow(self, chance: Chance, position: Tensor, leader: Tensor, flock: Flock) -> Tensor:
-        return position + diagonal_step(chance, position, leader, flock)
+    def follow(self, rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
+        return position + diagonal_step(rng, position, leader)
 
-    def starve(self, chance: Chance, position: Tensor, rank: Tensor, flock: Flock) -> Tensor:
-        quantity = chance.normal(*position.shape[:2], 1)
-        alpha = 1.0 - chance.uniform(*position.shape[:2], 1)
+    def starve(self, rng: torch.Generator, position: Tensor, rank: Tensor, flock: Flock) -> Tensor:
+        quantity = normal(rng, position, *position.shape[:2], 1)
+        alpha = 1.0 - uniform(rng, position, *position.shape[:2], 1)
         return quantity * torch.exp((flock.worst - position) / (alpha * flock.horizon))
 
-    def watch(self, chance: Chance, position: Tensor, fitness: Tensor, flock: Flock) -> Tensor:
-        beta = chance.normal(*position.shape[:2], 1)
-        k = 2.0 * chance.uniform(*position.shape[:2], 1) - 1.0
+    def watch(
+        self, rng: torch.Generator, position: Tensor, fitness: Tensor, flock: Flock
+    ) -> Tensor:
+        beta = normal(rng, position, *position.shape[:2], 1)
+        k = 2.0 * uniform(rng, position, *position.shape[:2], 1) - 1.0
         towards = flock.best + beta * (position - flock.best).abs()
         gap = (fitness - flock.worst_fitness)[..., None]
         away = position + k * torch.exp((flock.worst - position).abs() / (gap + 1e-50))

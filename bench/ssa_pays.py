@@ -65,11 +65,11 @@ def _one_seed(samples: int, seed: int) -> Iterator[tuple[str, float]]:
 
 def _adam(problem: SsaProblem, start: torch.Tensor, steps: int) -> torch.Tensor:
     """Plain first-order training, full batch: the kind of training that a start can help."""
-    weights, samples = start.clone().requires_grad_(), problem.samples
+    weights, (x, y, _) = start.clone().requires_grad_(), problem.rows
     adam = torch.optim.Adam([weights], lr=0.01)
     for _ in range(steps):
         adam.zero_grad()
-        torch.mean((problem.stack.outputs(weights, samples.x) - samples.y) ** 2).backward()
+        torch.mean((problem.stack.outputs(weights, x) - y) ** 2).backward()
         adam.step()
     return weights.detach()
 

@@ -13,7 +13,7 @@ from bench.smooth import SmoothSet, rms_mm, smooth_set
 from longarm_comp.core.learn.network import NetworkShape, TanhMembers
 from longarm_comp.core.learn.sparrow import CANONICAL, Rules, SparrowResult, SparrowSearch
 from longarm_comp.core.learn.stack import TanhStack
-from longarm_comp.core.learn.training import Fits, Samples, back_propagate
+from longarm_comp.core.learn.training import Fits, back_propagate
 
 SHAPE = NetworkShape(7, 12, 3)  # D = 135 weights
 
@@ -41,27 +41,29 @@ class SsaProblem:
         return TanhStack(SHAPE, torch.device(self.device))
 
     @cached_property
-    def samples(self) -> Samples:
-        x, y = (torch.tensor(each.T.copy(), device=self.device) for each in self.standardised)
-        return Samples(x, y, torch.ones_like(x[:1]))
+    def rows(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Inputs (1, 7, N), residuals (1, 3, N), and ones (1, N): all are used."""
+        x, y = (torch.tensor(each.T[None], device=self.device) for each in self.standardised)
+        return x, y, torch.ones_like(x[:, 0])
 
     def search(
         self, population: int, iterations: int, seed: int, rules: Rules = CANONICAL
     ) -> SparrowResult:
         """The raw search, without the guard against collapsed units."""
-        samples, bound = self.samples, torch.ones(1, SHAPE.size, device=self.device)
-        fitness = self.stack.squared_error(samples.x, samples.y, samples.used)
+        bound = torch.ones(1, SHAPE.size, device=self.device)
         search = SparrowSearch(population, iterations, rules=rules)
+        fitness = self.stack.squared_error(*self.rows)
         return search.minimise(fitness, -bound, bound, self.chance(seed))
 
     def start(self, init: str, seed: int) -> torch.Tensor:
         """Initial weights (1, D), by a search of 50 sparrows and 50 iterations or Xavier's."""
-        samples = self.samples
-        fitness = self.stack.squared_error(samples.x, samples.y, samples.used)
-        return self.stack.starts(init, 1, fitness, self.chance(seed), SparrowSearch(50, 50))
+        chance, fitness = self.chance(seed), self.stack.squared_error(*self.rows)
+        if init == "xavier":
+            return self.stack.xavier_starts(1, chance)
+        return self.stack.sparrow_starts(fitness, 1, chance, SparrowSearch(50, 50))
 
     def fit(self, start: torch.Tensor, max_steps: int = 150) -> Fits:
-        return back_propagate(self.stack, start.double(), self.samples, max_steps)
+        return back_propagate(self.stack, start.double(), *self.rows, max_steps=max_steps)
 
     def chance(self, seed: int) -> torch.Generator:
         return torch.Generator(self.device).manual_seed(seed)

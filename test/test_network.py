@@ -7,10 +7,11 @@ import pytest
 import torch
 
 from bench.ssa_problem import SsaProblem
+from longarm_comp.core.learn.ensemble import _Learner
 from longarm_comp.core.learn.network import NetworkShape, TanhMembers
 from longarm_comp.core.learn.sparrow import SparrowSearch
 from longarm_comp.core.learn.stack import Stack, TanhNetwork, TanhStack, hidden_alike
-from longarm_comp.core.learn.training import Samples, back_propagate
+from longarm_comp.core.learn.training import back_propagate
 
 SHAPE = NetworkShape(4, 5, 3)
 CPU = torch.device("cpu")
@@ -22,13 +23,12 @@ def stack(shape=SHAPE):
 
 def samples(x, y, many=1):
     """Of rows (N, d) and (N, k), for many networks."""
-    x, y = (torch.tensor(np.ascontiguousarray(a.T)) for a in (x, y))
-    return Samples(x, y, torch.ones(many, x.shape[1], dtype=torch.float64))
+    x, y = (torch.tensor(a.T).repeat(many, 1, 1) for a in (x, y))
+    return x, y, torch.ones_like(x[:, 0])
 
 
 def xavier(shape, seed, many=1):
-    chance = torch.Generator().manual_seed(seed)
-    return stack(shape).starts("xavier", many, None, chance, SparrowSearch())
+    return stack(shape).xavier_starts(many, torch.Generator().manual_seed(seed))
 
 
 def outputs(shape, weights, x):
@@ -46,7 +46,7 @@ def problem():
 def test_the_module_the_stack_and_what_is_served_are_one_network(problem):
     x, _, weights = problem
     served = TanhMembers(SHAPE, weights).outputs(x)
-    columns = torch.tensor(x.T.copy())
+    columns = torch.tensor(x.T).expand(2, -1, -1)
     many = stack().outputs(torch.tensor(weights), columns).mT
     module = TanhNetwork(SHAPE).double()
     torch.nn.utils.vector_to_parameters(torch.tensor(weights[1]), module.parameters())
@@ -89,16 +89,17 @@ def test_slope_is_the_central_difference_and_its_step_keeps_the_error(problem):
 @pytest.mark.parametrize("kind", ["the paper's own", "any module's"])
 def test_normal_equations_are_those_of_the_explicit_jacobian(problem, kind):
     x, y, weights = problem
-    s = samples(x, y, 2)
+    columns, targets, _ = samples(x, y, 2)
     row = torch.rand(2, 40, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     of = stack() if kind == "the paper's own" else Stack(TanhNetwork(SHAPE))
-    matrix, gradient, residual = of.normal_equations(torch.tensor(weights), s.x, s.y, row)
+    residual = targets - of.outputs(torch.tensor(weights), columns)
+    matrix, gradient = of.normal_equations(torch.tensor(weights), columns, residual, row)
     for k in range(2):
         jacobian = TanhMembers(SHAPE, weights[k : k + 1]).jacobian(x)
         weighted = jacobian * row[k].numpy()[:, None, None]
         left = y - outputs(SHAPE, weights[k : k + 1], x)[0]
         np.testing.assert_allclose(
-            matrix[k], np.einsum("nki,nkj->ij", weighted, jacobian), atol=1e-10
+            matrix[k].tril(), np.tril(np.einsum("nki,nkj->ij", weighted, jacobian)), atol=1e-10
         )
         np.testing.assert_allclose(gradient[k], np.einsum("nki,nk->i", weighted, left), atol=1e-10)
         np.testing.assert_allclose(residual[k].T, left, atol=1e-13)
@@ -106,24 +107,26 @@ def test_normal_equations_are_those_of_the_explicit_jacobian(problem, kind):
 
 def test_normal_equations_in_blocks_of_rows_are_the_same(problem, monkeypatch):
     x, y, weights = problem
-    s = samples(x, y, 2)
-    whole = stack().normal_equations(torch.tensor(weights), s.x, s.y, s.used)
+    columns, targets, used = samples(x, y, 2)
+    weights = torch.tensor(weights)
+    left = targets - stack().outputs(weights, columns)
+    whole = stack().normal_equations(weights, columns, left, used)
     monkeypatch.setattr(
         "longarm_comp.core.learn.stack._held", lambda device: 1300
     )  # 7 rows or less
     for of in (stack(), Stack(TanhNetwork(SHAPE))):
-        for a, b in zip(whole, of.normal_equations(torch.tensor(weights), s.x, s.y, s.used),
-                        strict=True):  # fmt: skip
-            np.testing.assert_allclose(a, b, atol=1e-10)
+        matrix, gradient = of.normal_equations(weights, columns, left, used)
+        np.testing.assert_allclose(matrix.tril(), whole[0].tril(), atol=1e-10)
+        np.testing.assert_allclose(gradient, whole[1], atol=1e-10)
 
 
 def test_population_fitness_is_the_mean_squared_error_of_each(problem):
     x, y, _ = problem
     rng = np.random.default_rng(2)
     population = rng.normal(size=(2, 70, SHAPE.size)) * 3
-    s = samples(x, y, 2)
-    s.used[1, 30:] = 0.0  # rows that the second network lacks
-    found = stack().squared_error(s.x, s.y, s.used)(torch.tensor(population))
+    columns, targets, used = samples(x, y, 2)
+    used[1, 30:] = 0.0  # rows that the second network lacks
+    found = stack().squared_error(columns, targets, used)(torch.tensor(population))
     for network, rows in ((0, 40), (1, 30)):
         each = outputs(SHAPE, population[network], x[:rows]) - y[:rows]
         np.testing.assert_allclose(found[network], np.mean(each**2, axis=(1, 2)), rtol=1e-5)
@@ -131,9 +134,8 @@ def test_population_fitness_is_the_mean_squared_error_of_each(problem):
 
 def test_population_fitness_survives_saturated_units(problem):
     x, y, weights = problem
-    s = samples(x, y)
     huge = torch.tensor(np.stack((weights[0] * 1e4, -weights[0] * 1e4))[None])
-    assert stack().squared_error(s.x, s.y, s.used)(huge).isfinite().all()
+    assert stack().squared_error(*samples(x, y))(huge).isfinite().all()
 
 
 def test_groups_cover_every_weight_once_per_input():
@@ -157,7 +159,7 @@ def test_training_finds_the_noise_and_the_input_that_does_not_matter():
     x = rng.normal(size=(400, 3))
     truth, y = bent(rng, x, 0.1)
     shape = NetworkShape(3, 10, 3)
-    fit = back_propagate(stack(shape), xavier(shape, 3), samples(x, y))
+    fit = back_propagate(stack(shape), xavier(shape, 3), *samples(x, y))
     error = outputs(shape, fit.weights, x)[0] - truth
     assert np.sqrt(np.mean(error**2)) < 0.05
     assert 0.085 < fit.sigma[0] < 0.115
@@ -172,7 +174,7 @@ def test_evidence_of_a_linear_network_is_its_exact_marginal_likelihood():
     y = x @ [[1.0], [-0.5]] + 0.3 + 0.2 * rng.normal(size=(50, 1))
     line = Stack(torch.nn.Linear(2, 1).double())
     start = torch.zeros(1, 3, dtype=torch.float64)
-    fit = back_propagate(line, start, samples(x, y))
+    fit = back_propagate(line, start, *samples(x, y))
     of_weight, of_bias = 1.0 / fit.relevance[0].numpy()
     spread = of_weight * x @ x.T + of_bias + float(fit.sigma[0]) ** 2 * np.eye(50)
     _, log = np.linalg.slogdet(2 * np.pi * spread)
@@ -188,7 +190,7 @@ def test_gross_outliers_are_weighted_down_and_do_not_spoil_the_fit():
     wrong, bad = y.copy(), rng.permutation(400)[:12]  # 3 %
     wrong[bad] += rng.choice([-3.0, 3.0], (12, 3))
     clean, spoiled = (
-        back_propagate(stack(shape), xavier(shape, 4), samples(x, one)) for one in (y, wrong)
+        back_propagate(stack(shape), xavier(shape, 4), *samples(x, one)) for one in (y, wrong)
     )
     robust = spoiled.row_weights[0].numpy()
     assert robust[bad].max() < 0.1 < np.delete(robust, bad).min()
@@ -204,26 +206,44 @@ def test_a_batch_trains_each_network_as_if_it_were_alone():
     rng = np.random.default_rng(5)
     x = rng.normal(size=(60, 3))
     _, y = bent(rng, x, 0.1)
-    shape, batch, start = (
-        NetworkShape(3, 4, 3),
-        samples(x, y, 3),
-        xavier(NetworkShape(3, 4, 3), 1, 3),
-    )
-    batch.used[1, 50:] = 0.0
-    fits = back_propagate(stack(shape), start, batch)
+    shape, batch = NetworkShape(3, 4, 3), samples(x, y, 3)
+    start = xavier(shape, 1, 3)
+    batch[2][1, 50:] = 0.0
+    fits = back_propagate(stack(shape), start, *batch)
     for k, n in enumerate((60, 50, 60)):
-        alone = back_propagate(stack(shape), start[k : k + 1], samples(x[:n], y[:n]))
+        alone = back_propagate(stack(shape), start[k : k + 1], *samples(x[:n], y[:n]))
         np.testing.assert_allclose(fits.weights[k], alone.weights[0], rtol=1e-4, atol=1e-5)
         np.testing.assert_allclose(fits.evidence[k], alone.evidence[0], rtol=1e-6)
         np.testing.assert_allclose(fits.posterior[k], alone.posterior[0], rtol=1e-3, atol=1e-4)
 
 
+def test_a_network_of_a_batch_learns_its_own_rows_alone():
+    """As the folds do, also where they have not equally many."""
+    rng = np.random.default_rng(6)
+    x = rng.normal(size=(60, 3))
+    _, y = bent(rng, x, 0.1)
+    rows = rng.random((1, 60)) < 0.7
+
+    def fits(x, y, rows):
+        return _Learner(x, y, "xavier", 0, (4, 1), None, CPU).fits(3, rows)
+
+    (own,) = fits(x, y, rows)
+    (alone,) = fits(x[rows[0]], y[rows[0]], np.ones((1, rows.sum()), bool))
+    np.testing.assert_array_equal(own.weights, alone.weights)
+    fewer = np.concatenate((rows, np.ones((1, 60), bool)))
+    elsewhere = np.where(rows.T, x, 9.0)  # what the first network does not learn
+    first, second = (fits(each, y, fewer) for each in (x, elsewhere))
+    np.testing.assert_array_equal(first[0].weights, second[0].weights)
+    assert not np.array_equal(first[1].weights, second[1].weights)
+
+
 def test_sixty_sparrow_starts_have_no_collapsed_units():
     problem, shape = SsaProblem.of(300), NetworkShape(7, 12, 3)
-    s, many = problem.samples, 60
-    fitness = problem.stack.squared_error(s.x, s.y, s.used.expand(many, -1))
-    chance = torch.Generator().manual_seed(0)
-    starts = problem.stack.starts("ssa", many, fitness, chance, SparrowSearch(20, 20))
+    many, chance = 60, torch.Generator().manual_seed(0)
+    fitness = problem.stack.squared_error(
+        *(each.expand(60, *each.shape[1:]) for each in problem.rows)
+    )
+    starts = problem.stack.sparrow_starts(fitness, many, chance, SparrowSearch(20, 20))
     assert not hidden_alike(shape.split(starts)[0]).any()
     assert len(starts.unique(dim=0)) == many
 
@@ -245,6 +265,6 @@ def test_a_collapsed_start_is_found_and_separated_without_touching_the_rest():
             return At
 
     chance = torch.Generator().manual_seed(7)
-    apart = SHAPE.split(stack().starts("ssa", 1, None, chance, Found()))[0]
+    apart = SHAPE.split(stack().sparrow_starts(None, 1, chance, Found()))[0]
     assert not hidden_alike(apart).any()
     np.testing.assert_array_equal(apart[0, :, :3], v[0, :, :3])

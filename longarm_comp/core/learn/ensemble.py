@@ -169,15 +169,20 @@ class _Learner:
 
         from longarm_comp.core.learn.sparrow import SparrowSearch
         from longarm_comp.core.learn.stack import TanhStack
-        from longarm_comp.core.learn.training import Samples, back_propagate
+        from longarm_comp.core.learn.training import back_propagate
 
+        most = int(rows.sum(axis=1).max())  # rows of fewer are filled up with ones not used
+        own = np.argsort(~rows, axis=1, kind="stable")[:, :most]
         x, y, used = (
             torch.tensor(np.ascontiguousarray(each), dtype=torch.float64, device=self.device)
-            for each in (self.x.T, self.target.T, rows)
-        )
+            for each in (
+                self.x[own].swapaxes(1, 2), self.target[own].swapaxes(1, 2),
+                np.take_along_axis(rows, own, axis=1),
+            )
+        )  # fmt: skip
         many, tags = len(rows), [self.seed, units, *rows.sum(axis=1).tolist()]
         number = int(np.random.SeedSequence(tags).generate_state(1, np.uint64)[0])
-        shape = NetworkShape(len(x), units, len(y))
+        shape = NetworkShape(x.shape[1], units, y.shape[1])
         # These products are small: threads would wait for each other, for long on a busy computer
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
@@ -189,8 +194,13 @@ class _Learner:
                 stack = TanhStack(shape, self.device)
                 rng = torch.Generator(self.device).manual_seed(number)
                 fitness = stack.squared_error(x, y, used)
-                start = stack.starts(self.init, many, fitness, rng, SparrowSearch(*self.search))
-            found = back_propagate(stack, start, Samples(x, y, used))
+                search = SparrowSearch(*self.search)
+                start = (
+                    stack.xavier_starts(many, rng)
+                    if self.init == "xavier"
+                    else stack.sparrow_starts(fitness, many, rng, search)
+                )
+            found = back_propagate(stack, start, x, y, used)
         finally:
             torch.set_num_threads(threads)
         # equal optima: hidden units permuted, signs flipped

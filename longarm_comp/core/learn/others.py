@@ -75,14 +75,16 @@ class TorchMembers:
     weights: torch.Tensor  # (M, D)
 
     def outputs(self, x: Array) -> Array:
-        return self.stack.outputs(self.weights, torch.as_tensor(x.T)).mT.numpy()
+        columns = torch.as_tensor(x.T).expand(len(self.weights), -1, -1)
+        return self.stack.outputs(self.weights, columns).mT.numpy()
 
     def jacobian(self, x: Array) -> Array:
-        return self.stack.jacobian(self.weights[:1], torch.as_tensor(x.T))[0].numpy()
+        return self.stack.jacobian(self.weights[:1], torch.as_tensor(x.T)[None])[0].numpy()
 
     def slope(self, x: Array, moved: NDArray[np.bool_], error: float) -> tuple[Array, float]:
         def mean(x: torch.Tensor) -> torch.Tensor:
-            return self.stack.outputs(self.weights, x[:, None]).mean(dim=0)[:, 0]
+            columns = x[None, :, None].expand(len(self.weights), -1, -1)
+            return self.stack.outputs(self.weights, columns).mean(dim=0)[:, 0]
 
         slope = torch.func.jacrev(mean)(torch.as_tensor(x)).numpy()
         return slope[:, moved], 0.0  # how far it holds is not known

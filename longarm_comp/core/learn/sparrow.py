@@ -41,18 +41,14 @@ Fitness = Callable[[Tensor], Tensor]
 _PD, _SD, _ST = 0.2, 0.1, 0.8  # those of the reference code
 
 
-class Chance:
-    """Random numbers like a tensor, of one generator."""
+def uniform(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
+    """Random numbers within [0, 1), of the kind of another tensor."""
+    return like.new_empty(size).uniform_(generator=rng)
 
-    def __init__(self, rng: torch.Generator, like: Tensor) -> None:
-        self._how = {"generator": rng, "dtype": like.dtype, "device": like.device}
 
-    def uniform(self, *size: int) -> Tensor:
-        """Within [0, 1)."""
-        return torch.rand(size, **self._how)  # type: ignore[call-overload, no-any-return]
-
-    def normal(self, *size: int) -> Tensor:
-        return torch.randn(size, **self._how)  # type: ignore[call-overload, no-any-return]
+def normal(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
+    """Random numbers of mean 0 and variance 1, of the kind of another tensor."""
+    return like.new_empty(size).normal_(generator=rng)
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,6 @@ class Flock:
     worst: Tensor  # (M, 1, D)
     best_fitness: Tensor  # (M, 1)
     worst_fitness: Tensor  # (M, 1)
-    dims: Tensor  # (M, 1, 1), D without dimensions that are fixed
     horizon: int  # T, iterations in all
 
 
@@ -71,33 +66,37 @@ class Rules:
     """The four moves of the algorithm; each takes and returns (M, m, D) positions."""
 
     def discover(
-        self, chance: Chance, position: Tensor, rank: Tensor, horizon: int, alarmed: Tensor
+        self, rng: torch.Generator, position: Tensor, rank: Tensor, horizon: int, alarmed: Tensor
     ) -> Tensor:
         """Eq. (6): contract while calm, jump along the diagonal when alarmed (M, 1, 1)."""
-        alpha = 1.0 - chance.uniform(*position.shape[:2])  # (0, 1]
+        alpha = 1.0 - uniform(rng, position, *position.shape[:2])  # (0, 1]
         calm = position * torch.exp(-rank / (alpha * horizon))[..., None]
-        return torch.where(alarmed, position + chance.normal(*position.shape[:2], 1), calm)
+        return torch.where(alarmed, position + normal(rng, position, *position.shape[:2], 1), calm)
 
-    def follow(self, chance: Chance, position: Tensor, leader: Tensor, flock: Flock) -> Tensor:
-        return leader + diagonal_step(chance, position, leader, flock)
+    def follow(self, rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
+        return leader + diagonal_step(rng, position, leader)
 
-    def starve(self, chance: Chance, position: Tensor, rank: Tensor, flock: Flock) -> Tensor:
-        quantity = chance.normal(*position.shape[:2], 1)
+    def starve(self, rng: torch.Generator, position: Tensor, rank: Tensor, flock: Flock) -> Tensor:
+        quantity = normal(rng, position, *position.shape[:2], 1)
         return quantity * torch.exp((flock.worst - position) / rank[:, None] ** 2)
 
-    def watch(self, chance: Chance, position: Tensor, fitness: Tensor, flock: Flock) -> Tensor:
-        towards = flock.best + chance.normal(*position.shape) * (position - flock.best).abs()
-        k = 2.0 * chance.uniform(*position.shape[:2], 1) - 1.0
+    def watch(
+        self, rng: torch.Generator, position: Tensor, fitness: Tensor, flock: Flock
+    ) -> Tensor:
+        towards = (
+            flock.best + normal(rng, position, *position.shape) * (position - flock.best).abs()
+        )
+        k = 2.0 * uniform(rng, position, *position.shape[:2], 1) - 1.0
         gap = (fitness - flock.worst_fitness)[..., None]
         step = k * (position - flock.worst).abs()
         away = position + torch.where(gap < 0, step / gap, 0.0)
         return torch.where((fitness > flock.best_fitness)[..., None], towards, away)
 
 
-def diagonal_step(chance: Chance, position: Tensor, leader: Tensor, flock: Flock) -> Tensor:
+def diagonal_step(rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
     """``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension."""
-    sign = torch.where(chance.uniform(*position.shape) < 0.5, -1.0, 1.0)
-    return ((position - leader) * sign).sum(dim=2, keepdim=True) / flock.dims
+    sign = torch.where(uniform(rng, position, *position.shape) < 0.5, -1.0, 1.0)
+    return ((position - leader) * sign).mean(dim=2, keepdim=True)
 
 
 CANONICAL = Rules()
@@ -130,23 +129,21 @@ class SparrowSearch:
         """Minimise ``fitness`` over the boxes ``lower <= x <= upper``, (M, D) each, at once.
 
         Args:
-            fitness: NaN counts as infinitely bad. A dimension with ``lower == upper`` is fixed.
+            fitness: NaN counts as infinitely bad.
             rng: the only source of randomness; the same state gives the same result.
 
         Raises:
             InputError: no box.
         """
         fits = lower.ndim == 2 and lower.shape == upper.shape
-        if not fits or not ((lower <= upper) & (upper - lower).isfinite()).all():
-            allowed = "(M, D) finite with lower <= upper"
+        if not fits or not ((lower < upper) & (upper - lower).isfinite()).all():
+            allowed = "(M, D) finite with lower < upper"
             raise InputError("sparrow search", "bounds", (lower, upper), allowed)
-        chance, rules = Chance(rng, lower), self.rules
-        (many, size), n, horizon = lower.shape, self.population, self.iterations
+        (many, size), n, horizon, rules = lower.shape, self.population, self.iterations, self.rules
         lead = max(1, round(_PD * n))
         half = max(lead, n // 2)
         watchers = max(1, round(_SD * n))
         rank = torch.arange(1, n + 1, dtype=lower.dtype, device=lower.device)
-        dims = (upper > lower).sum(dim=1).clamp(min=1)[:, None, None]
         low, high = lower[:, None], upper[:, None]
 
         def evaluate(position: Tensor) -> Tensor:
@@ -161,9 +158,9 @@ class SparrowSearch:
         def flock(home: Tensor, value: Tensor, now: Tensor, now_value: Tensor) -> Flock:
             best, at = value.min(dim=1, keepdim=True)
             worst, worst_at = now_value.max(dim=1, keepdim=True)
-            return Flock(rows(home, at), rows(now, worst_at), best, worst, dims, horizon)
+            return Flock(rows(home, at), rows(now, worst_at), best, worst, horizon)
 
-        home = low + (high - low) * chance.uniform(many, n, size)  # personal bests
+        home = low + (high - low) * uniform(rng, lower, many, n, size)  # personal bests
         value = evaluate(home)
         history = [value.amin(dim=1)]
         now, now_value = home, value
@@ -171,12 +168,12 @@ class SparrowSearch:
             value, order = value.sort(dim=1, stable=True)
             home = rows(home, order)
             before = flock(home, value, now, now_value)
-            alarmed = chance.uniform(many, 1, 1) >= _ST
-            leaders = clip(rules.discover(chance, home[:, :lead], rank[:lead], horizon, alarmed))
+            alarmed = uniform(rng, lower, many, 1, 1) >= _ST
+            leaders = clip(rules.discover(rng, home[:, :lead], rank[:lead], horizon, alarmed))
             leader_value = evaluate(leaders)
             leader = rows(leaders, leader_value.argmin(dim=1, keepdim=True))
-            followers = rules.follow(chance, home[:, lead:half], leader, before)
-            starving = rules.starve(chance, home[:, half:], rank[half:], before)
+            followers = rules.follow(rng, home[:, lead:half], leader)
+            starving = rules.starve(rng, home[:, half:], rank[half:], before)
             rest = clip(torch.cat((followers, starving), dim=1))
             now = torch.cat((leaders, rest), dim=1)
             now_value = torch.cat((leader_value, evaluate(rest)), dim=1)
@@ -184,10 +181,10 @@ class SparrowSearch:
             home = torch.where(better[..., None], now, home)
             value = torch.where(better, now_value, value)
 
-            watching = chance.uniform(many, n).topk(watchers).indices
+            watching = uniform(rng, lower, many, n).topk(watchers).indices
             own, own_value = rows(home, watching), value.gather(1, watching)
             after = flock(home, value, now, now_value)
-            moved = clip(rules.watch(chance, own, own_value, after))
+            moved = clip(rules.watch(rng, own, own_value, after))
             moved_value = evaluate(moved)
             at = watching[..., None].expand(-1, -1, size)
             now, now_value = now.scatter(1, at, moved), now_value.scatter(1, watching, moved_value)

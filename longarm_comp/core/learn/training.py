@@ -28,15 +28,6 @@ _TRIES = 10  # of a step, each with more damping
 
 
 @dataclass(frozen=True)
-class Samples:
-    """What M networks learn, standardised."""
-
-    x: Tensor  # (d, N)
-    y: Tensor  # (k, N)
-    used: Tensor  # (M, N) 1, or 0 for a row that a network does not learn
-
-
-@dataclass(frozen=True)
 class Fits:
     """Trained networks in standardised units, the first index."""
 
@@ -54,77 +45,86 @@ class _State:
     """Networks that train, the first index."""
 
     place: Tensor  # (M,) which of all they are
+    x: Tensor  # (M, d, N)
+    y: Tensor  # (M, k, N)
     used: Tensor  # (M, N)
-    weights: Tensor
+    weights: Tensor  # (M, D)
     robust: Tensor  # (M, N)
     alpha: Tensor  # (M, G)
-    beta: Tensor  # (M,)
-    tail: Tensor  # (M,)
-    damping: Tensor  # (M,)
-    settled: Tensor  # (M,)
-    effective: Tensor  # (M,)
-    matrix: Tensor
-    gradient: Tensor
-    residual: Tensor
+    beta: Tensor  # beta, tail, damping, settled, effective: (M,)
+    tail: Tensor
+    damping: Tensor
+    settled: Tensor
+    effective: Tensor
+    residual: Tensor  # (M, k, N)
 
     def take(self, index: Tensor) -> _State:
         return _State(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
-def back_propagate(stack: Stack, start: Tensor, samples: Samples, max_steps: int = 150) -> Fits:
-    """Train from ``start`` (M, D)."""
+def back_propagate(
+    stack: Stack, start: Tensor, x: Tensor, y: Tensor, used: Tensor, max_steps: int = 150
+) -> Fits:
+    """Train from ``start`` (M, D).
+
+    Args:
+        x, y: (M, d, N) and (M, k, N), standardised.
+        used: (M, N) 1, or 0 for a row that a network does not learn.
+    """
     full = start.new_ones(len(start))
     state = _State(
-        torch.arange(len(start), device=start.device), samples.used, start, samples.used,
+        torch.arange(len(start), device=start.device), x, y, used, start, used,
         0.1 * full[:, None].expand(-1, int(stack.groups.max()) + 1), 10.0 * full,
-        _TAILS[-1] * full, 1e-2 * full, 0.0 * full, 0.0 * full,
-        *stack.normal_equations(start, samples.x, samples.y, samples.used),
+        _TAILS[-1] * full, 1e-2 * full, 0.0 * full, 0.0 * full, y - stack.outputs(start, x),
     )  # fmt: skip
+    equations = stack.normal_equations(start, x, state.residual, used)
     parts = []
     for step in range(1, max_steps + 1):
-        stuck = _move(stack, samples, state)
+        stuck = _move(stack, state, *equations)
         if step > _PLAIN_STEPS:
             _robust_weights(state)
-        state.matrix, state.gradient, state.residual = stack.normal_equations(
-            state.weights, samples.x, samples.y, state.robust
-        )
+        equations = stack.normal_equations(state.weights, state.x, state.residual, state.robust)
         if step > _PLAIN_STEPS:
-            change = _evidence_step(stack, state)
+            change = _evidence_step(stack, state, equations[0])
             state.settled = torch.where(change < _SETTLED, state.settled + stuck + 1.0, 0.0)
         done = (state.settled >= _SETTLED_STEPS) | (step == max_steps)
         if done.any():
-            parts.append(state.take(done))
-            state = state.take(~done)
+            parts.append((state.place[done], _fits(stack, state.take(done), equations[0][done])))
             if done.all():
                 break
-    joined = _State(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(_State)))
-    return _fits(stack, joined.take(joined.place.argsort()))
+            state, equations = state.take(~done), (equations[0][~done], equations[1][~done])
+    order = torch.cat([place for place, _ in parts]).argsort()
+    return Fits(*(torch.cat([getattr(p, f.name) for _, p in parts])[order] for f in fields(Fits)))
 
 
-def _move(stack: Stack, samples: Samples, state: _State) -> Tensor:
+def _move(stack: Stack, state: _State, matrix: Tensor, gradient: Tensor) -> Tensor:
     """One damped Gauss-Newton step of each network; returns (M,) 1 where none lowers the cost."""
     prior = state.alpha[:, stack.groups]
-    pull = state.beta[:, None] * state.gradient - prior * state.weights
-    curvature = state.beta[:, None, None] * state.matrix
+    pull = state.beta[:, None] * gradient - prior * state.weights
+    curvature = state.beta[:, None, None] * matrix
     diagonal = curvature.diagonal(dim1=1, dim2=2) + prior
     before = _cost(state.residual, state.weights, state.robust, prior, state.beta)
-    weights, damping = state.weights.clone(), state.damping.clone()
+    weights, residual, damping = (
+        each.clone() for each in (state.weights, state.residual, state.damping)
+    )
     open_ = torch.arange(len(pull), device=pull.device)
     for _ in range(_TRIES):
         system = curvature[open_]
         system.diagonal(dim1=1, dim2=2).add_(prior[open_] + damping[open_, None] * diagonal[open_])
         factor, _ = torch.linalg.cholesky_ex(system)
-        there = state.weights[open_] + torch.cholesky_solve(pull[open_, :, None], factor)[..., 0]
-        left = samples.y - stack.outputs(there, samples.x)
+        half = torch.linalg.solve_triangular(factor, pull[open_, :, None], upper=False)
+        step = torch.linalg.solve_triangular(factor.mT, half, upper=True)[..., 0]
+        there = state.weights[open_] + step
+        left = state.y[open_] - stack.outputs(there, state.x[open_])
         cost = _cost(left, there, state.robust[open_], prior[open_], state.beta[open_])
         lower = cost < before[open_]
         good, open_ = open_[lower], open_[~lower]
-        weights[good], state.residual[good] = there[lower], left[lower]
+        weights[good], residual[good] = there[lower], left[lower]
         damping[good] = (damping[good] / 5.0).clamp(min=1e-9)
         if not len(open_):
             break
         damping[open_] = (damping[open_] * 4.0).clamp(max=1e8)
-    state.weights, state.damping = weights, damping
+    state.weights, state.residual, state.damping = weights, residual, damping
     return torch.zeros_like(state.beta).index_fill(0, open_, 1.0)
 
 
@@ -151,18 +151,31 @@ def _student_log(square: Tensor, nu: Tensor, used: Tensor, k: int) -> Tensor:
     return constant * used.sum(1, keepdim=True) - half * logs[..., 0]
 
 
-def _laplace(state: _State, prior: Tensor) -> tuple[Tensor, Tensor]:
+def _laplace(state: _State, matrix: Tensor, prior: Tensor) -> tuple[Tensor, Tensor]:
     """Lower triangle L of the posterior's precision, and its inverse."""
-    precision = state.beta[:, None, None] * state.matrix
+    precision = state.beta[:, None, None] * matrix
     precision.diagonal(dim1=1, dim2=2).add_(prior)
     factor = torch.linalg.cholesky(precision)
-    eye = torch.eye(factor.shape[1], dtype=factor.dtype, device=factor.device)
-    return factor, torch.linalg.solve_triangular(factor, eye, upper=False)
+    return factor, _inverse(factor)
 
 
-def _evidence_step(stack: Stack, state: _State) -> Tensor:
+def _inverse(lower: Tensor) -> Tensor:
+    """Of lower triangles (M, D, D). In halves: half of a right-hand side of ones is zeros."""
+    size = lower.shape[1]
+    if size <= 96:
+        eye = torch.eye(size, dtype=lower.dtype, device=lower.device)
+        return torch.linalg.solve_triangular(lower, eye, upper=False)
+    first, second = slice(0, size // 2), slice(size // 2, size)
+    inverse = torch.zeros_like(lower)
+    inverse[:, first, first] = left = _inverse(lower[:, first, first])
+    inverse[:, second, second] = right = _inverse(lower[:, second, second])
+    inverse[:, second, first] = -right @ (lower[:, second, first] @ left)
+    return inverse
+
+
+def _evidence_step(stack: Stack, state: _State, matrix: Tensor) -> Tensor:
     """Re-estimate alpha, beta and the effective weights; returns the change of log beta (M,)."""
-    _, inverse = _laplace(state, state.alpha[:, stack.groups])
+    _, inverse = _laplace(state, matrix, state.alpha[:, stack.groups])
 
     def by_group(each: Tensor) -> Tensor:
         return torch.zeros_like(state.alpha).index_add(1, stack.groups, each)
@@ -179,9 +192,9 @@ def _evidence_step(stack: Stack, state: _State) -> Tensor:
     return (state.beta / before).log().abs()
 
 
-def _fits(stack: Stack, state: _State) -> Fits:
+def _fits(stack: Stack, state: _State, matrix: Tensor) -> Fits:
     prior, k = state.alpha[:, stack.groups], state.residual.shape[1]
-    factor, inverse = _laplace(state, prior)
+    factor, inverse = _laplace(state, matrix, prior)
     square = state.beta[:, None] * state.residual.square().sum(1)
     evidence = (
         _student_log(square, state.tail[:, None], state.used, k)[:, 0]
