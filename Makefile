@@ -35,15 +35,14 @@ $(STAMPS)/ros: requirements/ros.txt | $(STAMPS)/python
 # PyTorch without CUDA's libraries, which take several GB: of the index, else PyTorch's own; where
 # neither answers, what the index has. Another one: make setup TORCH='torch==2.9.1'
 CPU_TORCH := torch==2.13.0+cpu
-$(STAMPS)/torch: | $(STAMPS)/python
 ifdef TORCH
-	$(INSTALL) '$(TORCH)'
 .PHONY: $(STAMPS)/torch
-else
-	@$(INSTALL) --no-deps '$(CPU_TORCH)' 2>/dev/null || $(INSTALL) --no-deps --retries 0 --timeout 5 \
-	  --index-url https://download.pytorch.org/whl/cpu '$(CPU_TORCH)' 2>/dev/null || \
-	  { echo 'No torch without CUDA here: the one of the index' >&2; $(INSTALL) 'torch>=2.4'; }
 endif
+$(STAMPS)/torch: | $(STAMPS)/python
+	@if [ -n "$(TORCH)" ]; then $(INSTALL) '$(TORCH)'; else \
+	  $(INSTALL) --no-deps '$(CPU_TORCH)' 2>/dev/null || $(INSTALL) --no-deps --retries 0 --timeout 5 \
+	  --index-url https://download.pytorch.org/whl/cpu '$(CPU_TORCH)' 2>/dev/null || \
+	  { echo 'No torch without CUDA here: the one of the index' >&2; $(INSTALL) 'torch>=2.4'; }; fi
 	@touch $@
 
 INTERFACES := $(shell find longarm_interfaces -type f -not -path '*/build/*')

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,26 +64,12 @@ class NetworkShape:
         return np.concatenate((v[:, : self.hidden].ravel(), w[: self.hidden].ravel(), b))
 
 
-class Members(Protocol):
-    """Trained networks of an ensemble, in standardised units, (M, D) weights."""
-
-    def outputs(self, x: Array) -> Array:
-        """(M, N, k) of inputs (N, d)."""
-
-    def jacobian(self, x: Array) -> Array:
-        """(N, k, D): of the first member's outputs by its weights."""
-
-    def slope(self, x: Array, moved: NDArray[np.bool_], error: float) -> tuple[Array, float]:
-        """Slope (k, m) of the mean at inputs (d,), by the m moved ones, and the step of all of them
-        within which it is accurate to ``error``; 0 where that is not known."""
-
-
 @dataclass(frozen=True)
 class TanhMembers:
-    """Networks of one shape."""
+    """Trained networks, in standardised units; `others.TorchMembers` does the same."""
 
     shape: NetworkShape
-    weights: Array
+    weights: Array  # (M, D)
 
     @cached_property
     def _products(self) -> tuple[Array, Array]:
@@ -92,11 +78,13 @@ class TanhMembers:
         return np.concatenate(v, axis=1), np.concatenate(w) / len(w)
 
     def outputs(self, x: Array) -> Array:
+        """(M, N, k) of inputs (N, d)."""
         v, w, b = self.shape.split(self.weights)
         made: Array = np.tanh(_with_ones(x) @ v) @ w + b[:, None, :]
         return made
 
     def jacobian(self, x: Array) -> Array:
+        """(N, k, D): of the first member's outputs by its weights."""
         v, w, _ = self.shape.split(self.weights[0])
         x1, k = _with_ones(x), self.shape.outputs
         z = np.tanh(x1 @ v)
@@ -108,6 +96,8 @@ class TanhMembers:
         return made
 
     def slope(self, x: Array, moved: NDArray[np.bool_], error: float) -> tuple[Array, float]:
+        """Slope (k, m) of the mean at inputs (d,), by the m moved ones, and the step of all of them
+        within which it is accurate to ``error``; 0 where that is not known."""
         hidden, output = self._products
         z = np.tanh(x @ hidden[:-1] + hidden[-1])
         bend, rates = 1.0 - z * z, hidden[:-1][moved]

@@ -29,10 +29,10 @@ from longarm_comp.core.compensation.expansion import LINEAR_M, Expansion
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.inputs import Encoding, check_rows, raw_names
-from longarm_comp.core.learn.network import Members, NetworkShape, TanhMembers
+from longarm_comp.core.learn.network import NetworkShape, TanhMembers
 
 if TYPE_CHECKING:
-    from longarm_comp.core.learn.others import NetworkKind
+    from longarm_comp.core.learn.others import NetworkKind, TorchMembers
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ class Predictor:
     network: NetworkKind | None = None  # None: the paper's, which needs no torch
 
     @cached_property
-    def members(self) -> Members:
+    def members(self) -> TanhMembers | TorchMembers:
         inputs, outputs = len(self.encoding.kept), len(self.offset)
         if self.network is not None:
             return self.network.members(inputs, outputs, self.weights)

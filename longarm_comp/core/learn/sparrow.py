@@ -106,7 +106,6 @@ CANONICAL = Rules()
 class SparrowResult:
     position: Tensor  # (M, D) best positions found
     fitness: Tensor  # (M,)
-    history: Tensor  # (T + 1, M) best fitness after each iteration, the start first
     evaluations: int  # of each search
 
 
@@ -162,7 +161,6 @@ class SparrowSearch:
 
         home = low + (high - low) * uniform(rng, lower, many, n, size)  # personal bests
         value = evaluate(home)
-        history = [value.amin(dim=1)]
         now, now_value = home, value
         for _ in range(horizon):
             value, order = value.sort(dim=1, stable=True)
@@ -191,9 +189,6 @@ class SparrowSearch:
             better = moved_value < own_value
             home = home.scatter(1, at, torch.where(better[..., None], moved, own))
             value = value.scatter(1, watching, torch.where(better, moved_value, own_value))
-            history.append(value.amin(dim=1))
         fitness_found, best = value.min(dim=1, keepdim=True)
         evaluations = n + horizon * (n + watchers)
-        return SparrowResult(
-            rows(home, best)[:, 0], fitness_found[:, 0], torch.stack(history), evaluations
-        )
+        return SparrowResult(rows(home, best)[:, 0], fitness_found[:, 0], evaluations)

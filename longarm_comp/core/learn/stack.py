@@ -37,13 +37,14 @@ class Stack:
         self._shapes = {name: p.shape for name, p in module.named_parameters()}
         self._sizes = [shape.numel() for shape in self._shapes.values()]
         self.size = sum(self._sizes)
-        self.groups = torch.repeat_interleave(torch.tensor(self._sizes))
+        device = next(module.parameters()).device
+        self.groups = torch.repeat_interleave(torch.tensor(self._sizes, device=device))
         """(D,) index of the prior of each weight: one a parameter."""
 
     def _at(self, weights: Tensor, x: Tensor) -> Tensor:
-        """(k, N) of one network (D,) at inputs (d, N)."""
-        named = zip(self._shapes.items(), weights.split(self._sizes), strict=True)
-        parts = {name: part.view(shape) for (name, shape), part in named}
+        """(..., k, N) of networks (..., D) at inputs (..., d, N)."""
+        named = zip(self._shapes.items(), weights.split(self._sizes, dim=-1), strict=True)
+        parts = {name: part.reshape(*part.shape[:-1], *shape) for (name, shape), part in named}
         return functional_call(self._module, parts, (x.mT,)).mT
 
     def outputs(self, weights: Tensor, x: Tensor) -> Tensor:
@@ -101,8 +102,7 @@ class TanhStack(Stack):
         self._column = torch.as_tensor(shape.column, device=device)
 
     def outputs(self, weights: Tensor, x: Tensor) -> Tensor:
-        v, w, b = self.shape.split(weights)
-        return torch.baddbmm(b[..., None], w.mT, _units(v, _with_ones(x)))
+        return self._at(weights, x)  # no `vmap`, which takes longer than the network
 
     def normal_equations(
         self, weights: Tensor, x: Tensor, residual: Tensor, row: Tensor
