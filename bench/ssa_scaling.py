@@ -98,3 +98,8 @@ def train_on_gpu(samples: int) -> Result:
     return beside(
         "s", [gpu["wall_s"]], "one core of this CPU", [core["wall_s"]], rms_mm=gpu["rms_mm"]
     )
+
+
+if __name__ == "__main__":  # `python -m bench.ssa_scaling`: what needs a GPU
+    for found in (search_on_gpu(10_000), train_on_gpu(100_000)):
+        print(found, flush=True)

@@ -11,7 +11,7 @@ from longarm_comp.core.learn.ensemble import _Learner
 from longarm_comp.core.learn.network import NetworkShape, TanhMembers
 from longarm_comp.core.learn.sparrow import SparrowSearch
 from longarm_comp.core.learn.stack import Stack, TanhNetwork, TanhStack, hidden_alike
-from longarm_comp.core.learn.training import back_propagate
+from longarm_comp.core.learn.training import _inverse, back_propagate
 
 SHAPE = NetworkShape(4, 5, 3)
 CPU = torch.device("cpu")
@@ -86,18 +86,20 @@ def test_slope_is_the_central_difference_and_its_step_keeps_the_error(problem):
             assert np.abs(mean(at + moved_by) - mean(at) - slope @ corner).max() < 1e-4
 
 
+@pytest.mark.parametrize("shape", [SHAPE, NetworkShape(4, 25, 3)])
 @pytest.mark.parametrize("kind", ["the paper's own", "any module's"])
-def test_normal_equations_are_those_of_the_explicit_jacobian(problem, kind):
-    x, y, weights = problem
+def test_normal_equations_are_those_of_the_explicit_jacobian(problem, kind, shape):
+    x, y, _ = problem
+    weights = np.random.default_rng(1).normal(size=(2, shape.size))
     columns, targets, _ = samples(x, y, 2)
     row = torch.rand(2, 40, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    of = stack() if kind == "the paper's own" else Stack(TanhNetwork(SHAPE))
+    of = stack(shape) if kind == "the paper's own" else Stack(TanhNetwork(shape))
     residual = targets - of.outputs(torch.tensor(weights), columns)
     matrix, gradient = of.normal_equations(torch.tensor(weights), columns, residual, row)
     for k in range(2):
-        jacobian = TanhMembers(SHAPE, weights[k : k + 1]).jacobian(x)
+        jacobian = TanhMembers(shape, weights[k : k + 1]).jacobian(x)
         weighted = jacobian * row[k].numpy()[:, None, None]
-        left = y - outputs(SHAPE, weights[k : k + 1], x)[0]
+        left = y - outputs(shape, weights[k : k + 1], x)[0]
         np.testing.assert_allclose(
             matrix[k].tril(), np.tril(np.einsum("nki,nkj->ij", weighted, jacobian)), atol=1e-10
         )
@@ -180,6 +182,16 @@ def test_evidence_of_a_linear_network_is_its_exact_marginal_likelihood():
     _, log = np.linalg.slogdet(2 * np.pi * spread)
     exact = -0.5 * (log + (y.T @ np.linalg.solve(spread, y)).item())
     assert float(fit.evidence[0]) == pytest.approx(exact, abs=0.1)
+
+
+@pytest.mark.parametrize("size", [40, 97, 301])
+def test_a_triangle_is_inverted_in_halves(size):
+    rng = np.random.default_rng(9)
+    lower = np.tril(rng.normal(size=(2, size, size)), -1) / size + np.diag(1.0 + rng.random(size))
+    found = _inverse(torch.tensor(lower))
+    np.testing.assert_allclose(
+        found.numpy() @ lower, np.broadcast_to(np.eye(size), lower.shape), atol=1e-12
+    )
 
 
 def test_gross_outliers_are_weighted_down_and_do_not_spoil_the_fit():

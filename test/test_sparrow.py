@@ -150,9 +150,3 @@ def test_bad_settings_name_the_field(settings, field):
     with pytest.raises(InputError) as caught:
         SparrowSearch(**settings)
     assert caught.value.field == field
-
-
-@pytest.mark.parametrize("upper", [[[1.0, -2.0]], [[1.0, torch.inf]], [[1.0, 1.0, 1.0]]])
-def test_bad_bounds_are_refused(upper):
-    with pytest.raises(InputError):
-        SparrowSearch().minimise(sphere, -torch.ones(1, 2), torch.tensor(upper), rng(0))

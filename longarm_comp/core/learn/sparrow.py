@@ -130,14 +130,7 @@ class SparrowSearch:
         Args:
             fitness: NaN counts as infinitely bad.
             rng: the only source of randomness; the same state gives the same result.
-
-        Raises:
-            InputError: no box.
         """
-        fits = lower.ndim == 2 and lower.shape == upper.shape
-        if not fits or not ((lower < upper) & (upper - lower).isfinite()).all():
-            allowed = "(M, D) finite with lower < upper"
-            raise InputError("sparrow search", "bounds", (lower, upper), allowed)
         (many, size), n, horizon, rules = lower.shape, self.population, self.iterations, self.rules
         lead = max(1, round(_PD * n))
         half = max(lead, n // 2)
