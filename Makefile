@@ -32,6 +32,19 @@ $(STAMPS)/ros: requirements/ros.txt | $(STAMPS)/python
 	$(INSTALL) -r $<
 	@touch $@
 
+# PyTorch without CUDA's libraries, which take several GB: of the index, else PyTorch's own; where
+# neither answers, what the index has. Another one: make setup TORCH='torch==2.9.1'
+CPU_TORCH := torch==2.13.0+cpu
+ifdef TORCH
+.PHONY: $(STAMPS)/torch
+endif
+$(STAMPS)/torch: | $(STAMPS)/python
+	@if [ -n "$(TORCH)" ]; then $(INSTALL) '$(TORCH)'; else \
+	  $(INSTALL) --no-deps '$(CPU_TORCH)' 2>/dev/null || $(INSTALL) --no-deps --retries 0 --timeout 5 \
+	  --index-url https://download.pytorch.org/whl/cpu '$(CPU_TORCH)' 2>/dev/null || \
+	  { echo 'No torch without CUDA here: the one of the index' >&2; $(INSTALL) 'torch>=2.4'; }; fi
+	@touch $@
+
 INTERFACES := $(shell find longarm_interfaces -type f -not -path '*/build/*')
 $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/ros
 	$(INSTALL) --no-build-isolation ./longarm_interfaces
@@ -39,7 +52,7 @@ $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/ros
 
 # What runs, without the peers of benchmarks and tests.
 PROGRAMS := longarm error_predictor kinematics servo_driver simulated_arm stereo_bridge trajectory_compensator
-$(STAMPS)/package: setup.py setup.cfg pyproject.toml package.xml $(STAMPS)/interfaces
+$(STAMPS)/package: setup.py setup.cfg pyproject.toml package.xml $(STAMPS)/interfaces | $(STAMPS)/torch
 	$(INSTALL) --no-build-isolation --editable .
 	@# An editable installation holds no files but Python's: these are what `ros2` looks for.
 	@mkdir -p $(VENV)/share/ament_index/resource_index/packages $(VENV)/share/longarm_comp $(VENV)/lib/longarm_comp

@@ -33,7 +33,9 @@ RUNTIME = [
     "rich>=13.7",
     "rosbags>=0.10",
     "ruamel.yaml>=0.17.21",
+    "safetensors>=0.4.3",
     "scipy>=1.12",
+    "torch>=2.4",
     "typing-extensions>=4.6",
 ]
 

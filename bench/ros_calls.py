@@ -15,9 +15,9 @@ from bench.slow_path import slow_path
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import compensate
+from longarm_comp.core.compensation.expansion import Expansion, Nearby
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
-from longarm_comp.core.learn.predictor import Expansion, Nearby
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph

@@ -9,33 +9,32 @@
 
 from __future__ import annotations
 
-import numpy as np
+import torch
+from torch import Tensor
 
-from longarm_comp.core.learn.sparrow import CANONICAL, Array, Flock, Rules, diagonal_step
+from longarm_comp.core.learn.sparrow import CANONICAL, Flock, Rules, diagonal_step, normal, uniform
 
 
 class Printed(Rules):
     """Those of the paper; discoverers move as in the reference."""
 
-    def follow(self, rng: np.random.Generator, position: Array, leader: Array) -> Array:
+    def follow(self, rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
         return position + diagonal_step(rng, position, leader)
 
-    def starve(self, rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
-        quantity = rng.standard_normal((len(position), 1))
-        alpha = 1.0 - rng.random((len(position), 1))
-        moved: Array = quantity * np.exp((flock.worst - position) / (alpha * flock.horizon))
-        return moved
+    def starve(self, rng: torch.Generator, position: Tensor, rank: Tensor, flock: Flock) -> Tensor:
+        quantity = normal(rng, position, *position.shape[:2], 1)
+        alpha = 1.0 - uniform(rng, position, *position.shape[:2], 1)
+        return quantity * torch.exp((flock.worst - position) / (alpha * flock.horizon))
 
     def watch(
-        self, rng: np.random.Generator, position: Array, fitness: Array, flock: Flock
-    ) -> Array:
-        beta = rng.standard_normal((len(position), 1))
-        k = rng.uniform(-1.0, 1.0, (len(position), 1))
-        towards = flock.best + beta * np.abs(position - flock.best)
-        gap = (fitness - flock.worst_fitness)[:, None]
-        away = position + k * np.exp(np.abs(flock.worst - position) / (gap + 1e-50))
-        moved: Array = np.where((fitness > flock.best_fitness)[:, None], towards, away)
-        return moved
+        self, rng: torch.Generator, position: Tensor, fitness: Tensor, flock: Flock
+    ) -> Tensor:
+        beta = normal(rng, position, *position.shape[:2], 1)
+        k = 2.0 * uniform(rng, position, *position.shape[:2], 1) - 1.0
+        towards = flock.best + beta * (position - flock.best).abs()
+        gap = (fitness - flock.worst_fitness)[..., None]
+        away = position + k * torch.exp((flock.worst - position).abs() / (gap + 1e-50))
+        return torch.where((fitness > flock.best_fitness)[..., None], towards, away)
 
 
 PRINTED = Printed()

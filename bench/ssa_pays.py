@@ -5,27 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, differential_evolution
 
-from bench.smooth import SmoothSet, rms_mm, smooth_set
+from bench.smooth import rms_mm
 from bench.sparrow_as_printed import RULES
-from longarm_comp.core.learn.ensemble import back_propagate, train
-from longarm_comp.core.learn.network import (
-    SPARROW_BOUND,
-    NetworkShape,
-    forward,
-    hidden_alike,
-    sparrow_start,
-    squared_error,
-    with_ones,
-    xavier_start,
-)
-from longarm_comp.core.learn.sparrow import SparrowResult, SparrowSearch
+from bench.ssa_problem import SHAPE, SsaProblem
+from longarm_comp.core.learn.ensemble import train
+from longarm_comp.core.learn.sparrow import SparrowSearch
+from longarm_comp.core.learn.stack import hidden_alike
 from studies.peers import train_gaussian_process, train_mlp
 
 Array = NDArray[np.float64]
-SHAPE = NetworkShape(7, 12, 3)
 
 
 def tables(seeds: int = 4) -> Iterator[str]:
@@ -33,31 +25,6 @@ def tables(seeds: int = 4) -> Iterator[str]:
     yield starts(seeds)
     yield errata()
     yield origin_bias()
-
-
-class _Problem:
-    """The smooth residual in standardised units."""
-
-    def __init__(self, samples: int, seed: int) -> None:
-        data: SmoothSet = smooth_set(samples, seed)
-        mean, sd = data.q.mean(axis=0), data.q.std(axis=0)
-        self.data, self.scale = data, float(data.residual.std())
-        self.offset = data.residual.mean(axis=0)
-        self.x, self.test_x = (data.q - mean) / sd, with_ones((data.test_q - mean) / sd)
-        self.y = (data.residual - self.offset) / self.scale
-
-    def rms_mm(self, weights: Array) -> float:
-        """Held-out RMSE per axis against the noise-free truth."""
-        outputs = forward(SHAPE, weights, self.test_x) * self.scale + self.offset
-        return rms_mm(outputs - self.data.test_truth)
-
-    def search(self, rng: np.random.Generator, form: str, iterations: int) -> SparrowResult:
-        """The raw search, without the guard against collapsed units."""
-        bound = np.full(SHAPE.size, SPARROW_BOUND)
-        fitness = squared_error(SHAPE, self.x, self.y)
-        return SparrowSearch(50, iterations, rules=RULES[form]).minimise(
-            fitness, -bound, bound, rng
-        )
 
 
 def starts(seeds: int) -> str:
@@ -76,17 +43,15 @@ def starts(seeds: int) -> str:
 
 
 def _one_seed(samples: int, seed: int) -> Iterator[tuple[str, float]]:
-    problem = _Problem(samples, seed)
+    problem = SsaProblem.of(samples, seed)
     data, truth = problem.data, problem.data.test_truth
-    fitness = squared_error(SHAPE, problem.x, problem.y)
-    sparrow = sparrow_start(SHAPE, fitness, np.random.default_rng(seed), SparrowSearch(50, 50))
-    xavier = xavier_start(SHAPE, np.random.default_rng(seed))
+    sparrow, xavier = (problem.start(init, seed) for init in ("ssa", "xavier"))
     yield "SSA weights alone", problem.rms_mm(sparrow)
     yield "Xavier weights alone", problem.rms_mm(xavier)
     for name, start in (("SSA", sparrow), ("Xavier", xavier)):
         yield f"{name} start + Adam 300 steps", problem.rms_mm(_adam(problem, start, 300))
     for name, start in (("SSA", sparrow), ("Xavier", xavier)):
-        fit = back_propagate(SHAPE, start, problem.x, problem.y)
+        fit = problem.fit(start)
         yield f"{name} start + LM, evidence, ARD (one network)", problem.rms_mm(fit.weights)
     for init in ("ssa", "xavier"):
         predictor = train(data.q, data.residual, init=init, seed=seed)
@@ -98,28 +63,21 @@ def _one_seed(samples: int, seed: int) -> Iterator[tuple[str, float]]:
     yield "MLPRegressor lbfgs, CV alpha", rms_mm(mlp.predict(data.test_q).error - truth)
 
 
-def _adam(problem: _Problem, start: Array, steps: int, rate: float = 0.01) -> Array:
+def _adam(problem: SsaProblem, start: torch.Tensor, steps: int) -> torch.Tensor:
     """Plain first-order training, full batch: the kind of training that a start can help."""
-    weights, mean, square = start.copy(), np.zeros(SHAPE.size), np.zeros(SHAPE.size)
-    x1, y = with_ones(problem.x), problem.y
-    for step in range(1, steps + 1):
-        v, w, b = SHAPE.split(weights)
-        z = np.tanh(x1 @ v)
-        error = (z @ w + b - y) / len(y)
-        slope = (error @ w.T) * (1 - z * z)
-        parts = ((x1.T @ slope).ravel(), (z.T @ error).ravel(), error.sum(axis=0))
-        gradient = np.concatenate(parts)
-        mean = 0.9 * mean + 0.1 * gradient
-        square = 0.999 * square + 0.001 * gradient**2
-        scaled = np.sqrt(square / (1 - 0.999**step)) + 1e-8
-        weights -= rate * mean / (1 - 0.9**step) / scaled
-    return weights
+    weights, (x, y, _) = start.clone().requires_grad_(), problem.rows
+    adam = torch.optim.Adam([weights], lr=0.01)
+    for _ in range(steps):
+        adam.zero_grad()
+        torch.mean((problem.stack.outputs(weights, x) - y) ** 2).backward()
+        adam.step()
+    return weights.detach()
 
 
 def errata(runs: int = 60, iterations: int = 200) -> str:
     """Canonical against printed Eq. (6)-(8): result of the search, collapsed starts, and result of
     one unguarded training from them."""
-    problem = _Problem(300, 0)
+    problem = SsaProblem.of(300)
     columns = (
         "form",
         "search ends at, mm",
@@ -132,12 +90,12 @@ def errata(runs: int = 60, iterations: int = 200) -> str:
     for form in ("canonical", "printed"):
         ends, after, whole, some = [], [], 0, 0
         for seed in range(runs):
-            weights = problem.search(np.random.default_rng(seed), form, iterations).position
-            alike = int(hidden_alike(SHAPE, weights).sum())
+            weights = problem.search(50, iterations, seed, RULES[form]).position
+            alike = int(hidden_alike(SHAPE.split(weights)[0]).sum())
             whole += alike >= SHAPE.hidden - 1
             some += alike > 0
             ends.append(problem.rms_mm(weights))
-            fit = back_propagate(SHAPE, weights, problem.x, problem.y, max_steps=60)
+            fit = problem.fit(weights, max_steps=60)
             after.append(problem.rms_mm(fit.weights))
         lines.append(
             f"| {form} | {np.median(ends):.2f} | {whole} of {runs} | {some} of {runs} | "
@@ -149,24 +107,24 @@ def errata(runs: int = 60, iterations: int = 200) -> str:
 def origin_bias(runs: int = 9, dims: int = 20, iterations: int = 200) -> str:
     """Median best value of a sphere, centred and shifted at random, at equal evaluations."""
     lines = ["", f"| sphere, D = {dims}, [-5, 5] | centred | shifted |", "|---|---|---|"]
-    lower, upper = np.full(dims, -5.0), np.full(dims, 5.0)
+    bound = torch.full((1, dims), 5.0, dtype=torch.float64)
 
     def sparrow(form: str) -> Callable[[Array, int], float]:
         def solve(centre: Array, seed: int) -> float:
-            search, rng = (
-                SparrowSearch(50, iterations, rules=RULES[form]),
-                np.random.default_rng(seed),
+            search, rng = SparrowSearch(50, iterations, rules=RULES[form]), torch.Generator()
+            at = torch.as_tensor(centre)
+            found = search.minimise(
+                lambda x: ((x - at) ** 2).sum(2), -bound, bound, rng.manual_seed(seed)
             )
-            return search.minimise(
-                lambda x: np.sum((x - centre) ** 2, axis=1), lower, upper, rng
-            ).fitness
+            return float(found.fitness[0])
 
         return solve
 
     def evolution(centre: Array, seed: int) -> float:
         budget = 50 + iterations * 55
         found = differential_evolution(
-            lambda x: np.sum((x - centre[:, None]) ** 2, axis=0), Bounds(lower, upper),
+            lambda x: np.sum((x - centre[:, None]) ** 2, axis=0),
+            Bounds(np.full(dims, -5.0), np.full(dims, 5.0)),
             popsize=50 // dims + 1, maxiter=budget // (dims * (50 // dims + 1)) - 1, tol=0.0,
             polish=False, rng=seed, vectorized=True, updating="deferred",
         )  # fmt: skip

@@ -4,44 +4,40 @@ from __future__ import annotations
 
 import time
 
-import numpy as np
+import torch
 
 from bench.comparison import Result, beside, missing
 from bench.mealpy_peer import MealpyPeer
 from bench.smooth import rms_mm, smooth_set
-from bench.ssa import HIDDEN, standardised
+from bench.ssa_problem import SHAPE, SsaProblem
 from bench.subprocess_cost import cost_of
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.ensemble import train
-from longarm_comp.core.learn.network import NetworkShape, squared_error
-from longarm_comp.core.learn.sparrow import SparrowSearch
 
-SHAPE = NetworkShape(7, HIDDEN, 3)
-
+NO_GPU = "no GPU at hand: torch sees none on this machine"
 
 # ------------------------------------------------------------------ run in processes of their own
 
 
-def search_rate(samples: int, population: int, iterations: int) -> float:
+def search_rate(samples: int, population: int, iterations: int, device: str = "cpu") -> float:
     """Fitness evaluations a second of a whole sparrow search."""
-    x, y = standardised(smooth_set(samples, 0, test=1))
-    fitness, bound = squared_error(SHAPE, x, y), np.ones(SHAPE.size)
-    fitness(np.zeros((50, SHAPE.size)))
+    problem = SsaProblem.of(samples, device=device, test=1)
+    problem.search(50, 1, 0)
     begin = time.perf_counter()
-    found = SparrowSearch(population, iterations).minimise(
-        fitness, -bound, bound, np.random.default_rng(0)
-    )
+    found = problem.search(population, iterations, 0)
+    float(found.fitness[0])  # waits for a GPU
     return found.evaluations / (time.perf_counter() - begin)
 
 
-def train_once(samples: int, networks: int) -> dict[str, float]:
+def train_once(samples: int, networks: int, device: str = "cpu") -> dict[str, float]:
     """One training of networks of 12 hidden units, and its error on held-out poses."""
-    data = smooth_set(samples, 0)
-    begin = time.process_time()
-    predictor = train(data.q, data.residual, hidden=HIDDEN, ensemble=networks)
-    seconds = time.process_time() - begin
+    data, few = smooth_set(samples, 0), smooth_set(100, 0)
+    train(few.q, few.residual, hidden=4, ensemble=1, device=device)  # imports, and wakes a GPU
+    begun, begin = time.perf_counter(), time.process_time()
+    predictor = train(data.q, data.residual, hidden=SHAPE.hidden, ensemble=networks, device=device)
+    seconds, wall = time.process_time() - begin, time.perf_counter() - begun
     error = predictor.predict(data.test_q).error - data.test_truth
-    return {"cpu_s": seconds, "rms_mm": rms_mm(error)}
+    return {"cpu_s": seconds, "wall_s": wall, "rms_mm": rms_mm(error)}
 
 
 # ------------------------------------------------------------------ rows
@@ -51,9 +47,8 @@ def search_population(population: int, iterations: int = 1) -> Result:
     """A whole search with a large population, 900 samples."""
     peer = "mealpy 3.0.3 OriginalSSA"
     ours = cost_of(__name__, "search_rate", 900, population, iterations)
-    x, y = standardised(smooth_set(900, 0, test=1))
     try:
-        with MealpyPeer(x, y, HIDDEN) as other:
+        with MealpyPeer(*SsaProblem.of(900, test=1).standardised, SHAPE.hidden) as other:
             answer = other.solve(population, iterations, 0)
     except JobError as error:
         return missing(peer, str(error))
@@ -80,3 +75,31 @@ def train_many(many: int, few: int = 1_000) -> Result:
         rms_mm=large.result["rms_mm"],
         note=f"{few} samples: {small.result['cpu_s']:.1f} s, {small.result['rms_mm']:.3f} mm",
     )
+
+
+def search_on_gpu(population: int, iterations: int = 5) -> Result:
+    """The same search on a GPU and on one core, 900 samples. Goal: 20."""
+    if not torch.cuda.is_available():
+        return missing("one core of this CPU", NO_GPU)
+    gpu, core = (
+        cost_of(__name__, "search_rate", 900, population, iterations, device).result
+        for device in ("cuda", "cpu")
+    )
+    return beside("evaluations/s", [gpu], "one core of this CPU", [core], more_is_better=True)
+
+
+def train_on_gpu(samples: int) -> Result:
+    """The same training on a GPU and on one core. Goal: 20."""
+    if not torch.cuda.is_available():
+        return missing("one core of this CPU", NO_GPU)
+    gpu, core = (
+        cost_of(__name__, "train_once", samples, 5, device).result for device in ("cuda", "cpu")
+    )
+    return beside(
+        "s", [gpu["wall_s"]], "one core of this CPU", [core["wall_s"]], rms_mm=gpu["rms_mm"]
+    )
+
+
+if __name__ == "__main__":  # `python -m bench.ssa_scaling`: what needs a GPU
+    for found in (search_on_gpu(10_000), train_on_gpu(100_000)):
+        print(found, flush=True)

@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import torch
 
 from bench.comparison import Result, beside, missing
 from bench.smooth import SmoothSet, rms_mm, smooth_set
@@ -49,6 +50,7 @@ PEERS = {"mlp": "scikit-learn MLPRegressor", "gp": "scikit-learn GaussianProcess
 @lru_cache(maxsize=8)
 def reached(kind: str, samples: int, target_mm: float, repeats: int) -> dict[str, Any] | None:
     """The cheapest setting whose median error is below the target: seconds and errors."""
+    torch.set_num_threads(1)
     for setting, learn in LADDERS[kind]:
         seconds, errors = [], []
         for seed in range(repeats):

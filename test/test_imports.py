@@ -11,13 +11,15 @@ from pathlib import Path
 import pytest
 
 from bench.calibration import synthetic_session
+from bench.dummy_predictor import train_dummy
 from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes.bringup import SIMULATED
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.share import folder
 
-HEAVY = ("sklearn", "matplotlib", "cv2", "numba", "rclpy", "scipy", "rosbags")
+HEAVY = ("sklearn", "matplotlib", "cv2", "numba", "rclpy", "scipy", "rosbags", "torch")
 _TELL = f"""
 import json, sys
 print(json.dumps([name for name in {HEAVY!r} if name in sys.modules]))
@@ -57,7 +59,8 @@ def test_help_and_the_list_of_commands_load_nothing_heavy() -> None:
 
 def test_the_core_of_a_control_program_is_light() -> None:
     code = "import longarm_comp.core.compensation.compensate, longarm_comp.core.model.model_file\n"
-    assert loaded(code + "import longarm_comp.core.learn.predictor_file\n") == set()
+    code += "import longarm_comp.core.learn.predictor_file, longarm_comp.core.learn.ensemble\n"
+    assert loaded(code) == set()
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="no ROS")
@@ -82,4 +85,18 @@ def test_no_command_loads_what_it_does_not_use(tmp_path: Path) -> None:
     code += command_line("train", str(arm), str(csv), "--model", model, "-o", predictor,
                          "--ensemble", "1", "--hidden", "3")  # fmt: skip
     code += command_line("evaluate", str(arm), "--test", str(csv), "--model", model)
-    assert not {"sklearn", "cv2", "rclpy"} & loaded(code)
+    found = loaded(code)
+    assert not {"sklearn", "cv2", "rclpy"} & found
+    assert "torch" in found, "what trains loads it; if nothing does, the tests below test nothing"
+    train_dummy(Arm.load(arm), Path(predictor))  # what was learned above does not help
+    demo = Arm.load(arm)
+    target = [f"{each:.4f}" for each in declared_model(demo).tip(demo.mid)]
+    with_predictor, mine = ("--model", model, "--predictor", predictor), str(tmp_path / "mine")
+    for words in (
+        ("init", mine, "--like", "demo"),
+        ("check", mine),
+        ("evaluate", str(arm), "--test", str(csv), *with_predictor),
+        ("compensate", str(arm), *target, "--position-only", "--predictor", predictor,
+         "-o", str(tmp_path / "commands.csv")),
+    ):  # fmt: skip
+        assert "torch" not in loaded(command_line(*words)), words

@@ -49,9 +49,17 @@ def parameters(node: str, **given: object) -> str:
     return yaml.safe_dump({f"/**/{node}": {"ros__parameters": given}})
 
 
-@pytest.mark.parametrize("node", ["kinematics", "trajectory_compensator", "servo_driver"])
+@pytest.mark.parametrize(
+    ("node", "option"),
+    [
+        ("kinematics", "effects"),
+        ("trajectory_compensator", "effects"),
+        ("servo_driver", "effects"),
+        ("error_predictor", "network"),
+    ],
+)
 @pytest.mark.parametrize("place", ["", "config"])
-def test_a_parameter_file_beside_the_arm(trap: Path, node: str, place: str) -> None:
+def test_a_parameter_file_beside_the_arm(trap: Path, node: str, option: str, place: str) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
     from longarm_comp.nodes.bringup import BringUp, running
 
@@ -59,11 +67,12 @@ def test_a_parameter_file_beside_the_arm(trap: Path, node: str, place: str) -> N
     arm.write_text((folder("config") / "arm_demo.yaml").read_text("utf-8"))
     (at / place).mkdir(exist_ok=True)
     text = (folder("config") / f"{node}.yaml").read_text("utf-8")
-    (at / place / f"{node}.yaml").write_text(f"{text}    effects: {trap}\n")
+    (at / place / f"{node}.yaml").write_text(f"{text}    {option}: {trap}\n")
     config = at / place if place else None
     graph = BringUp(arm=arm, sim=True, paths=True, config=config)
+    said = rf"{node}\.yaml: {option}: .*--{option} FILE of a command"
     with (
-        pytest.raises(InputError, match=rf"{node}\.yaml: effects: .*--effects FILE of a command"),
+        pytest.raises(InputError, match=said),
         running(graph),
     ):
         pass
@@ -81,22 +90,24 @@ def test_longarm_up_says_it_in_one_line(trap: Path) -> None:
     assert not executed(trap)
 
 
-def test_a_node_takes_it_from_its_command_line_only(trap: Path) -> None:
+@pytest.mark.parametrize(
+    ("node", "option"), [("kinematics", "effects"), ("error_predictor", "network")]
+)
+def test_a_node_takes_it_from_its_command_line_only(trap: Path, node: str, option: str) -> None:
     pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
     arm = folder("config") / "arm_demo.yaml"
-    file = trap.with_name("kinematics.yaml")
-    file.write_text(parameters("kinematics", arm=str(arm), effects=str(trap)))
-    node = "kinematics"
+    file = trap.with_name(f"{node}.yaml")
+    file.write_text(parameters(node, arm=str(arm), **{option: str(trap)}))
     ros = ("--ros-args", "--params-file", file)
     code, said = program(trap.parent, *ros, script=node)
     assert (code, executed(trap)) == (2, False), said
-    assert "effects" in said and len(said.splitlines()) == 1
-    for words in (["--effect", trap], ["--effects"], [trap, "--effects"]):
+    assert option in said and len(said.splitlines()) == 1
+    for words in (["--effect", trap], [f"--{option}"], [trap, f"--{option}"]):
         code, said = program(trap.parent, *words, *ros, script=node)
         assert (code, executed(trap)) == (2, False), said
         assert "command line: arguments: " in said
-    code, said = program(trap.parent, "--effects", trap, *ros, script=node)
-    assert executed(trap), said  # and then it is refused, because it defines no effect
+    code, said = program(trap.parent, f"--{option}", trap, *ros, script=node)
+    assert executed(trap), said  # and then it is refused, because it defines nothing
     assert (code, len(said.splitlines())) == (2, 1)
 
 

@@ -23,6 +23,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.learn.ensemble import train
+from longarm_comp.core.learn.others import load_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.learn.predictor_file import save
 from longarm_comp.core.model.declared_model import declared_model
@@ -61,6 +62,32 @@ def question(arm: Arm, q: np.ndarray) -> PredictError.Request:
     return PredictError.Request(
         joints=joints_message(arm, q), temperature_c=math.nan, payload_kg=math.nan
     )
+
+
+def test_a_network_of_others_is_served_and_said(
+    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
+) -> None:
+    small, path = tmp_path / "small.py", tmp_path / "predictor.safetensors"
+    small.write_text("import torch\nnetwork = torch.nn.Linear\n")
+    rng = np.random.default_rng(3)
+    q = arm.mid + 0.2 * (arm.upper - arm.lower) * (rng.random((60, arm.n)) - 0.5)
+    residual = BIAS + 0.05 * (q[:, :3] - arm.mid[:3]) + 1e-4 * rng.standard_normal((60, 3))
+    origin = Provenance(arm_hash=arm.hash, joint_names=arm.joint_names)
+    made = train(q, residual, ensemble=2, network=load_file(small), provenance=origin)
+    save(made, path)
+    said = stage.collect(graph.DIAGNOSTICS)
+    files = {"arm": demo_arm_path, "predictor": path}
+    stage.start("error_predictor", files, namespace="other", words=("--network", str(small)))
+    ask = stage.node.create_client(PredictError, "/other/predict_error")
+    answer = stage.call(ask, question(arm, arm.mid))
+    assert answer.success, answer.message
+    told = np.array([answer.error.x, answer.error.y, answer.error.z])
+    np.testing.assert_allclose(told, made.predict(arm.mid[None]).error[0], atol=1e-12)
+    np.testing.assert_allclose(
+        np.reshape(answer.jacobian, (3, arm.n))[:, :3].diagonal(), 0.05, atol=5e-3
+    )
+    assert not any(answer.reach)
+    stage.spin(lambda: "small, with torch" in str(said))
 
 
 def test_the_learned_error_is_predicted_taken_off_and_replaced(

@@ -132,7 +132,7 @@ def test_it_refuses_outside_the_training_region_and_says_why(data, small):
 def test_variance_alone_can_refuse():
     """A hole in the middle of the training box is inside every joint's range."""
     rng = np.random.default_rng(7)
-    q = LOWER + rng.random((400, 7)) * (UPPER - LOWER)
+    q = LOWER + rng.random((2000, 7)) * (UPPER - LOWER)
     unit = (q - LOWER) / (UPPER - LOWER)
     q = q[(unit[:, 0] < 0.05) | (unit[:, 1] < 0.05)]
     predictor = train(q, smooth_residual(q) + 4e-4 * rng.standard_normal(q.shape)[:, :3], **FAST)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,16 @@ from quick_predictor import ORIGIN, quick_predictor, rows
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor_file import load, save
+
+ROOT = Path(__file__).resolve().parents[1]
+SAVED = """
+import sys
+from bench.smooth import smooth_set
+from longarm_comp.core.learn.ensemble import train
+from longarm_comp.core.learn.predictor_file import save
+rows = smooth_set(300, 0)
+save(train(rows.q, rows.residual, seed=2, ensemble=1), sys.argv[1])
+"""
 
 
 @pytest.fixture(name="data")
@@ -50,6 +62,16 @@ def test_prediction_needs_numpy_alone(small, tmp_path):
         "sys.exit('sklearn' in sys.modules or 'scipy' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_same_seed_gives_the_same_bytes_in_every_process(tmp_path):
+    """Whatever number of threads the process has."""
+    files = [tmp_path / f"{threads}.npz" for threads in (1, 2)]
+    for file in files:
+        env = {**os.environ, "OMP_NUM_THREADS": file.stem, "PYTHONPATH": str(ROOT)}
+        subprocess.run([sys.executable, "-c", SAVED, str(file)], env=env, check=True)
+    one, other = (file.read_bytes() for file in files)
+    assert one == other
 
 
 @pytest.mark.parametrize("keep", [0, 10, 0.3, 0.9, 0.999])

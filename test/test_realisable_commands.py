@@ -17,12 +17,12 @@ from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import commandable, compensate
+from longarm_comp.core.compensation.expansion import Expansion, Nearby
 from longarm_comp.core.compensation.realisable import Lattice
-from longarm_comp.core.compensation.result import Method, Status
+from longarm_comp.core.compensation.result import Method, Prediction, Status
 from longarm_comp.core.compensation.target_frame import placement
 from longarm_comp.core.effects.drive_errors import ServoQuantisation
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
-from longarm_comp.core.learn.predictor import Expansion, Nearby, Prediction
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.compensate import Commands

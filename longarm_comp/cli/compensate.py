@@ -28,6 +28,7 @@ from longarm_comp.core.errors import InputError, JobError
 )  # fmt: skip
 @options.model
 @options.predictor
+@options.known_network
 @options.choice("--method", ["none", "deflection", "network", "both"],
                 "What to compensate; default: all that the given files allow.")  # fmt: skip
 @options.choice("--frame", ["base", "measured"],

@@ -98,7 +98,7 @@ def _three(values: Sequence[float], digits: int) -> str:
 @options.session
 @options.model
 @options.output("predictor.npz", "Predictor to write.", outputs.PREDICTOR)
-@options.choice("--init", ["ssa", "xavier"], "Initial weights.", default="ssa")
+@options.choice("--init", ["ssa", "xavier"], "Initial weights; default: ssa.")
 @options.choice(
     "--inputs", ["context", "joints"], default="context",
     what="context: joints, approach, temperature, payload; joints: as in the paper.",
@@ -110,6 +110,9 @@ def _three(values: Sequence[float], digits: int) -> str:
     "--hidden", type=click.IntRange(min=1), help="Hidden units; default: chosen by evidence."
 )
 @options.without("deflection", 'The paper\'s "network only": rigid physics.')
+@options.choice("--device", ["auto", "cpu", "cuda"], default="auto",
+                what="Where to train; auto: a GPU if torch sees one.")  # fmt: skip
+@options.network
 @options.seed
 @options.effects
 @options.as_json
@@ -122,9 +125,12 @@ def train(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
     Examples:
       longarm train arm.yaml samples.csv --model model.yaml -o predictor.npz
       longarm train arm.yaml samples.csv --no-deflection --inputs joints -o network_only.npz
+      longarm train arm.yaml samples.csv --network two_layers.py -o predictor.safetensors
     """
+    from longarm_comp.core.learn.predictor_file import check_ending
     from longarm_comp.workflows.train import train
 
+    check_ending(output, how["network"] is not None)
     with progress("train") as show:
         trained = train(arm, session, note=note, progress=show, **how)
     gain, done = trained.gain, "not written: the physics alone is as good"
@@ -153,6 +159,7 @@ def train(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
 @options.path_option("--test", "Measured poses (CSV or bag).", required=True)
 @options.model
 @options.predictor
+@options.known_network
 @options.effects
 @options.as_json
 def evaluate(arm: options.Arm, test: Path, model: Path | None, predictor: Path | None) -> None:

@@ -172,6 +172,26 @@ def _effects(expose: bool) -> _Decorator:
     )
 
 
+def _execute_network(_: click.Context, __: click.Parameter, given: str | Path | None) -> Any:
+    if given is None:
+        return None
+    from longarm_comp.core.learn.others import chosen
+
+    return chosen(given)
+
+
+_NETWORK_FILE = "Python file of the predictor's network, if not the paper's; it is executed."
+network = click.option(
+    "--network", metavar="FILE|NAME", callback=_execute_network,
+    help="Another network to train (docs/your_own_network.md): a Python file, which is executed, "
+    "or the name of an installed one.",
+)  # fmt: skip
+known_network = click.option(
+    "--network", type=_PATH, metavar="FILE", callback=_execute_network, expose_value=False,
+    help=_NETWORK_FILE,
+)  # fmt: skip
+network_file = click.option("--network", type=_PATH, metavar="FILE", help=_NETWORK_FILE)
+"""The same for a command that passes it on."""
 effects = _effects(expose=False)
 """Option ``--effects``: executes the files before the command, which does not get them."""
 effect_files = _effects(expose=True)

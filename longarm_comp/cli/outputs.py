@@ -73,7 +73,15 @@ def left_to_the_command(path: Path) -> bool:
 
 
 MODEL = marked(b"# Written by longarm")
-PREDICTOR = marked(b"PK\x03\x04", b"header.npy")
+_NPZ, _SAFETENSORS = marked(b"PK\x03\x04", b"header.npy"), marked(b"longarm/predictor")
+
+
+def predictor(path: Path) -> bool:
+    """A predictor of the paper's network, or of another."""
+    return _NPZ(path) or _SAFETENSORS(path)
+
+
+PREDICTOR = predictor
 URDF = marked(b"<robot", b"written by longarm export-urdf")
 
 

@@ -26,6 +26,7 @@ SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mea
 @options.arm_file
 @options.path_option("--model", "Calibrated model; default: the declared arm.")
 @options.path_option("--predictor", "Learned residual; default: physics only.")
+@options.network_file
 @options.effect_files
 @options.flag("--sim", "Simulated servos and cameras instead of hardware.")
 @click.option("--hidden", default="", help="Simulation: undeclared effects, 'backlash=2.0' (mm).")

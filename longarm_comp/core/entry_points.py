@@ -1,10 +1,15 @@
-"""What other packages bring: objects of a group of entry points, with their origin in words."""
+"""What others bring: objects of a group of entry points of a package, and files of Python."""
 
 from __future__ import annotations
 
+import hashlib
+import importlib.util
 import inspect
+import sys
 from collections.abc import Iterator
 from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from longarm_comp.core.errors import InputError
@@ -37,3 +42,29 @@ def check_name(entry: str, own: str, what: str, source: str) -> None:
     """Raise InputError where an entry point has another name than what it brings."""
     if entry != own:
         raise InputError(source, "name", entry, f"the {what}'s own, {own}")
+
+
+def execute_file(path: Path, what: str) -> ModuleType:
+    """The module of a Python file, which is executed once for the same contents.
+
+    Raises:
+        InputError: field ``what``: no such file, or it cannot be executed.
+    """
+    if not path.is_file():
+        raise InputError(path, what, "missing", f"a Python file that defines {what}")
+    text = path.read_bytes()
+    digest = hashlib.sha256(bytes(path.resolve()) + text).hexdigest()[:16]
+    name = f"longarm_{what}_{digest}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise InputError(path, what, path.suffix, "a Python file, .py")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[name]
+        said = f"{type(error).__name__}: {error}"
+        raise InputError(path, what, said, "a Python file that can be executed") from error
+    return module

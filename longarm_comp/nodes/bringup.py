@@ -32,7 +32,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.devices.state_folder import state_folder
-from longarm_comp.nodes import EFFECTS, GUARD
+from longarm_comp.nodes import EFFECTS, GUARD, NETWORK
 from longarm_comp.share import PACKAGE, folder
 from longarm_comp.sim.servo_emulator.joints import read_arm
 
@@ -121,6 +121,7 @@ class BringUp:
     Attributes:
         arm, model, predictor: files. Without a model the declared arm is used.
         effects: Python files that define further effects, executed by `kinematics`.
+        network: Python file of the predictor's network, executed by `error_predictor`.
         sim: run the simulated arm instead of hardware.
         config: folder of parameter files ``<node>.yaml`` that replace the package's own; None: the
             arm's folder.
@@ -135,6 +136,7 @@ class BringUp:
     model: Path | None = None
     predictor: Path | None = None
     effects: tuple[Path, ...] = ()
+    network: Path | None = None
     sim: bool = False
     namespace: str = ""
     config: Path | None = None
@@ -257,6 +259,8 @@ class BringUp:
 
     def arguments(self, node: str) -> list[str]:
         """A node's own arguments: the Python files that it executes. No file names them."""
+        if node == "error_predictor":
+            return [NETWORK, str(self.network.absolute())] if self.network else []
         loads = self.effects if node in ("kinematics", PATHS) else ()
         return [word for path in loads for word in (EFFECTS, str(path.absolute()))]
 
@@ -291,9 +295,10 @@ def _refuse_code(file: Path) -> None:
     while ahead:
         tree = ahead.pop()
         if isinstance(tree, dict):
-            if "effects" in tree:
-                allowed = f"nothing: Python files are executed only for {EFFECTS} FILE"
-                raise InputError(file, "effects", tree["effects"], f"{allowed} of a command line")
+            for option in (EFFECTS, NETWORK):
+                if (name := option.removeprefix("--")) in tree:
+                    allowed = f"nothing: Python files are executed only for {option} FILE"
+                    raise InputError(file, name, tree[name], f"{allowed} of a command line")
             ahead += tree.values()
 
 

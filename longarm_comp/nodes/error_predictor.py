@@ -27,7 +27,7 @@ from longarm_interfaces.srv import PredictError
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm that the predictor must belong to"),
     Param("model", "", "model.yaml that it must have been trained with; empty: none"),
-    Param("predictor", "", "predictor file (npz); empty: none, every question is refused"),
+    Param("predictor", "", "predictor file; empty: none, every question is refused"),
     Param("base_frame", "base", "frame of the predicted errors"),
     WATCH,
     PERIOD,
@@ -133,9 +133,11 @@ class _ErrorPredictor(ArmNode):
         return True, f"{self._path} {self._loaded.hash[:12]}"
 
     def _report(self) -> Report:
+        network = self._loaded.predictor.network if self._loaded else None
         facts = {
             "file": self._path,
             "sha256": self._loaded.hash if self._loaded else "",
+            **({"network": f"{network.name}, with torch"} if network else {}),
             **self.tally.facts,
         }
         if self._loaded is None:

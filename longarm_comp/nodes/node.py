@@ -18,9 +18,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from longarm_comp.core.effects.catalogue import load_file
+from longarm_comp.core.effects import catalogue
 from longarm_comp.core.errors import InputError, LongarmError
-from longarm_comp.nodes import EFFECTS, GUARD
+from longarm_comp.nodes import EFFECTS, GUARD, NETWORK
 from longarm_comp.nodes.clock import steady_timer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, Health, Report, Tally
 from longarm_comp.nodes.interfaces import Service
@@ -116,8 +116,8 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
     Signals only set an event, so a second one does not interrupt the clean-up.
 
     Args:
-        words: ``--effects FILE`` of the command line, as often as needed. No parameter names such
-            a file, because parameters come from files of data.
+        words: ``--effects FILE`` and ``--network FILE`` of the command line, as often as needed.
+            No parameter names such a file, because parameters come from files of data.
 
     Returns:
         The exit code: 0, or 2 for bad parameters or files.
@@ -132,11 +132,7 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
     node: ArmNode | None = None
     code = 0
     try:
-        if set(words[::2]) - {EFFECTS} or len(words) % 2:
-            allowed = f"{EFFECTS} FILE, a Python file that is executed; then --ros-args"
-            raise InputError("command line", "arguments", " ".join(words), allowed)
-        for file in words[1::2]:
-            load_file(file)
+        _execute(words)
         node = make(executor)
         executor.add_node(node)
         gc.freeze()  # everything loaded so far stays, so collections need not scan it again
@@ -156,6 +152,19 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
             node.destroy_node()
         rclpy.try_shutdown()
     return code
+
+
+def _execute(words: Sequence[str]) -> None:
+    if set(words[::2]) - {EFFECTS, NETWORK} or len(words) % 2:
+        allowed = f"{EFFECTS} or {NETWORK} FILE, a Python file that is executed; then --ros-args"
+        raise InputError("command line", "arguments", " ".join(words), allowed)
+    for option, file in zip(words[::2], words[1::2], strict=True):
+        if option == EFFECTS:
+            catalogue.load_file(file)
+        else:
+            from longarm_comp.core.learn import others  # with torch: where it is wanted
+
+            others.load_file(file)
 
 
 def spin(executor: SingleThreadedExecutor, node: ArmNode, stop: threading.Event) -> None:

@@ -12,9 +12,9 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.expansion import Expansion, Nearby
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.learn.predictor import Expansion, Nearby
 from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.worker import ServiceCaller
 from longarm_interfaces.srv import PredictError

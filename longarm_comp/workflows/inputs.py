@@ -26,6 +26,7 @@ from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sessions.read import read_session
 
 if TYPE_CHECKING:
+    from longarm_comp.core.learn.others import NetworkKind
     from longarm_comp.core.learn.predictor import Predictor
 
 FilePath = str | Path
@@ -150,7 +151,21 @@ def physics_mark(given: ModelLike | None, deflection: bool = True) -> dict[str, 
     return {"model_hash": digest, "deflection": deflection}
 
 
-def load_predictor(path: FilePath, arm: Arm, model: ModelLike | None = None) -> Predictor:
+def learnable(given: NetworkKind | FilePath | None) -> NetworkKind | None:
+    """A network of others, from its file or its name; None: the paper's."""
+    if not isinstance(given, (str, Path)):
+        return given
+    from longarm_comp.core.learn.others import chosen
+
+    return chosen(given)
+
+
+def load_predictor(
+    path: FilePath,
+    arm: Arm,
+    model: ModelLike | None = None,
+    network: NetworkKind | FilePath | None = None,
+) -> Predictor:
     """A predictor that belongs to the arm and the model.
 
     Args:
@@ -158,12 +173,14 @@ def load_predictor(path: FilePath, arm: Arm, model: ModelLike | None = None) -> 
         arm: as declared.
         model: the model to use it with: a model, its file, or the declared arm (None). A
             predictor that was trained with a file is identified by the hash of that file.
+        network: its network, if it is not the paper's: the file or name that it was trained with.
 
     Raises:
         InputError: corrupt, or trained for another arm or on top of another model.
     """
     from longarm_comp.core.learn.predictor_file import belongs, load
 
+    learnable(network)
     predictor = load(path, arm_hash=arm.hash, joint_names=arm.joint_names)
     if not isinstance(model, Model):
         wanted = str(physics_mark(model)["model_hash"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows import inputs as given
+
+if TYPE_CHECKING:
+    from longarm_comp.core.learn.others import NetworkKind
 
 
 def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray, Context]:
@@ -58,7 +61,7 @@ class TrainedPredictor(Predictor):
         return f"{self.samples} samples: {self.gain}"
 
     def save(self, path: given.FilePath) -> None:
-        """Write it (npz), whole or not at all."""
+        """Write it, whole or not at all: npz, or safetensors of a network of others."""
         if not self.gain.helps:
             raise JobError(f"not written: {self.gain}; compensate with the physics alone")
         predictor_file.save(self, path)
@@ -74,10 +77,12 @@ def train(
     model: given.ModelLike | None = None,
     deflection: bool = True,
     inputs: Literal["context", "joints"] = "context",
-    init: Literal["ssa", "xavier"] = "ssa",
+    init: Literal["ssa", "xavier"] | None = None,
     ensemble: int = 5,
     hidden: int | None = None,
     seed: int = 0,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    network: NetworkKind | given.FilePath | None = None,
     note: given.Note = given.log_note,
     progress: given.Telling = False,
 ) -> TrainedPredictor:
@@ -89,9 +94,11 @@ def train(
             trained with a file stores the hash of that file.
         deflection: False is the paper's "network only": the physics is rigid.
         inputs: ``context``: joints, approach, temperature, payload; ``joints``: as in the paper.
-        init: initial weights: from sparrow search or Xavier.
+        init: initial weights: from sparrow search (the default) or Xavier.
         ensemble: number of networks, each from its own start.
         hidden: number of hidden units; chosen by evidence if not given.
+        device: where torch trains; ``auto``: a GPU if it sees one.
+        network: another network than the paper's: its file or name (docs/your_own_network.md).
         note: called with each finding of the admission.
         progress: True: print each step; or a function, called with the network being trained and
             the share done.
@@ -113,7 +120,8 @@ def train(
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, mark)
     predictor = networks.train(
         *rows, inputs=inputs, init=init, seed=seed, ensemble=ensemble, hidden=hidden,
-        provenance=origin, progress=lambda k, of: tell(f"{k} of {of} networks", k / of),
+        device=device, network=given.learnable(network), provenance=origin,
+        progress=lambda k, of: tell(f"{k} of {of} networks", k / of),
     )  # fmt: skip
     residual = rows[1]
     left = residual - expected(predictor, located).error

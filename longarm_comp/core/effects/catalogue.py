@@ -8,8 +8,6 @@ model.yaml holds only names of effects, never code.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import importlib.util
 import inspect
 import re
 import sys
@@ -70,7 +68,7 @@ from longarm_comp.core.effects.slow_changes import (
     ThermalSoftening,
 )
 from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside, TouchPlace
-from longarm_comp.core.entry_points import check_name, of_other_packages
+from longarm_comp.core.entry_points import check_name, execute_file, of_other_packages
 from longarm_comp.core.errors import InputError
 
 Kind = type[Effect] | type[Bias]
@@ -149,22 +147,7 @@ def register(kind: _K, source: str = "") -> _K:
 def load_file(path: str | Path) -> tuple[Kind, ...]:
     """Execute a Python file, once for the same contents, and register its effects."""
     path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "effects", "missing", "a Python file that defines effects")
-    text = path.read_bytes()
-    name = f"longarm_effects_{hashlib.sha256(bytes(path.resolve()) + text).hexdigest()[:16]}"
-    module = sys.modules.get(name)
-    if module is None:
-        spec = importlib.util.spec_from_file_location(name, path)
-        if spec is None or spec.loader is None:
-            raise InputError(path, "effects", path.suffix, "a Python file, .py")
-        module = sys.modules[name] = importlib.util.module_from_spec(spec)
-        try:
-            spec.loader.exec_module(module)
-        except (Exception, SystemExit) as error:
-            del sys.modules[name]
-            said = f"{type(error).__name__}: {error}"
-            raise InputError(path, "effects", said, "a Python file that can be executed") from error
+    module = execute_file(path, "effects")
     own = [kind for kind in vars(module).values() if _is_kind(kind) and hasattr(kind, "name")]
     kinds = [kind for kind in own if kind.__module__ == module.__name__]
     if not kinds:

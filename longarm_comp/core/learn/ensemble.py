@@ -1,162 +1,32 @@
-"""Training of a predictor: encode, sparrow start, back-propagation, calibration of sigma.
-
-Back-propagation is Levenberg-Marquardt with the evidence framework (MacKay 1992, Neural Computation
-4, 448-472; Foresee and Hagan 1997): each prior precision ``alpha_g`` (one per input: automatic
-relevance determination) and the noise precision ``beta`` are re-estimated from the number of well
-determined weights ``gamma_g = n_g - alpha_g tr(A^-1)_gg``.
-
-Gross outliers: residuals are taken as Student-t over the ``k`` outputs of a sample, by iteratively
-re-weighted least squares with ``u = (nu + k) / (nu + beta |r|^2)``; ``nu`` is picked by likelihood,
-so clean data get ``u = 1`` (Gaussian) and no outlier threshold is needed.
-"""
+"""Training of a predictor: encode, train an ensemble, judge it at rows left out, scale sigma."""
 
 from __future__ import annotations
 
-import os
+import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cholesky
-from scipy.linalg.lapack import dtrtri
-from scipy.special import gammaln
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.inputs import Encoding, check_rows, fit_encoding
-from longarm_comp.core.learn.network import (
-    NetworkShape,
-    forward,
-    normal_equations,
-    output_jacobian,
-    sparrow_start,
-    squared_error,
-    with_ones,
-    xavier_start,
-)
+from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
-from longarm_comp.core.learn.sparrow import SparrowSearch
 from longarm_comp.core.model.uncertainty import LEVEL
+
+if TYPE_CHECKING:
+    import torch
+
+    from longarm_comp.core.learn.others import NetworkKind
 
 Array = NDArray[np.float64]
 
-_TAILS = np.array([2.5, 3.0, 4.0, 6.0, 9.0, 15.0, 30.0, 100.0, 1e4])  # nu; the last is Gaussian
-_PLAIN_STEPS = 5  # steps before the evidence and the robust weights join in
-_ALPHA = (1e-4, 1e6)
-_SETTLED, _SETTLED_STEPS = 7e-4, 8  # change of log beta, and number of successive steps
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A trained network in standardised units."""
-
-    shape: NetworkShape
-    weights: Array  # (D,)
-    posterior: Array  # (D, D) lower-triangular L^-1 with covariance (L^-1)'(L^-1), Laplace
-    sigma: float  # noise sd of an output (core of the Student-t)
-    row_weights: Array  # (N,) robust weights, near 0 for outliers
-    relevance: Array  # (d,) alpha of each input; large means ignored
-    effective: float  # gamma, well determined weights
-    evidence: float  # log evidence (Laplace)
-
-
-def back_propagate(
-    shape: NetworkShape,
-    start: Array,
-    x: Array,
-    y: Array,
-    max_steps: int = 150,
-) -> Fit:
-    """Train from ``start`` (D,) on standardised ``x`` (N, d) and ``y`` (N, k)."""
-    x1 = with_ones(x)
-    used = float(y.size)
-    group = shape.groups()
-    members = np.bincount(group).astype(float)
-    alpha, beta, tail = np.full(len(members), 0.1), 10.0, _TAILS[-1]
-    weights, robust, damping = start.astype(float), np.ones(len(x)), 1e-2
-    gamma, settled = members, 0
-    matrix, gradient, residual = normal_equations(shape, weights, x1, y, robust)
-    for step in range(1, max_steps + 1):
-        prior = alpha[group]
-        pull = beta * gradient - prior * weights
-        curvature = beta * matrix
-        diagonal = np.diag(curvature) + prior
-        cost = _cost(residual, weights, robust, prior, beta)
-        for _ in range(10):
-            system = curvature + np.diag(prior + damping * diagonal)
-            move = cho_solve(cho_factor(system, check_finite=False), pull, check_finite=False)
-            trial = y - forward(shape, weights + move, x1)
-            if _cost(trial, weights + move, robust, prior, beta) < cost:
-                weights = weights + move
-                damping = max(damping / 5.0, 1e-9)
-                break
-            damping = min(damping * 4.0, 1e8)
-        else:
-            settled += 1
-        residual = y - forward(shape, weights, x1)
-        if step > _PLAIN_STEPS:
-            tail, robust = _student(residual, beta)
-        matrix, gradient, residual = normal_equations(shape, weights, x1, y, robust)
-        if step <= _PLAIN_STEPS:
-            continue
-        before = np.log(beta)
-        # Weights of each group that the data determine
-        _, inverse = _laplace(matrix, alpha[group], beta)
-        variance = np.bincount(group, np.einsum("ij,ij->j", inverse, inverse))
-        gamma = np.clip(members - alpha * variance, 1e-3, members)
-        alpha = np.clip(gamma / (np.bincount(group, weights**2) + 1e-9), *_ALPHA)
-        spread = float(np.sum(robust[:, None] * residual**2))
-        beta = max(used - gamma.sum(), 0.02 * used) / max(spread, 1e-12 * used)
-        settled = settled + 1 if abs(np.log(beta) - before) < _SETTLED else 0
-        if settled >= _SETTLED_STEPS:
-            break
-    prior = alpha[group]
-    factor, inverse = _laplace(matrix, prior, beta)
-    evidence = (
-        _student_log(beta * np.sum(residual**2, axis=1), tail, shape.outputs)
-        + 0.5 * used * np.log(beta)
-        - 0.5 * np.sum(prior * weights**2)
-        + 0.5 * np.sum(np.log(prior))
-        - np.sum(np.log(np.diag(factor)))
-        + gammaln(shape.hidden + 1)
-        + shape.hidden * np.log(2.0)  # equal optima: hidden units permuted, signs flipped
-    )
-    return Fit(
-        shape, weights, inverse, float(beta**-0.5), robust, alpha[: shape.inputs],
-        float(gamma.sum()), float(evidence),
-    )  # fmt: skip
-
-
-def _cost(residual: Array, weights: Array, row: Array, prior: Array, beta: float) -> float:
-    value = 0.5 * beta * np.sum(row[:, None] * residual**2) + 0.5 * np.sum(prior * weights**2)
-    return float(value)
-
-
-def _laplace(matrix: Array, prior: Array, beta: float) -> tuple[Array, Array]:
-    """Lower triangle L of the posterior's precision, and its inverse."""
-    factor = cholesky(beta * matrix + np.diag(prior), lower=True, check_finite=False)
-    return factor, dtrtri(factor, lower=1)[0]
-
-
-def _student(residual: Array, beta: float) -> tuple[float, Array]:
-    """The likeliest ``nu`` of the table and the robust weights (N,) for it."""
-    k = residual.shape[1]
-    square = beta * np.sum(residual**2, axis=1)
-    logs = [_student_log(square, tail, k) for tail in _TAILS]
-    tail = float(_TAILS[int(np.argmax(logs))])
-    return tail, (tail + k) / (tail + square)
-
-
-def _student_log(square: Array, tail: float, k: int) -> float:
-    constant = gammaln((tail + k) / 2) - gammaln(tail / 2) - 0.5 * k * np.log(tail * np.pi)
-    return float(np.sum(constant - 0.5 * (tail + k) * np.log1p(square / tail)))
-
-
 _INITS = ["ssa", "xavier"]
+_DEVICES = ["auto", "cpu", "cuda"]
 _HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in order until the evidence falls by _UNLIKELY
 _UNLIKELY = 30.0
 _FOLDS = 4
@@ -170,12 +40,14 @@ def train(
     context: Context | None = None,
     *,
     inputs: str = "context",
-    init: str = "ssa",
+    init: str | None = None,
     seed: int = 0,
     population: int = 50,
     iterations: int = 50,
     hidden: int | None = None,
     ensemble: int = 5,
+    device: str = "auto",
+    network: NetworkKind | None = None,
     progress: Callable[[int, int], None] | None = None,
     provenance: Provenance | None = None,
 ) -> Predictor:
@@ -186,43 +58,53 @@ def train(
         residual: (N, 3) measured - predicted, m.
         context: circumstances of the rows, as `Session.context` gives them.
         inputs: ``context`` or ``joints`` (the paper's).
-        init: ``ssa`` or ``xavier`` (the control).
+        init: ``ssa`` (the default) or ``xavier`` (the control).
         seed: the same seed gives the same predictor on the same machine.
         population, iterations: of the sparrow search.
         hidden: hidden units; ``None`` tries several sizes and keeps the likeliest members of any.
         ensemble: members, each from its own start.
+        device: where torch trains: ``cpu``, ``cuda``, or ``auto``: a GPU where there is one.
+        network: another network instead (docs/your_own_network.md), from its own initial weights.
         progress: called with (networks trained, largest number of networks).
         provenance: arm, session and model of the predictor; the settings are added.
     """
     q, known = check_rows("train", q, context)
     y = _checked_targets(q, residual)
-    if init not in _INITS:
+    if init not in (None, *_INITS):
         raise InputError("train", "init", init, f"one of {_INITS}")
+    if network is not None and (init or hidden):
+        field = "init" if init else "hidden"
+        raise InputError("train", field, init or hidden, f"none: {network.name} has its own")
     if ensemble < 1:
         raise InputError("train", "ensemble", ensemble, "an integer >= 1")
     if hidden is not None and not 1 <= hidden <= 500:
         raise InputError("train", "hidden", hidden, "an integer in 1..500")
     encoding = fit_encoding(q, known, inputs)
-    search = SparrowSearch(population, iterations)
     raw = encoding.raw(q, known)
     x = encoding.standardise(raw)
     offset = np.median(y, axis=0)
     scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset), axis=0) ** 2)))
     scale = max(1.4826 * scale, 1e-9)
-    rows = _Rows(x, (y - offset) / scale, init, seed, search)
-    sizes = _HIDDEN_CHOICES if hidden is None else (hidden,)
-    starts = ensemble if hidden is not None else (ensemble + 1) // 2
+    learner = _Learner(
+        x, (y - offset) / scale, init or "ssa", seed, (population, iterations), network,
+        _device(device),
+    )  # fmt: skip
+    sizes = (0,) if network else _HIDDEN_CHOICES if hidden is None else (hidden,)
+    starts = ensemble if len(sizes) == 1 else (ensemble + 1) // 2
 
     def tell(networks: int) -> None:
         if progress is not None:
             progress(networks, len(sizes) * starts + _FOLDS)
 
-    fits = rows.likeliest(sizes, starts, tell)[:ensemble]
-    shape = NetworkShape(x.shape[1], max(each.shape.hidden for each in fits), 3)
+    folds = _folds(q, np.random.default_rng([seed, _FOLDS]))
+    fits, without = learner.likeliest(sizes, starts, folds, tell)
+    fits = fits[:ensemble]
+    tell(len(sizes) * starts + _FOLDS)
+    shape = NetworkShape(x.shape[1], max(each.units for each in fits), 3)
     probe = _probe(x, encoding, np.random.default_rng([seed]))
     settings = {
-        "inputs": inputs, "init": init, "seed": seed, "population": population,
-        "iterations": iterations, "hidden": [each.shape.hidden for each in fits],
+        "inputs": inputs, "init": init or ("own" if network else "ssa"), "seed": seed,
+        "population": population, "iterations": iterations, "hidden": [f.units for f in fits],
         "ensemble": ensemble, "samples": len(q),
     }  # fmt: skip
     origin = provenance or Provenance()
@@ -231,92 +113,142 @@ def train(
         encoding=encoding,
         lower=np.nanmin(ranged, axis=0),
         upper=np.nanmax(ranged, axis=0),
-        weights=np.array([_padded(shape, each.shape, each.weights) for each in fits]),
+        weights=np.array([each.padded(shape, each.weights) for each in fits]),
         hidden=shape.hidden,
-        posterior=_padded(shape, fits[0].shape, _leading(fits[0], probe)),
+        posterior=np.zeros((1, 1), np.float32),
         offset=offset,
         scale=scale,
         noise=np.full(3, scale * float(np.median([each.sigma for each in fits]))),
         widen=np.ones(3),
         variance_limit=np.inf,
         provenance=replace(origin, settings={**origin.settings, **settings}),
-    )  # fmt: skip
-    left, folds = y.copy(), _folds(q, np.random.default_rng([seed, _FOLDS]))
-    without = [(fits[0].shape.hidden, 0, ~out) for out in folds]
-    networks = rows.fits(without, tell, len(sizes) * starts)
-    for one, out in zip(networks, folds, strict=True):
-        left[out] -= forward(one.shape, one.weights, with_ones(x[out])) * scale + offset
-    tell(len(sizes) * starts + _FOLDS)
+        network=network,
+    )
+    draft = replace(draft, posterior=_leading(draft, fits[0].padded(shape, fits[0].root), probe))
+    left = y.copy()
+    for one, out in zip(without, folds, strict=True):
+        weights = one.padded(shape, one.weights)[None]
+        left[out] -= replace(draft, weights=weights).members.outputs(x[out])[0] * scale + offset
     return _calibrated(draft, y, left, x, probe)
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _Fit:
+    """One trained network, in standardised units."""
+
+    units: int  # hidden; 0 of a network of others
+    weights: Array  # (D,)
+    sigma: float
+    evidence: float
+    root: Array  # (D, D) R of the covariance R'R of the weights
+
+    def padded(self, shape: NetworkShape, weights: Array) -> Array:
+        """Weights (..., own D) padded with idle hidden units to a larger network's (..., D)."""
+        if not self.units:
+            return weights
+        padded = np.zeros((*weights.shape[:-1], shape.size))
+        padded[..., replace(shape, hidden=self.units).within(shape)] = weights
+        return padded
+
+
+@dataclass(frozen=True)
+class _Learner:
     """What networks are trained on, and how."""
 
     x: Array  # x, target: (N, d) inputs and (N, 3) residual, standardised
     target: Array
-    init: str  # init, seed, search: as `train` has them
+    init: str  # init, seed: as `train` has them
     seed: int
-    search: SparrowSearch
+    search: tuple[int, int]  # population, iterations
+    network: NetworkKind | None
+    device: torch.device
 
-    def fits(
-        self,
-        wanted: Sequence[tuple[int, int, NDArray[np.bool_] | slice]],
-        tell: Callable[[int], None],
-        done: int,
-    ) -> list[Fit]:
-        """Networks of some units, starts and rows, on all cores; ``done``: those before them."""
-        made: list[Fit] = []
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            for one in pool.map(lambda each: self.fit(*each), wanted):
-                made.append(one)
-                tell(done + len(made))
-        return made
+    def fits(self, units: int, rows: NDArray[np.bool_]) -> list[_Fit]:
+        """Networks of so many hidden units, each trained on its rows (M, N), as one batch."""
+        import torch
 
-    def fit(self, units: int, start: int, rows: NDArray[np.bool_] | slice) -> Fit:
-        """One network of so many hidden units, from start number ``start``."""
-        shape = NetworkShape(self.x.shape[1], units, 3)
-        rng = np.random.default_rng([self.seed, units, start])
-        x, target = self.x[rows], self.target[rows]
-        if self.init == "ssa":
-            begun = sparrow_start(shape, squared_error(shape, x, target), rng, self.search)
-        else:
-            begun = xavier_start(shape, rng)
-        return back_propagate(shape, begun, x, target)
+        from longarm_comp.core.learn.sparrow import SparrowSearch
+        from longarm_comp.core.learn.stack import TanhStack
+        from longarm_comp.core.learn.training import back_propagate
+
+        most = int(rows.sum(axis=1).max())  # rows of fewer are filled up with ones not used
+        own = np.argsort(~rows, axis=1, kind="stable")[:, :most]
+        x, y, used = (
+            torch.tensor(np.ascontiguousarray(each), dtype=torch.float64, device=self.device)
+            for each in (
+                self.x[own].swapaxes(1, 2), self.target[own].swapaxes(1, 2),
+                np.take_along_axis(rows, own, axis=1),
+            )
+        )  # fmt: skip
+        many, tags = len(rows), [self.seed, units, *rows.sum(axis=1).tolist()]
+        number = int(np.random.SeedSequence(tags).generate_state(1, np.uint64)[0])
+        shape = NetworkShape(x.shape[1], units, y.shape[1])
+        # These products are small: threads would wait for each other, for long on a busy computer
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            if self.network:
+                stack = self.network.stack(shape.inputs, shape.outputs, self.device)
+                start = self.network.starts(shape.inputs, shape.outputs, many, number).to(x)
+            else:
+                stack = TanhStack(shape, self.device)
+                rng = torch.Generator(self.device).manual_seed(number)
+                fitness = stack.squared_error(x, y, used)
+                search = SparrowSearch(*self.search)
+                start = (
+                    stack.xavier_starts(many, rng)
+                    if self.init == "xavier"
+                    else stack.sparrow_starts(fitness, many, rng, search)
+                )
+            found = back_propagate(stack, start, x, y, used)
+        finally:
+            torch.set_num_threads(threads)
+        # equal optima: hidden units permuted, signs flipped
+        evidence = found.evidence + math.lgamma(units + 1) + units * math.log(2.0)
+        each = (found.weights, found.sigma, evidence, found.posterior)
+        return [
+            _Fit(units, weights, float(sigma), float(log), root)
+            for weights, sigma, log, root in zip(
+                *(part.cpu().numpy() for part in each), strict=True
+            )
+        ]
 
     def likeliest(
-        self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
-    ) -> list[Fit]:
-        """Networks of rising size until the evidence falls, the likeliest first."""
-        fits: list[Fit] = []
-        for turn, units in enumerate(sizes):
-            if turn and NetworkShape(self.x.shape[1], units, 3).size > 1.5 * len(self.x):
+        self, sizes: Sequence[int], starts: int, out: NDArray[np.bool_], tell: Callable[[int], None]
+    ) -> tuple[list[_Fit], list[_Fit]]:
+        """Networks of rising size until the evidence falls, the likeliest first; and one of the
+        likeliest size without the rows of each fold ``out`` (F, N)."""
+        fits = list[_Fit]()
+        for h in sizes:
+            if fits and NetworkShape(self.x.shape[1], h, 3).size > 1.5 * len(self.x):
                 break
-            wanted = [(units, start, slice(None)) for start in range(starts)]
-            networks = self.fits(wanted, tell, turn * starts)
+            networks = self.fits(h, np.ones((starts, len(self.x)), bool))
             fits += networks
-            best = max(each.evidence for each in fits)
-            if max(each.evidence for each in networks) < best - _UNLIKELY:
+            tell(len(fits))
+            best_yet = max(each.evidence for each in fits)
+            if max(each.evidence for each in networks) < best_yet - _UNLIKELY:
                 break
-        return sorted(fits, key=lambda each: -each.evidence)
+        fits.sort(key=lambda each: -each.evidence)
+        return fits, self.fits(fits[0].units, ~out)
 
 
-def _folds(q: Array, rng: np.random.Generator) -> list[NDArray[np.bool_]]:
-    """(N,) masks of the rows left out together; repeats of a pose stay together."""
+def _device(wanted: str) -> torch.device:
+    import torch
+
+    if wanted not in _DEVICES:
+        raise InputError("train", "device", wanted, f"one of {_DEVICES}")
+    there = torch.cuda.is_available()
+    if wanted == "cuda" and not there:
+        raise InputError("train", "device", wanted, f"cpu: torch {torch.__version__} sees no GPU")
+    return torch.device("cuda" if there and wanted != "cpu" else "cpu")
+
+
+def _folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """(F, N) masks of the rows left out together; repeats of a pose stay together."""
     _, pose = np.unique(np.round(q, 6), axis=0, return_inverse=True)
     pose = pose.ravel()
     fold = (rng.permutation(pose.max() + 1) % _FOLDS)[pose]
-    return [fold == k for k in range(_FOLDS) if (fold == k).any()]
-
-
-def _padded(shape: NetworkShape, own: NetworkShape, weights: NDArray[Any]) -> NDArray[Any]:
-    """Weights (..., own D) of a smaller network padded to (..., D) with idle hidden units."""
-    v, w, b = shape.split(np.arange(shape.size))
-    place = np.concatenate((v[:, : own.hidden].ravel(), w[: own.hidden].ravel(), b))
-    padded = np.zeros((*weights.shape[:-1], shape.size), dtype=weights.dtype)
-    padded[..., place] = weights
-    return padded
+    return np.array([fold == k for k in range(_FOLDS) if (fold == k).any()])
 
 
 def _calibrated(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) -> Predictor:
@@ -343,17 +275,15 @@ def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
     return probe
 
 
-def _leading(fit: Fit, probe: Array) -> NDArray[np.float32]:
+def _leading(draft: Predictor, root: Array, probe: Array) -> NDArray[np.float32]:
     """(r, D) leading directions of the posterior. They hold all but 0.5 % of the Laplace variance
     of the outputs over the training region, at a fraction of the cost."""
-    flat = output_jacobian(fit.shape, fit.weights, with_ones(probe[:500]))
-    flat = flat.reshape(-1, fit.shape.size)
-    spread = flat @ fit.posterior.T
+    jacobian = draft.members.jacobian(probe[:500])
+    spread = jacobian.reshape(-1, jacobian.shape[-1]) @ root.T
     values, vectors = np.linalg.eigh(spread.T @ spread)
     carried = np.cumsum(values[::-1]) / values.sum()
     count = int(np.searchsorted(carried, 0.995)) + 1
-    leading = vectors[:, ::-1][:, :count].T @ fit.posterior
-    return np.ascontiguousarray(leading, dtype=np.float32)
+    return np.ascontiguousarray(vectors[:, ::-1][:, :count].T @ root, dtype=np.float32)
 
 
 def _checked_targets(q: Array, residual: Array) -> Array:

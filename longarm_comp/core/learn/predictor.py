@@ -16,18 +16,23 @@ chance: a network that learned noise adds it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.expansion import LINEAR_M, Expansion
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.inputs import Encoding, check_rows, raw_names
-from longarm_comp.core.learn.network import NetworkShape, forward, output_jacobian, with_ones
+from longarm_comp.core.learn.network import NetworkShape, TanhMembers
+
+if TYPE_CHECKING:
+    from longarm_comp.core.learn.others import NetworkKind, TorchMembers
 
 Array = NDArray[np.float64]
 
@@ -83,7 +88,7 @@ class Predictor:
     lower: Array  # (columns,) training range of every raw column
     upper: Array
     weights: Array  # (M, D), standardised units
-    hidden: int  # of the largest member; smaller ones have idle units
+    hidden: int  # of the largest member; smaller ones have idle units; 0 of a network of others
     posterior: NDArray[np.float32]  # (r, D) covariance C ~ P'P of the first member, the likeliest
     offset: Array  # (3,) m, subtracted from the residual before scaling
     scale: float  # m, one for the three axes
@@ -93,10 +98,14 @@ class Predictor:
     alone: Array = field(default_factory=lambda: np.full(3, np.inf))  # (3,) m, sigma without it
     gain: LearnedGain = field(default_factory=LearnedGain)
     provenance: Provenance = field(default_factory=Provenance)
+    network: NetworkKind | None = None  # None: the paper's, which needs no torch
 
     @cached_property
-    def shape(self) -> NetworkShape:
-        return NetworkShape(len(self.encoding.kept), self.hidden, len(self.offset))
+    def members(self) -> TanhMembers | TorchMembers:
+        inputs, outputs = len(self.encoding.kept), len(self.offset)
+        if self.network is not None:
+            return self.network.members(inputs, outputs, self.weights)
+        return TanhMembers(NetworkShape(inputs, self.hidden, outputs), self.weights)
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
@@ -129,14 +138,13 @@ class Predictor:
 
     def _mean_and_variance(self, x: Array) -> tuple[Array, Array]:
         """Mean (N, 3) and epistemic variance (N, 3) in m, m^2 for standardised inputs (N, d)."""
-        x1 = with_ones(x)
-        outputs = forward(self.shape, self.weights, x1)
+        outputs = self.members.outputs(x)
         mean = outputs.sum(axis=0) / len(outputs)
         variance = ((outputs - mean) ** 2).sum(axis=0) / max(1, len(outputs) - 1)
-        for start in range(0, len(x1), 1024):
+        for start in range(0, len(x), 1024):
             rows = slice(start, start + 1024)
-            jacobian = output_jacobian(self.shape, self.weights[0], x1[rows])
-            flat = jacobian.reshape(-1, self.shape.size).astype(np.float32)
+            jacobian = self.members.jacobian(x[rows])
+            flat = jacobian.reshape(-1, jacobian.shape[2]).astype(np.float32)
             spread = flat @ self.posterior.T
             laplace = np.einsum("ij,ij->i", spread, spread)
             variance[rows] += laplace.reshape(-1, len(self.offset))
@@ -150,10 +158,7 @@ class Predictor:
         for column in np.flatnonzero(unknown.any(axis=0)):
             step = np.zeros_like(x)
             step[:, column] = unknown[:, column]
-            up, down = (
-                forward(self.shape, self.weights, with_ones(moved)).mean(axis=0)
-                for moved in (x + step, x - step)
-            )
+            up, down = (self.members.outputs(moved).mean(axis=0) for moved in (x + step, x - step))
             variance += (0.5 * self.scale * (up - down)) ** 2
         return variance
 
@@ -193,67 +198,29 @@ class Predictor:
         return ~bad, away, reason
 
 
-LINEAR_M = 5e-6
-"""Accuracy of an expansion within its reach, m."""
-
-
-@dataclass(frozen=True)
-class Expansion:
-    """Expected residual at joints (n,) and its linear expansion.
-
-    A compensation needs the error at joints that differ by a few millirad: with the slope one
-    request is enough, which matters when it is a round trip to another process.
-
-    Attributes:
-        error, sigma: (3,) m.
-        in_domain, reason: as in `Prediction`.
-        jacobian: (3, n), m per rad or m of each joint.
-        reach: (n,) rad or m. If no joint moves farther, the joints stay inside the training data
-            and ``error + jacobian @ step`` is accurate to `LINEAR_M`. Zero: valid only at q.
-    """
-
-    error: np.ndarray
-    sigma: np.ndarray
-    in_domain: bool
-    reason: str
-    jacobian: np.ndarray
-    reach: np.ndarray
-
-
 class Expander:
-    """Computes expansions of one predictor. Terms of the weights alone are computed once."""
+    """Computes expansions of one predictor."""
 
     def __init__(self, predictor: Predictor) -> None:
         self._predictor = predictor
-        encoding, (v, w, _) = predictor.encoding, predictor.shape.split(predictor.weights)
-        joint = encoding.kept < encoding.joints  # columns that are a joint
-        self._moved = encoding.kept[joint]
-        self._width = encoding.scale[joint]
-        share = predictor.scale / len(w)
-        self._hidden = np.concatenate(v, axis=1)  # (d+1, M H): all members in one product
-        self._output = share * np.concatenate(w)  # (M H, 3)
-        self._rates = self._hidden[:-1][joint]
-        # second derivatives along steps of at most 1 in every column, summed without cancelling
-        steep = np.abs(self._rates).sum(axis=0) ** 2  # (M H,)
-        self._steep = steep[:, None] * np.abs(self._output)
+        encoding = predictor.encoding
+        self._joint = encoding.kept < encoding.joints  # columns that are a joint
+        self._moved = encoding.kept[self._joint]
+        self._width = encoding.scale[self._joint]
 
     def __call__(self, q: np.ndarray, context: Context | None = None) -> Expansion:
         """Predict at joints (n,) and around them."""
         predictor, n = self._predictor, len(q)
         context = context or Context()
         found = predictor.predict(q[None], context)
-        x = predictor.encoding.standardise(predictor.encoding.raw(q[None], context))
-        z = np.tanh(with_ones(x) @ self._hidden)[0]
-        bend = 1.0 - z * z
+        x = predictor.encoding.standardise(predictor.encoding.raw(q[None], context))[0]
+        slope, step = predictor.members.slope(x, self._joint, LINEAR_M / predictor.scale)
         jacobian, reach = np.zeros((3, n)), np.zeros(n)
-        jacobian[:, self._moved] = (((self._rates * bend) @ self._output) / self._width[:, None]).T
+        jacobian[:, self._moved] = predictor.scale * slope / self._width
         # allowed growth of the variance, up to the limit of the domain
         if found.in_domain[0] and found.doubt[0] * 1.5 <= 1.0:
-            # largest |tanh''|, which bounds the error of a step
-            bent = np.minimum(2.0 * np.abs(z) * bend, 0.77)
-            curvature = float((bent @ self._steep).max())
             # of a column's training sd; epistemic variance grows by a quarter at the most
-            step = min(0.05, math.sqrt(2.0 * LINEAR_M / max(curvature, 1e-12)))
+            step = min(0.05, step)
             low, high = predictor.box
             reach = np.minimum(q - low[:n], high[:n] - q)
             reach[self._moved] = np.minimum(reach[self._moved], step * self._width)
@@ -261,32 +228,3 @@ class Expander:
             found.error[0], found.sigma[0], bool(found.in_domain[0]), found.reason[0],
             jacobian, reach,
         )  # fmt: skip
-
-
-class Nearby:
-    """A predictor for one target, which reuses its last expansion within its reach."""
-
-    def __init__(self, ask: Callable[[np.ndarray, Context], Expansion]) -> None:
-        self._ask = ask
-        self._held: tuple[np.ndarray, Context, Expansion] | None = None
-
-    def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
-        """Expected residual at joints (N, n); as `Predictor.predict`.
-
-        The expansion is around the first of them. The others are extrapolated from it, also
-        beyond its reach.
-        """
-        joints, given = q[0], context or Context()
-        held = self._held
-        if held is None or not (
-            (np.abs(joints - held[0]) <= held[2].reach).all() and given == held[1]
-        ):
-            held = self._held = joints.copy(), given, self._ask(joints, given)
-        at, _, found = held
-        count = len(q)
-        return Prediction(
-            found.error + (q - at) @ found.jacobian.T,
-            np.repeat(found.sigma[None], count, axis=0),
-            np.full(count, found.in_domain),
-            [found.reason] * count,
-        )

@@ -16,8 +16,8 @@ vigilante            random ``SD n``           ``Xbest + beta |X - Xbest|``, ``b
 
 ``A+ = A'(AA')^-1`` of a row ``A`` of ``+-1`` is ``A' / D`` exactly, so nothing is inverted. The
 best and the worst are refreshed after the foragers have moved; each sparrow keeps its personal
-best; positions are clipped to the bounds. One iteration evaluates discoverers, followers and
-vigilantes as three batches.
+best; positions are clipped to the bounds. Many searches run at once, one a network; one iteration
+evaluates discoverers, followers and vigilantes of all of them as three batches.
 
 The paper prints other updates: `bench/sparrow_as_printed.py`.
 
@@ -30,63 +30,73 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+import torch
+from torch import Tensor
 
 from longarm_comp.core.errors import InputError
 
-Array = NDArray[np.float64]
-Fitness = Callable[[Array], NDArray[np.floating]]
+Fitness = Callable[[Tensor], Tensor]
+"""Positions (M, P, D) of M searches -> values (M, P)."""
 
 _PD, _SD, _ST = 0.2, 0.1, 0.8  # those of the reference code
+
+
+def uniform(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
+    """Random numbers within [0, 1), of the kind of another tensor."""
+    return like.new_empty(size).uniform_(generator=rng)
+
+
+def normal(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
+    """Random numbers of mean 0 and variance 1, of the kind of another tensor."""
+    return like.new_empty(size).normal_(generator=rng)
 
 
 @dataclass(frozen=True)
 class Flock:
     """Inputs of the update rules: best, worst and horizon of the current iteration."""
 
-    best: Array  # (D,)
-    worst: Array  # (D,)
-    best_fitness: float
-    worst_fitness: float
+    best: Tensor  # (M, 1, D)
+    worst: Tensor  # (M, 1, D)
+    best_fitness: Tensor  # (M, 1)
+    worst_fitness: Tensor  # (M, 1)
     horizon: int  # T, iterations in all
 
 
-def diagonal_step(rng: np.random.Generator, position: Array, leader: Array) -> Array:
-    """``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension."""
-    sign = 1.0 - 2.0 * rng.integers(0, 2, position.shape, dtype=np.int8)
-    return np.mean(np.abs(position - leader) * sign, axis=1, keepdims=True)
-
-
 class Rules:
-    """The four moves of the algorithm; each takes and returns (m, D) positions."""
+    """The four moves of the algorithm; each takes and returns (M, m, D) positions."""
 
     def discover(
-        self, rng: np.random.Generator, position: Array, rank: Array, horizon: int, alarmed: bool
-    ) -> Array:
-        """Eq. (6): contract while calm, jump along the diagonal when alarmed."""
-        if alarmed:
-            return position + rng.standard_normal((len(position), 1))
-        alpha = 1.0 - rng.random(len(position))  # (0, 1]
-        return position * np.exp(-rank / (alpha * horizon))[:, None]
+        self, rng: torch.Generator, position: Tensor, rank: Tensor, horizon: int, alarmed: Tensor
+    ) -> Tensor:
+        """Eq. (6): contract while calm, jump along the diagonal when alarmed (M, 1, 1)."""
+        alpha = 1.0 - uniform(rng, position, *position.shape[:2])  # (0, 1]
+        calm = position * torch.exp(-rank / (alpha * horizon))[..., None]
+        return torch.where(alarmed, position + normal(rng, position, *position.shape[:2], 1), calm)
 
-    def follow(self, rng: np.random.Generator, position: Array, leader: Array) -> Array:
+    def follow(self, rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
         return leader + diagonal_step(rng, position, leader)
 
-    def starve(self, rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
-        quantity = rng.standard_normal((len(position), 1))
-        return quantity * np.exp((flock.worst - position) / rank[:, None] ** 2)
+    def starve(self, rng: torch.Generator, position: Tensor, rank: Tensor, flock: Flock) -> Tensor:
+        quantity = normal(rng, position, *position.shape[:2], 1)
+        return quantity * torch.exp((flock.worst - position) / rank[:, None] ** 2)
 
     def watch(
-        self, rng: np.random.Generator, position: Array, fitness: Array, flock: Flock
-    ) -> Array:
-        beta = rng.standard_normal(position.shape)
-        k = rng.uniform(-1.0, 1.0, (len(position), 1))
-        towards = flock.best + beta * np.abs(position - flock.best)
-        gap = (fitness - flock.worst_fitness)[:, None]
-        step = k * np.abs(position - flock.worst)
-        away = position + np.divide(step, gap, out=np.zeros_like(step), where=gap < 0)
-        return np.where((fitness > flock.best_fitness)[:, None], towards, away)
+        self, rng: torch.Generator, position: Tensor, fitness: Tensor, flock: Flock
+    ) -> Tensor:
+        towards = (
+            flock.best + normal(rng, position, *position.shape) * (position - flock.best).abs()
+        )
+        k = 2.0 * uniform(rng, position, *position.shape[:2], 1) - 1.0
+        gap = (fitness - flock.worst_fitness)[..., None]
+        step = k * (position - flock.worst).abs()
+        away = position + torch.where(gap < 0, step / gap, 0.0)
+        return torch.where((fitness > flock.best_fitness)[..., None], towards, away)
+
+
+def diagonal_step(rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
+    """``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension."""
+    sign = torch.where(uniform(rng, position, *position.shape) < 0.5, -1.0, 1.0)
+    return ((position - leader) * sign).mean(dim=2, keepdim=True)
 
 
 CANONICAL = Rules()
@@ -94,10 +104,9 @@ CANONICAL = Rules()
 
 @dataclass(frozen=True)
 class SparrowResult:
-    position: Array  # (D,) best position found
-    fitness: float
-    history: Array  # (T + 1,) best fitness after each iteration, the start first
-    evaluations: int
+    position: Tensor  # (M, D) best positions found
+    fitness: Tensor  # (M,)
+    evaluations: int  # of each search
 
 
 @dataclass(frozen=True)
@@ -114,68 +123,65 @@ class SparrowSearch:
             raise InputError(where, "iterations", self.iterations, "an integer >= 1")
 
     def minimise(
-        self, fitness: Fitness, lower: Array, upper: Array, rng: np.random.Generator
+        self, fitness: Fitness, lower: Tensor, upper: Tensor, rng: torch.Generator
     ) -> SparrowResult:
-        """Minimise ``fitness`` over the box ``lower <= x <= upper``, (D,) each.
+        """Minimise ``fitness`` over the boxes ``lower <= x <= upper``, (M, D) each, at once.
 
         Args:
-            fitness: maps positions (P, D) to values (P,) in one call; NaN counts as infinitely bad.
+            fitness: NaN counts as infinitely bad.
             rng: the only source of randomness; the same state gives the same result.
-
-        Raises:
-            InputError: no box.
         """
-        fits = lower.ndim == 1 and lower.shape == upper.shape
-        if not fits or not (np.isfinite(upper - lower) & (lower < upper)).all():
-            allowed = "(D,) finite with lower < upper"
-            raise InputError("sparrow search", "bounds", (lower, upper), allowed)
-        rules = self.rules
-        n, horizon = self.population, self.iterations
+        (many, size), n, horizon, rules = lower.shape, self.population, self.iterations, self.rules
         lead = max(1, round(_PD * n))
         half = max(lead, n // 2)
         watchers = max(1, round(_SD * n))
-        rank = np.arange(1, n + 1, dtype=float)
+        rank = torch.arange(1, n + 1, dtype=lower.dtype, device=lower.device)
+        low, high = lower[:, None], upper[:, None]
 
-        def evaluate(position: Array) -> Array:
-            value = np.asarray(fitness(position), float)
-            return np.where(np.isnan(value), np.inf, value)
+        def evaluate(position: Tensor) -> Tensor:
+            return fitness(position).to(lower.dtype).nan_to_num(nan=torch.inf, posinf=torch.inf)
 
-        def clip(position: Array) -> Array:
-            return np.fmax(np.fmin(position, upper), lower)  # a NaN goes to a bound
+        def clip(position: Tensor) -> Tensor:
+            return torch.fmax(torch.fmin(position, high), low)  # a NaN goes to a bound
 
-        home = rng.uniform(lower, upper, (n, len(lower)))  # personal bests
+        def rows(of: Tensor, index: Tensor) -> Tensor:
+            return of.gather(1, index[..., None].expand(-1, -1, size))
+
+        def flock(home: Tensor, value: Tensor, now: Tensor, now_value: Tensor) -> Flock:
+            best, at = value.min(dim=1, keepdim=True)
+            worst, worst_at = now_value.max(dim=1, keepdim=True)
+            return Flock(rows(home, at), rows(now, worst_at), best, worst, horizon)
+
+        home = low + (high - low) * uniform(rng, lower, many, n, size)  # personal bests
         value = evaluate(home)
-        history = np.empty(horizon + 1)
-        history[0] = value.min()
-        now, now_value = home.copy(), value.copy()
-        for t in range(1, horizon + 1):
-            order = np.argsort(value, kind="stable")
-            home, value = home[order], value[order]
-            worst = now[np.argmax(now_value)]
-            flock = Flock(home[0], worst, value[0], float(now_value.max()), horizon)
-            alarmed = bool(rng.random() >= _ST)
-            with np.errstate(over="ignore", invalid="ignore"):
-                leaders = clip(rules.discover(rng, home[:lead], rank[:lead], horizon, alarmed))
-                leader_value = evaluate(leaders)
-                leader = leaders[np.argmin(leader_value)]
-                followers = rules.follow(rng, home[lead:half], leader)
-                starving = rules.starve(rng, home[half:], rank[half:], flock)
-                rest = clip(np.concatenate((followers, starving)))
-                now = np.concatenate((leaders, rest))
-                now_value = np.concatenate((leader_value, evaluate(rest)))
-                better = now_value < value
-                home[better], value[better] = now[better], now_value[better]
+        now, now_value = home, value
+        for _ in range(horizon):
+            value, order = value.sort(dim=1, stable=True)
+            home = rows(home, order)
+            before = flock(home, value, now, now_value)
+            alarmed = uniform(rng, lower, many, 1, 1) >= _ST
+            leaders = clip(rules.discover(rng, home[:, :lead], rank[:lead], horizon, alarmed))
+            leader_value = evaluate(leaders)
+            leader = rows(leaders, leader_value.argmin(dim=1, keepdim=True))
+            followers = rules.follow(rng, home[:, lead:half], leader)
+            starving = rules.starve(rng, home[:, half:], rank[half:], before)
+            rest = clip(torch.cat((followers, starving), dim=1))
+            now = torch.cat((leaders, rest), dim=1)
+            now_value = torch.cat((leader_value, evaluate(rest)), dim=1)
+            better = now_value < value
+            home = torch.where(better[..., None], now, home)
+            value = torch.where(better, now_value, value)
 
-                watching = rng.permutation(n)[:watchers]
-                best, worst_index = int(np.argmin(value)), int(np.argmax(now_value))
-                f_best, f_worst = float(value[best]), float(now_value[worst_index])
-                flock = Flock(home[best], now[worst_index], f_best, f_worst, horizon)
-                moved = clip(rules.watch(rng, home[watching], value[watching], flock))
-                now[watching] = moved
-                now_value[watching] = evaluate(moved)
-                better = now_value < value
-                home[better], value[better] = now[better], now_value[better]
-            history[t] = value.min()
-        best = int(np.argmin(value))
+            watching = uniform(rng, lower, many, n).topk(watchers).indices
+            own, own_value = rows(home, watching), value.gather(1, watching)
+            after = flock(home, value, now, now_value)
+            moved = clip(rules.watch(rng, own, own_value, after))
+            moved_value = evaluate(moved)
+            at = watching[..., None].expand(-1, -1, size)
+            now, now_value = now.scatter(1, at, moved), now_value.scatter(1, watching, moved_value)
+            better = moved_value < own_value
+            home = home.scatter(1, at, torch.where(better[..., None], moved, own))
+            value = value.scatter(1, watching, torch.where(better, moved_value, own_value))
+        fitness_found, best = value.min(dim=1, keepdim=True)
         evaluations = n + horizon * (n + watchers)
-        return SparrowResult(home[best].copy(), float(value[best]), history, evaluations)
+        return SparrowResult(rows(home, best)[:, 0], fitness_found[:, 0], evaluations)

@@ -1,0 +1,66 @@
+"""The learned error at one posture and around it: one answer serves the steps of a solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.result import Prediction
+
+LINEAR_M = 5e-6
+"""Accuracy of an expansion within its reach, m."""
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """Expected residual at joints (n,) and its linear expansion.
+
+    A compensation needs the error at joints that differ by a few millirad: with the slope one
+    request is enough, which matters when it is a round trip to another process.
+
+    Attributes:
+        error, sigma: (3,) m.
+        in_domain, reason: as in `Prediction`.
+        jacobian: (3, n), m per rad or m of each joint.
+        reach: (n,) rad or m. If no joint moves farther, the joints stay inside the training data
+            and ``error + jacobian @ step`` is accurate to `LINEAR_M`. Zero: valid only at q.
+    """
+
+    error: np.ndarray
+    sigma: np.ndarray
+    in_domain: bool
+    reason: str
+    jacobian: np.ndarray
+    reach: np.ndarray
+
+
+class Nearby:
+    """A predictor for one target, which reuses its last expansion within its reach."""
+
+    def __init__(self, ask: Callable[[np.ndarray, Context], Expansion]) -> None:
+        self._ask = ask
+        self._held: tuple[np.ndarray, Context, Expansion] | None = None
+
+    def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
+        """Expected residual at joints (N, n); as `Predictor.predict`.
+
+        The expansion is around the first of them. The others are extrapolated from it, also
+        beyond its reach.
+        """
+        joints, given = q[0], context or Context()
+        held = self._held
+        if held is None or not (
+            (np.abs(joints - held[0]) <= held[2].reach).all() and given == held[1]
+        ):
+            held = self._held = joints.copy(), given, self._ask(joints, given)
+        at, _, found = held
+        count = len(q)
+        return Prediction(
+            found.error + (q - at) @ found.jacobian.T,
+            np.repeat(found.sigma[None], count, axis=0),
+            np.full(count, found.in_domain),
+            [found.reason] * count,
+        )
