@@ -14,6 +14,8 @@ from bench.subprocess_cost import cost_of
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.ensemble import train
 
+NAME = "bench.ssa_scaling"
+"""Of this module, also where it is run as a program."""
 NO_GPU = "no GPU at hand: torch sees none on this machine"
 
 # ------------------------------------------------------------------ run in processes of their own
@@ -46,7 +48,7 @@ def train_once(samples: int, networks: int, device: str = "cpu") -> dict[str, fl
 def search_population(population: int, iterations: int = 1) -> Result:
     """A whole search with a large population, 900 samples."""
     peer = "mealpy 3.0.3 OriginalSSA"
-    ours = cost_of(__name__, "search_rate", 900, population, iterations)
+    ours = cost_of(NAME, "search_rate", 900, population, iterations)
     try:
         with MealpyPeer(*SsaProblem.of(900, test=1).standardised, SHAPE.hidden) as other:
             answer = other.solve(population, iterations, 0)
@@ -65,7 +67,7 @@ def search_population(population: int, iterations: int = 1) -> Result:
 
 def train_many(many: int, few: int = 1_000) -> Result:
     """One network of 12 hidden units, whole training."""
-    small, large = (cost_of(__name__, "train_once", samples, 1) for samples in (few, many))
+    small, large = (cost_of(NAME, "train_once", samples, 1) for samples in (few, many))
     return beside(
         "s CPU",
         [large.result["cpu_s"]],
@@ -82,7 +84,7 @@ def search_on_gpu(population: int, iterations: int = 5) -> Result:
     if not torch.cuda.is_available():
         return missing("one core of this CPU", NO_GPU)
     gpu, core = (
-        cost_of(__name__, "search_rate", 900, population, iterations, device).result
+        cost_of(NAME, "search_rate", 900, population, iterations, device).result
         for device in ("cuda", "cpu")
     )
     return beside("evaluations/s", [gpu], "one core of this CPU", [core], more_is_better=True)
@@ -93,7 +95,7 @@ def train_on_gpu(samples: int) -> Result:
     if not torch.cuda.is_available():
         return missing("one core of this CPU", NO_GPU)
     gpu, core = (
-        cost_of(__name__, "train_once", samples, 5, device).result for device in ("cuda", "cpu")
+        cost_of(NAME, "train_once", samples, 5, device).result for device in ("cuda", "cpu")
     )
     return beside(
         "s", [gpu["wall_s"]], "one core of this CPU", [core["wall_s"]], rms_mm=gpu["rms_mm"]

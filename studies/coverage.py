@@ -20,6 +20,7 @@ from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.uncertainty import about_the_mean, uncertainty
+from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import effect_class
@@ -71,15 +72,21 @@ class LeftOutRows:
 
 
 def judge(
-    name: str, fitted: ModelFit, rows: Session, clean: np.ndarray | None = None
+    name: str,
+    fitted: ModelFit,
+    rows: Session,
+    clean: np.ndarray | None = None,
+    commanded: bool = False,
 ) -> LeftOutRows:
     """Hold rows with a position against a fit that has not seen them.
 
     Args:
         clean: (N, 3) m, the rows' points without noise: then the tip alone is judged.
+        commanded: whether errors are those that a command would leave.
     """
     known, seen = uncertainty(fitted), rows.take(rows.located)
-    model, off = fitted.model, errors(fitted.model, seen)
+    model = fitted.model
+    off = (commanded_errors if commanded else errors)(model, seen)
     if clean is not None:
         known = replace(known, noise=np.zeros((3, 3)))
         off = off + clean[rows.located] - seen.xyz
@@ -127,7 +134,9 @@ def real(folder: Path, say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
         terms = _bends if robot == "dlr_justin" else _rigid
         for part in parts:
             say(f"{robot}: its own split")
-            yield judge(f"{robot}, its own split", _fitted(part.arm, part.train, terms), part.test)
+            yield judge(
+                f"{robot}, its own split", _fitted(part.arm, part.train, terms), part.held_out
+            )
             for kept, out in _places(part.train):
                 say(f"{robot}: places")
                 yield judge(f"{robot}, places", _fitted(part.arm, kept, terms), out)

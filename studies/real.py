@@ -3,15 +3,15 @@
 DLR Agile Justin (two arms on one torso, fitted together), Barrett WAM, UR5.  The ladder is rigid
 first (beams of these arms are not declared), then torsion of the joints, then lateral elasticity of
 their seats on top, as Tenhumberg and Baeuml (HUMANOIDS 2020, 2021) have it; ``diagnosed`` is what
-`diagnose` writes of the training rows, each arm by itself.  "Frames only" is the base and tool
-placement alone.
+`diagnose` writes of the training rows, each arm by itself (`studies/real_sets.py`).  "Frames only"
+is the base and tool placement alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,51 +26,20 @@ from longarm_comp.core.calibration.calibrate import (
 from longarm_comp.core.calibration.fit import fit_together
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.placement import placed
-from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.placements import TipOffset
-from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.proof import CALIBRATED
-from longarm_comp.core.model.model import Model, Slot
+from longarm_comp.core.model.model import Slot
 from studies.interval import mean_ci95
-from studies.real_sessions import Measured, every_robot
+from studies.real_sessions import Measured
 
 Terms = tuple[Effect | Bias, ...]
-Progress = Callable[[str], None]
+Say = Callable[[str], None]
 
 LAST_SHARED_ROW = 4
 """Justin's torso; its two shoulders (row 5) and what follows are each arm's own."""
-
-
-@dataclass(frozen=True)
-class Commanded:
-    """Mean errors of a command on the test rows, m.
-
-    Attributes:
-        calibrated: with the geometry that the diagnosis calibrated.
-        written: with the model that it wrote.
-        gain_ci95: 95 % of the mean that the latter takes off, row by row.
-    """
-
-    calibrated: float
-    written: float
-    gain_ci95: tuple[float, float]
-
-    @classmethod
-    def of(cls, found: Sequence[Diagnosis], parts: Sequence[Measured]) -> Commanded:
-        """Of the arms of one robot, all their test rows together."""
-
-        def lengths(models: Sequence[Model]) -> np.ndarray:
-            left = [commanded_errors(m, p.test) for m, p in zip(models, parts, strict=True)]
-            return np.linalg.norm(np.concatenate(left), axis=1)
-
-        before = lengths([d.fits[CALIBRATED].model for d in found])
-        after = lengths([d.model for d in found])
-        _, low, high = mean_ci95(before - after)
-        return cls(float(before.mean()), float(after.mean()), (low, high))
 
 
 @dataclass(frozen=True)
@@ -83,36 +52,33 @@ class Line:
         ci95: of their mean, m: the rows drawn anew.
         effects: effects of the model besides geometry; of a diagnosis those found, not what every
             arm gives way by.
-        commanded: the same as a command would have it; of what a diagnosis wrote.
     """
 
     model: str
     errors: Errors
     ci95: tuple[float, float]
     effects: tuple[str, ...] = ()
-    commanded: Commanded | None = None
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """Of the table, mm."""
+        e = self.errors
+        millimetres = {f"{k}_mm": 1e3 * getattr(e, k) for k in ("mean", "rms", "max")}
+        return {"model": self.model, **millimetres, "n": e.n}
+
+    @property
+    def further(self) -> dict[str, Any]:
+        """What ``--json`` has besides."""
+        return {"ci95_mm": [1e3 * end for end in self.ci95], "effects": list(self.effects)}
 
 
-def study(folder: Path, progress: Progress | None = None) -> dict[str, list[Line]]:
-    """Every data set of a folder.
+def ladder(parts: Sequence[Measured], found: Sequence[Diagnosis], say: Say) -> list[Line]:
+    """Of one robot: frames only, joint zeros, rigid, and what bends; then as diagnosed.
 
     Args:
-        folder: holds ``dlr_justin``, ``wam_ur5`` or both.
-        progress: called with the name of the model being fitted.
-
-    Raises:
-        InputError: it holds no data set.
+        found: the diagnosis of each arm's rows.
+        say: called with the name of the model being fitted.
     """
-    say = progress or (lambda _: None)
-    return {
-        name: judged(parts, lambda text, name=name: say(f"{name}: {text}"))  # type: ignore[misc]
-        for name, parts in every_robot(folder).items()
-    }
-
-
-def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[Line]:
-    """The ladder of one robot: frames only, joint zeros, rigid, and what bends; then diagnosed."""
-    say = progress or (lambda _: None)
 
     def every(make: Callable[[Measured], Terms]) -> list[Terms]:
         return [make(part) for part in parts]
@@ -135,14 +101,9 @@ def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[
         say(name)
         fits = _fitted(parts, terms, fits)
         lines.append(_line(name, parts, fits))
-    say("diagnosed")
-    found = [
-        diagnose(p.arm, p.train, test=p.test, model=declared_model(p.arm, deflection=False))
-        for p in parts
-    ]
     diagnosed = _line("diagnosed", parts, [d.fit for d in found])
     named = tuple(dict.fromkeys(f.name for d in found for f in d.search.found))
-    return [*lines, replace(diagnosed, effects=named, commanded=Commanded.of(found, parts))]
+    return [*lines, replace(diagnosed, effects=named)]
 
 
 def _fitted(
@@ -150,7 +111,7 @@ def _fitted(
 ) -> list[ModelFit]:
     models = []
     for k, (part, added) in enumerate(zip(parts, terms, strict=True)):
-        model = declared_model(part.arm, deflection=False).plus(*added)
+        model = declared_model(part.arm).plus(*added)
         held = placed(model, part.train) if start is None else start[k].model
         models.append(warm(model, held))
     pairs = [(m, p.train) for m, p in zip(models, parts, strict=True)]
@@ -165,7 +126,7 @@ def _own(slot: Slot) -> bool:
 
 
 def _line(name: str, parts: Sequence[Measured], fits: Sequence[ModelFit]) -> Line:
-    left = np.concatenate([errors(f.model, p.test) for f, p in zip(fits, parts, strict=True)])
+    left = np.concatenate([errors(f.model, p.held_out) for f, p in zip(fits, parts, strict=True)])
     effects = dict.fromkeys(t.name for f in fits for t in f.model.terms if not t.geometry)
     _, *ci95 = mean_ci95(np.linalg.norm(left, axis=1))
     return Line(name, Errors.of(left), (ci95[0], ci95[1]), tuple(effects))

@@ -21,11 +21,26 @@ TRACKED = "wam_ur5/{}_samples.csv"
 
 @dataclass(frozen=True)
 class Measured:
-    """One arm with its train and test rows."""
+    """One arm with its rows to fit, and those held out; None where no split is stated."""
 
     arm: Arm
     train: Session
-    test: Session
+    test: Session | None
+
+    @property
+    def held_out(self) -> Session:
+        """The rows of a stated split."""
+        assert self.test is not None
+        return self.test
+
+    @property
+    def splits(self) -> list[tuple[Session, Session | None]]:
+        """Rows to fit and rows held out; touches by the places of the tool in turn."""
+        if self.test is not None or "location" not in self.train.labels:
+            return [(self.train, self.test)]
+        place = self.train.labels["location"]
+        return [(self.train.take(place != p), self.train.take(place == p))
+                for p in np.unique(place)]  # fmt: skip
 
 
 def declared(name: str) -> Arm:

@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.errors import InputError
+from longarm_comp.workflows.calibrate import calibrate
 from studies import real
 from studies.commands.real import command
-from studies.real_sessions import JUSTIN, TRACKED, declared, every_robot, justin
+from studies.own_rigid import OwnRigid
+from studies.real_sessions import JUSTIN, TRACKED, Measured, declared, every_robot, justin
+from studies.real_sets import halves, overlap, real_sets, simulated
+from studies.touch import EXAMPLE
+from studies.touch import read as read_touches
 
 RUNGS = [
     "frames_only", "joint_zeros", "rigid", "joint_compliance", "lateral_compliance", "diagnosed",
@@ -20,16 +27,18 @@ RUNGS = [
 
 
 def printed_of(folder: Path, file: Path) -> dict[str, dict]:
-    """What ``longarm study real --json`` prints of a folder with this file alone, by model."""
+    """What ``longarm study real --json`` prints of a folder with this file alone: by model, and
+    the figures of the set."""
     at = folder / file.parent.name
     at.mkdir()
     (at / file.name).symlink_to(file)
     done = CliRunner().invoke(command, ["--data", str(folder), "--json"])
     assert done.exit_code == 0, done.output
     printed = json.loads(done.stdout)
+    (whole,) = printed.pop("sets")
     (lines,) = printed.values()
     assert [line["model"] for line in lines] == RUNGS
-    return {line["model"]: line for line in lines}
+    return {"set": whole} | {line["model"]: line for line in lines}
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +73,9 @@ def test_justin(dlr_justin: dict[str, dict]) -> None:
 def test_wam(wam: dict[str, dict]) -> None:
     """A cable drive: the training rows ask for play, and a command is no worse for it."""
     lines = wam
-    no_worse(lines["diagnosed"])
-    assert lines["frames_only"]["n"] == 20
+    no_worse(lines["set"])
+    assert lines["frames_only"]["n"] == lines["set"]["rows"] == 20
+    assert lines["diagnosed"]["mean_mm"] == pytest.approx(lines["set"]["written_mm"])
     assert lines["frames_only"]["mean_mm"] < 4.1
     assert lines["rigid"]["mean_mm"] <= 3.1
     assert lines["diagnosed"]["mean_mm"] <= 2.5
@@ -83,10 +93,13 @@ def test_ur5_is_rigid(ur5: dict[str, dict]) -> None:
 
 
 def no_worse(line: dict) -> None:
-    """What is written helps a command on rows that were not fitted."""
-    assert line["commanded_mm"] <= line["calibrated_commanded_mm"]
+    """What is written helps a command on rows that were not fitted, and its promise holds."""
+    assert line["written_commanded_mm"] <= line["calibrated_commanded_mm"]
     low, high = line["commanded_gain_ci95_mm"]
-    assert low <= line["calibrated_commanded_mm"] - line["commanded_mm"] <= high
+    assert low <= line["calibrated_commanded_mm"] - line["written_commanded_mm"] <= high
+    low, high = line["written_commanded_ci95_mm"]
+    assert low <= line["written_commanded_mm"] <= high
+    assert line["inside_p90"] >= 0.8
 
 
 @pytest.mark.long
@@ -94,7 +107,7 @@ def no_worse(line: dict) -> None:
 def test_commands_are_never_worse_than_calibrated(
     request: pytest.FixtureRequest, robot: str
 ) -> None:
-    no_worse(request.getfixturevalue(robot)["diagnosed"])
+    no_worse(request.getfixturevalue(robot)["set"])
 
 
 def test_no_stiffness_is_negative_and_the_torso_is_one(justin_data: Path) -> None:
@@ -150,6 +163,38 @@ def test_arm_files_declare_tolerances(name: str) -> None:
 
 
 def test_folder_without_the_data(tmp_path: Path) -> None:
-    """One error that names the file."""
-    with pytest.raises(InputError, match=r"samples\.csv"):
-        real.study(tmp_path)
+    """One error that names what it may hold."""
+    with pytest.raises(InputError, match="wam_ur5"):
+        dict(real_sets(tmp_path))
+
+
+def test_the_rigid_fit_by_scipy_agrees_with_calibration(data_dir: Path) -> None:
+    """Two codes that share nothing leave the same at rows that neither saw."""
+    (wam,) = every_robot(data_dir)["wam"]
+    own = OwnRigid.fit(wam.arm, wam.train).left(wam.held_out).mean()
+    ours = np.linalg.norm(errors(calibrate(wam.arm, wam.train).model, wam.held_out), axis=1).mean()
+    assert own == pytest.approx(ours, rel=0.1)
+
+
+@pytest.mark.long
+def test_halves_of_simulated_sessions_agree(demo_arm_path: Path) -> None:
+    """What a half states is in the sets of the other."""
+    counted = [halves(part) for part in simulated(Arm.load(demo_arm_path), 4)]
+    assert sum(stated for stated, _ in counted) > 0
+    assert overlap(counted)["halves_overlap"] == 1.0
+
+
+def test_overlap_counts_every_name_once() -> None:
+    """Names that no half states say nothing."""
+    assert overlap([(3, 2), (0, 0), (1, 1)]) == {"halves_stated": 4, "halves_overlap": 0.75}
+    assert overlap([(0, 0)])["halves_overlap"] is None
+
+
+def test_places_of_a_tool_are_held_out_in_turn() -> None:
+    """Every touch once, never with the place that it is fitted from."""
+    panda = Arm.load(EXAMPLE / "arm.yaml")
+    rows = read_touches(next(EXAMPLE.glob("panda_*.csv")), panda)
+    splits = Measured(panda, rows, None).splits
+    assert sum(len(out) for _, out in splits) == len(rows)
+    for kept, out in splits:
+        assert not set(kept.labels["location"]) & set(out.labels["location"])

@@ -129,7 +129,7 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
 
 
 def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
-    held = diagnosis.held_out.take(diagnosis.held_out.placed)
+    held = diagnosis.held_out.take(diagnosis.proof.rows_at)
     predicted = diagnosis.model.measured(held.q, held.context())
     near = predicted + diagnosis.proof.errors[diagnosis.written]
     seen = np.where(held.located[:, None], held.xyz, near)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from longarm_comp.core.arm.context import CLOCK, ORDER, is_told
 from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.calibration.linear import whiten
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
@@ -63,8 +64,22 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
         noise,
         largest_m=0.0,
         rows=int((fit.weights > 0).sum()),
+        circumstances=_circumstances(fit),
     )
     return dataclasses.replace(made, largest_m=_largest(fit, made))
+
+
+def _circumstances(fit: ModelFit) -> dict[str, tuple[float, float]]:
+    """Lowest and highest of what a command is told, but of time; a payload is as declared where
+    the rows do not say it."""
+    made, arm, rows = {}, fit.model.arm, fit.weights > 0
+    if arm.payload is not None:
+        made["payload_kg"] = (arm.payload.mass_kg, arm.payload.mass_kg)
+    for name, values in fit.session.columns.items():
+        told = np.asarray(values, dtype=float)[rows]
+        if is_told(name) and name not in (CLOCK, ORDER) and np.isfinite(told).any():
+            made[name] = (float(np.nanmin(told)), float(np.nanmax(told)))
+    return made
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,9 +34,8 @@ from longarm_comp.core.compensation.result import (
 )
 from longarm_comp.core.compensation.unknown import (
     missing_column,
+    not_known,
     outside_data,
-    uncertain_payload,
-    unknown_history,
 )
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
@@ -150,10 +149,9 @@ def judged(
     whole = sigma is None and not missing_column(model, context)
     miss = expected_miss(model if whole else physics, command, context, pseudo, sigma)
     rows = np.atleast_2d(command)
-    spread, why = unknown_history(physics, rows, context, doubtful)
-    sag, doubt = uncertain_payload(physics, rows, context)
-    further = (spread**2 + sag**2).reshape(miss.mean.shape)
-    said = zip(why, doubt, outside_data(physics, rows, context), strict=True)
+    spread, why = not_known(physics, rows, context, doubtful)
+    further = (spread**2).reshape(miss.mean.shape)
+    said = zip(why, outside_data(physics, rows, context), strict=True)
     doubts = ["; ".join(filter(None, each)) for each in said]
     known = -np.inf if model.uncertainty is None else model.uncertainty.largest_m
     return miss.beside(further), miss.sizes[0] <= known, doubts

@@ -41,9 +41,8 @@ from longarm_comp.core.compensation.result import (
 from longarm_comp.core.compensation.take_up import TakeUp, Turn, slowed, taken_up
 from longarm_comp.core.compensation.unknown import (
     missing_column,
+    not_known,
     outside_data,
-    uncertain_payload,
-    unknown_history,
 )
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
@@ -238,8 +237,7 @@ class _Way:
         begins = self.physics, command[first], context.take(first)
         rows = slice(first.start, None)
         found = [
-            *unknown_history(*begins)[1],
-            *uncertain_payload(*begins)[1],
+            *not_known(*begins)[1],
             *outside_data(self.physics, command[rows], context.take(rows)),
         ]
         return tuple(dict.fromkeys(filter(None, found)))

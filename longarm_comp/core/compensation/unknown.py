@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.context import CLOCK, PER_JOINT, Context
+from longarm_comp.core.compensation.beyond import beyond_session
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.ik.engines import tip_poses
@@ -29,6 +30,20 @@ def missing_column(model: Model, context: Context) -> str:
                 return f"{NO_END} (it holds {effect.name})"
             return f"{name} is not known, and {effect.name} of the model needs it"
     return ""
+
+
+def not_known(
+    model: Model, q: np.ndarray, context: Context, doubtful: np.ndarray | None = None
+) -> tuple[np.ndarray, list[str]]:
+    """All that a command cannot know of its circumstances, (M, 3) m; as `unknown_history`."""
+    each = (
+        unknown_history(model, q, context, doubtful),
+        uncertain_payload(model, q, context),
+        beyond_session(model, q, context),
+    )
+    words = zip(*(why for _, why in each), strict=True)
+    spread = np.sqrt(np.sum([sd**2 for sd, _ in each], axis=0))
+    return spread, ["; ".join(filter(None, why)) for why in words]
 
 
 def outside_data(model: Model, q: np.ndarray, context: Context) -> list[str]:

@@ -150,7 +150,7 @@ def diagnose(
             return kept.model, train_one(kept.model, kept.session.take(kept.weights > 0))
 
         proof = prove(made, trained)
-    aside = _refused(final, proof, held_out.take(held_out.placed), written)
+    aside = _refused(final, proof, held_out.take(proof.rows_at), written)
     without_name = causes(found.fit, found.found)
     unnamed = [t for cause in without_name for t in cause.terms]
     say("next poses")

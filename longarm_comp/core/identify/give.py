@@ -9,6 +9,7 @@ more than it does.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -21,6 +22,8 @@ from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.identify.posterior.found import UNNAMED
+from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.model.model import slots_of
 
 GIVE = 0.03
@@ -49,19 +52,34 @@ class Slack(NamedTuple):
     give: float
 
     @property
+    def soft(self) -> bool:
+        """Whether every part yields by what is no little: a cause without a name."""
+        return self.give in SOFT
+
+    @property
+    def log_prior(self) -> float:
+        """Relative to that of an arm whose parts yield by no more than a little."""
+        return math.log(UNNAMED / len(SOFT)) - NONE if self.soft else 0.0
+
+    @property
     def stiffness(self) -> float:
         """Size of an elastic effect that is found, as a share of its prior."""
-        return self.give or 1.0
+        return min(self.give, 1.0) or 1.0
 
 
 FORMS = (0.01, 0.03, 0.1)
 """Shares of its own shift by which an effect's form may err, equally likely beforehand: play,
 friction and stiffness of real joints differ by a tenth from place to place along their way."""
-SCALES = (1.0, 0.125, 0.0)
+STIFF = (1.0, 0.125, 0.0)
 """How much every part of an arm gives way, equally likely beforehand: arms of plastic and of steel
 differ by ten, the parts of one arm by less."""
-TOLERANCES = tuple(Slack(form, give) for form in FORMS for give in SCALES)
-"""Each as likely as the others; the first of each scale where nothing is in the model."""
+SOFT = (16.0, 4.0)
+"""The same where all parts yield by up to half of what a soft part does: then the arm has no soft
+part.  That is a cause without a name, and costs what these cost."""
+TOLERANCES = tuple(Slack(form, give) for form in FORMS for give in (*STIFF, *SOFT))
+"""Each as likely as the others but for `Slack.log_prior`."""
+RIGID = Slack(FORMS[0], 0.0)
+"""Only what is found gives way."""
 
 
 def little(library: Sequence[Candidate]) -> tuple[Term, ...]:
@@ -70,15 +88,17 @@ def little(library: Sequence[Candidate]) -> tuple[Term, ...]:
     return tuple(t for t in distinct(library) if names.isdisjoint(t.aliases))
 
 
-def a_little(columns: FitColumns, library: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
-    """(m, k) whitened columns of what every real arm has, and (k,) the size of each.
+def a_little(
+    columns: FitColumns, library: Sequence[Candidate], slacks: Sequence[Slack]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(m, k) whitened columns of what every real arm has, and (S, k) their sizes by some slacks.
 
     The forms of an effect at a place share its size.
     """
     every = little(library)
     forms = Counter(t.key for t in every)
     slots = slots_of(columns.model.arm, every)
-    sizes = [_size(s.owner) for s in slots]
+    sizes = [[_size(s.owner, slack.give) for s in slots] for slack in slacks]
     return columns.white(every), sizes / np.sqrt([forms[s.owner.key] for s in slots])
 
 
@@ -86,7 +106,8 @@ def with_give(fitted: ModelFit, library: Sequence[Candidate], give: float = 1.0)
     """A fit with what every arm has besides, as much as the rows ask for; same rows and noise.
 
     That is every effect of the arm that reads no recorded column, in its first form, where it
-    moves the rows by `OF_NOISE` at least.
+    moves the rows by `OF_NOISE` at least; of what gives way, where it may: under another load it
+    would, and a promise counts it.
     """
     held = {t.key for t in fitted.model.terms}
     added: dict[tuple[str, str], Term] = {}
@@ -97,18 +118,22 @@ def with_give(fitted: ModelFit, library: Sequence[Candidate], give: float = 1.0)
     every = _with(fitted, added, give)
     columns, terms = FitColumns(every), {t.key: t for t in every.model.terms}
     moved = {
-        key: every.whitened(shift_of(every, columns, [terms[key]])[..., None]) for key in added
+        key: columns.white([terms[key]]) * _size(terms[key], give)
+        if terms[key].elastic
+        else every.whitened(shift_of(every, columns, [terms[key]])[..., None])
+        for key in added
     }
-    seen = {k: t for k, t in added.items() if np.sqrt((moved[k] ** 2).mean()) >= OF_NOISE}
-    return _with(fitted, seen, give)
+    size = {key: np.sqrt((each**2).sum(axis=1).mean()) for key, each in moved.items()}
+    return _with(fitted, {k: t for k, t in added.items() if size[k] >= OF_NOISE}, give)
 
 
 def _with(fitted: ModelFit, added: Mapping[tuple[str, str], Term], give: float) -> ModelFit:
     model = fitted.model.plus(*added.values())
-    small = tuple((s.identity, give * _size(s.owner)) for s in model.slots if s.owner.key in added)
+    small = tuple((s.identity, _size(s.owner, give)) for s in model.slots if s.owner.key in added)
     model = dataclasses.replace(model, beyond=(*model.beyond, *small))
     return fit(model, fitted.session, near=fitted, **fitted.judged)
 
 
-def _size(owner: Term) -> float:
-    return GIVE if owner.elastic else LITTLE
+def _size(owner: Term, give: float) -> float:
+    """Of a parameter, as a share of its prior: a soft arm is softer, and no worse made."""
+    return GIVE * give if owner.elastic else LITTLE * min(give, 1.0)

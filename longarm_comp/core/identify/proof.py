@@ -62,12 +62,15 @@ class Proof:
             m (`core/data/measurement.py`).
         commanded: the same as a command would have them (`core/data/commanded.py`).
         turned: by model name, (K, 3) of the rows that say how the tip is turned, rad.
+        rows_at: (M,) positions of the rows of `errors` among those that were held out. A point that
+            one row of a fold touched tells nothing there.
         folds: number of folds; 1 where the rows to hold out were given.
     """
 
     errors: Mapping[str, np.ndarray]
     commanded: Mapping[str, np.ndarray]
     turned: Mapping[str, np.ndarray]
+    rows_at: np.ndarray
     folds: int
 
     @property
@@ -207,7 +210,8 @@ def prove(
             seen.put(NETWORK, at, errors(model, placed) - error)
             told.put(NETWORK, at, commanded_errors(model, placed) - error)
             turned.put(NETWORK, turns_at, turns(model, bent))
-    return Proof(seen.ordered, told.ordered, turned.ordered, len(made))
+    rows_at = np.sort(np.concatenate([f.numbers[f.rows.placed] for f in made]))
+    return Proof(seen.ordered, told.ordered, turned.ordered, rows_at, len(made))
 
 
 class _Rows:

@@ -74,6 +74,9 @@ class _StoredUncertainty(Declared):
     noise_m2: _Square
     largest_m: float = Field(ge=0.0)
     rows: int = Field(ge=0)
+    circumstances: dict[str, tuple[float, float]] = Field(
+        default_factory=dict, description="lowest and highest of the session, by column"
+    )
 
 
 class StoredModel(Declared):
@@ -167,7 +170,7 @@ def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
     return _StoredUncertainty(
         factor=written(triangular(factor)),
         structure_m2=known.structure.tolist(), noise_m2=known.noise.tolist(),
-        largest_m=known.largest_m, rows=known.rows,
+        largest_m=known.largest_m, rows=known.rows, circumstances=dict(known.circumstances),
     )  # fmt: skip
 
 
@@ -293,7 +296,12 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
         if least < -1e-9 * size or not np.allclose(square, square.T, atol=1e-9 * size):
             raise InputError(where, f"uncertainty.{name}", "no covariance", "a covariance, m^2")
     names = tuple(slot.identity for slot in slots)
-    return ModelUncertainty(names, factor, structure, noise, given.largest_m, given.rows)
+    for name, (low, high) in given.circumstances.items():
+        if not low <= high:
+            raise InputError(where, f"uncertainty.circumstances.{name}", [low, high], "low, high")
+    return ModelUncertainty(
+        names, factor, structure, noise, given.largest_m, given.rows, given.circumstances
+    )
 
 
 def _check_placement(term: Effect | Bias, arm: Arm, where: str) -> None:

@@ -12,8 +12,8 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from statistics import NormalDist
 
@@ -37,6 +37,7 @@ class ModelUncertainty:
         noise: (3, 3) m^2, of the measurement: in every measured row, and no error of the tip.
         largest_m: expected error of the tip, the largest over the fitted rows, m.
         rows: number of fitted rows.
+        circumstances: lowest and highest payload, temperature and tilt of these, by column.
     """
 
     slots: tuple[_Identity, ...]
@@ -45,6 +46,7 @@ class ModelUncertainty:
     noise: np.ndarray
     largest_m: float
     rows: int
+    circumstances: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @cached_property
     def row(self) -> dict[_Identity, int]:

@@ -21,7 +21,7 @@ from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.give import SCALES, TOLERANCES, Slack, with_give
+from longarm_comp.core.identify.give import FORMS, RIGID, TOLERANCES, Slack, with_give
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.forms import refined
@@ -66,7 +66,7 @@ class ExplainedSession:
     noise: NoiseEstimate
     doubtful: tuple[FoundEffect, ...] = ()
     candidates: tuple[Candidate, ...] = ()
-    tolerance: Slack = TOLERANCES[len(SCALES) - 1]
+    tolerance: Slack = RIGID
     linear: Resampling | None = None
 
     @property
@@ -122,6 +122,7 @@ class _Search:
     say: Callable[[str], None]
     propositions: tuple[Proposition, ...] = ()
     usual: frozenset[tuple[str, str]] = frozenset()
+    nameless: bool = False
 
     def run(self, functions: bool, seed: int) -> ExplainedSession:
         self.say("geometry")
@@ -133,7 +134,9 @@ class _Search:
         state = self._repeated(state)
         if functions:  # only beside the best of what has a name
             state, _, changed = self._compared(state)
-            state = self._repeated(self._repeated(state) if changed else state, functions=True)
+            state = self._repeated(state) if changed else state
+            self.nameless = True
+            state = self._repeated(self._repeated(state), functions=True)
         state, doubtful, changed = self._compared(state)
         if changed:
             state = self._repeated(state)
@@ -271,7 +274,11 @@ class _Search:
         near: ModelFit | None = None,
     ) -> list[OfferedEffects]:
         """By tolerance; forms count where something is in the model."""
-        tried = TOLERANCES if found else TOLERANCES[: len(SCALES)]
+        tried = [
+            slack
+            for slack in TOLERANCES
+            if (found or slack.form == FORMS[0]) and (self.nameless or not slack.soft)
+        ]
         return offered(
             fitted, self.candidates, self.propositions, found, tried, others=others, near=near,
             usual=self.usual,

@@ -80,7 +80,7 @@ def offered(
         evidence, s, t = marginalised(gram, along, size)
         offers = [_as_stiff(o, c, slack) for o, c in zip(plain, things, strict=True)]
         bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like)
-        base = marginal.evidence + evidence
+        base = marginal.evidence + evidence + slack.log_prior
         banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, slack))
     return banks
 
@@ -201,9 +201,9 @@ def _beside(
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
     made, sizes = [FitColumns(fitted).white(usual)], [every * shares]
     if any(slack.give for slack in slacks):
-        little, size = a_little(FitColumns(near or fitted), library)
+        little, size = a_little(FitColumns(near or fitted), library, slacks)
         made.append(little)
-        sizes.append(np.array([[slack.give] for slack in slacks]) * size)
+        sizes.append(size)
     held = {t.key: t for t in fitted.model.terms}
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]

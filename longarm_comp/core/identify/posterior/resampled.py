@@ -8,13 +8,14 @@ bagged posteriors", Bayesian Analysis 18, arXiv 2007.14845).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -109,22 +110,35 @@ class Resampling:
     def _in_its_place(
         self, found: FoundEffect, effects: Sequence[FoundEffect]
     ) -> FoundEffect | None:
-        """The effect that moves the rows as it does: one that may bear its name before others."""
-        mine = self._shift(found)
-        shared = [_correlation(mine, self._shift(e)) ** 2 for e in effects]
-        alike = [(e, s) for e, s in zip(effects, shared, strict=True) if s >= SAME_ROLE]
-        namesakes = [(e, s) for e, s in alike if found.name in e.credible]
-        return max(namesakes or alike, key=lambda pair: pair[1], default=(None, 0.0))[0]
+        """The effect that moves the rows as it does: those that may bear its name before others.
+
+        They count together: a sample may find at single joints what another finds at all.
+        """
+        mine = self._shift(found.terms)
+        shares = {e: _correlation(mine, self._shift(e.terms)) ** 2 for e in effects}
+        namesakes = [e for e in effects if found.name in e.credible]
+        each = [self._shift((t,)) for e in namesakes for t in e.terms]
+        if each and _explained(mine, np.stack(each, axis=1)) >= SAME_ROLE:
+            missing = math.prod(1.0 - e.there for e in namesakes)
+            return replace(max(namesakes, key=shares.__getitem__), there=1.0 - missing)
+        alike = [e for e, share in shares.items() if share >= SAME_ROLE]
+        return max(alike, key=shares.__getitem__, default=None)
 
     @cached_property
     def _geometry(self) -> Marginal:
         places = {t.key for f in self.found for t in f.terms}
         return FitColumns(self.fit).without(places)
 
-    def _shift(self, found: FoundEffect) -> np.ndarray:
-        """(m,) what an effect adds to the rows beyond the geometry, in units of the noise."""
-        shift = shift_of(self.fit, FitColumns(self.fit), found.terms)
+    def _shift(self, terms: Sequence[Term]) -> np.ndarray:
+        """(m,) what terms add to the rows beyond the geometry, in units of the noise."""
+        shift = shift_of(self.fit, FitColumns(self.fit), terms)
         return self._geometry.project(self.fit.whitened(shift[..., None]))[:, 0]
+
+
+def _explained(y: np.ndarray, columns: np.ndarray) -> float:
+    """Share of the square of y (m,) that columns (m, k) explain."""
+    left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+    return 1.0 - float(left @ left / max(y @ y, 1e-300))
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:

@@ -1,0 +1,117 @@
+"""Commands in circumstances that no row of the session had: what is not known there.
+
+A session at one payload tells the product of weights and what yields under them, and no more of
+what a heavier load does than the physics does.  So beyond the session's range a promise grows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Container
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context, is_told
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.effects.catalogue import searched
+from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
+
+KNOWN_TO = 0.2
+"""Share by which the physics of a change may be wrong: declared masses, and what yields under them,
+are right to a fifth."""
+YIELDS = 0.5
+"""How much every part of an arm may yield, in what a soft part does, where no row was asked."""
+_SLACK = 1e-6
+
+
+def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, list[str]]:
+    """How far the tip may be from where the model has it, because no row was in such circumstances.
+
+    Args:
+        q: (M, n) commanded joints, rad and m.
+
+    Returns:
+        Standard deviations (M, 3) in m, and in one sentence each which circumstances; zeros and ""
+        within the session, and where the model does not say what that was.
+    """
+    variance, said = np.zeros((len(q), 3)), [""] * len(q)
+    known = model.uncertainty
+    for name, (low, high) in ({} if known is None else known.circumstances).items():
+        told = context.columns.get(name)
+        if told is None:
+            continue
+        values = np.broadcast_to(np.asarray(told, float), len(q))
+        slack = _SLACK * max(abs(low), abs(high), 1.0)
+        beyond = (values < low - slack) | (values > high + slack)
+        if not beyond.any():
+            continue
+        columns = {**context.columns, name: np.clip(values, low, high)}
+        edge = dataclasses.replace(context, columns=columns)
+        sd = np.where(beyond[:, None], _not_known(model, q, context, edge), 0.0)
+        variance += sd**2
+        for row in np.flatnonzero(beyond):
+            size = 1e3 * float(np.linalg.norm(sd[row]))
+            text = f"{name} {values[row]:.4g} is beyond the session's {low:.4g} to {high:.4g}"
+            said[row] = "; ".join(filter(None, (said[row], f"{text} (sigma {size:.2f} mm)")))
+    return np.sqrt(variance), said
+
+
+def _not_known(model: Model, q: np.ndarray, context: Context, edge: Context) -> np.ndarray:
+    """(M, 3) m, sd of what the tip does from the edge of the session to the circumstances asked.
+
+    What the model says of it is known to `KNOWN_TO`, and no better than it explains what it saw:
+    where causes without a name that feel the change move the tip by half of what the named ones
+    do, to a half.  What the library holds and no row could show is as large as it may be.
+    """
+    there, here = (model.posture(unstack(q), c) for c in (context, edge))
+    nameless = [e for e in model.effects if isinstance(e, Discovered)]
+    felt = {e.key for e in nameless if _feels(e, there, here)}
+    whole, named, bare = (
+        _tip_without(model, gone, q, edge)
+        for gone in ((), felt, {e.key for e in model.effects if not e.geometry})
+    )
+    ratio = np.linalg.norm(whole - named, axis=1)
+    ratio /= np.maximum(np.linalg.norm(named - bare, axis=1), 1e-12)
+    moved = model.tip(q, context) - model.tip(q, edge)
+    share = np.hypot(KNOWN_TO, np.minimum(ratio, 1.0))
+    slots, sizes = _not_held(model, context)
+    columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
+    return np.sqrt((share[:, None] * moved) ** 2 + ((columns * sizes) ** 2).sum(axis=-1))
+
+
+def _feels(effect: Discovered, there: Posture, here: Posture) -> bool:
+    """Whether what an effect does, or what its function reads, changes between two postures."""
+    pairs = [(q.read(there), q.read(here)) for q in effect.of.quantities]
+    mine, other = effect.twists(there), effect.twists(here)
+    pairs += [pair for k in mine for pair in zip(mine[k], other[k], strict=True)]
+    return not all(np.allclose(a, b, rtol=_SLACK, atol=0.0) for a, b in pairs)
+
+
+def _tip_without(
+    model: Model, gone: Container[tuple[str, str]], q: np.ndarray, context: Context
+) -> np.ndarray:
+    """(M, 3) m, where the tip would be without some effects."""
+    kept = tuple(e for e in model.effects if e.key not in gone)
+    return np.asarray(dataclasses.replace(model, effects=kept).tip(q, context))
+
+
+def _not_held(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
+    """Parameters (k,) of what the model lacks and no row could tell, and how large they may be.
+
+    That is every effect of the library that reads a circumstance, and all that yields where the
+    model holds nothing that does: a calibration puts the sag of its rows into its geometry.
+    """
+    held = {effect.key for effect in model.effects}
+    stiff = not any(effect.elastic for effect in model.effects)
+    terms = [t for kind in searched() if issubclass(kind, Effect) for t in kind.for_arm(model.arm)]
+    wanted = [
+        t
+        for t in terms
+        if t.key not in held and not t.missing(context)
+        if (stiff and t.elastic) or any(is_told(name) for name in (*t.needs, *t.inputs))
+    ]
+    slots = slots_of(model.arm, wanted)
+    sizes = [s.parameter.width * (YIELDS if s.owner.elastic else 1.0) for s in slots]
+    return slots, np.array(sizes)

@@ -1,0 +1,121 @@
+"""Commands at a payload or warmth that no row of the session had: said, and in the promise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.calibration.fit import fit
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
+from longarm_comp.core.compensation.beyond import KNOWN_TO, beyond_session
+from longarm_comp.core.compensation.compensate import compensate
+from longarm_comp.core.data.plan import sobol
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import load_model, save_model, store
+
+ARM = Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+assert ARM.payload is not None
+OWN_KG = ARM.payload.mass_kg
+Q = sobol(ARM, 8, 3).q
+
+
+def learned(*effects: JointCompliance | Discovered, **columns: np.ndarray) -> Model:
+    """Fitted to rows of the declared payload, or of what the columns say."""
+    true = declared_model(ARM).plus(*effects)
+    q = sobol(ARM, 60, 1).q
+    context = Context(columns=columns)
+    seen = true.tip(q, context) + 1e-4 * np.random.default_rng(0).standard_normal((60, 3))
+    rows = Session.record(q, seen, columns=columns)
+    return with_uncertainty(fit(true.plus(*JointZero.for_arm(ARM)), rows))
+
+
+SOFT = JointCompliance(2, compliance=1e-3)
+
+
+def at(payload_kg: float) -> Context:
+    return Context(columns={"payload_kg": payload_kg})
+
+
+def test_within_the_session_nothing_is_added() -> None:
+    model = learned(SOFT, payload_kg=np.linspace(0.1, 0.5, 60))
+    for kg in (0.1, 0.3, 0.5):
+        spread, why = beyond_session(model, Q, at(kg))
+        assert not spread.any() and why == [""] * len(Q)
+
+
+@pytest.mark.parametrize("kg", [0.0, 1.5])
+def test_beyond_it_a_fifth_of_what_the_physics_says_is_not_known(kg: float) -> None:
+    """On either side of the range, from its nearer edge."""
+    model = learned(SOFT, payload_kg=np.linspace(0.2, 0.5, 60))
+    spread, why = beyond_session(model, Q, at(kg))
+    moved = model.tip(Q, at(kg)) - model.tip(Q, at(0.2 if kg < 0.2 else 0.5))
+    np.testing.assert_allclose(spread, KNOWN_TO * np.abs(moved), rtol=1e-6)
+    assert all("payload_kg" in each and "0.2 to 0.5" in each for each in why)
+
+
+def test_a_session_that_tells_no_payload_had_the_declared_one() -> None:
+    model = learned(SOFT)
+    assert not beyond_session(model, Q, at(OWN_KG))[0].any()
+    assert beyond_session(model, Q, at(OWN_KG + 1.0))[0].any()
+
+
+def test_causes_without_a_name_that_feel_the_load_make_the_physics_less_sure() -> None:
+    """One of the joints alone does not."""
+    load, joints = (
+        Discovered("joint 3", "turn z", f"linear({of})", f"{of} {low}..{high}", amount=amount)
+        for of, low, high, amount in (("sum_loads", 0.0, 60.0, 1e-3), ("q2", -1.0, 1.0, 1e-3))
+    )
+    plain, felt, not_felt = (
+        np.linalg.norm(beyond_session(learned(SOFT, *more), Q, at(2.0))[0], axis=1)
+        for more in ((), (load,), (joints,))
+    )
+    assert (felt > 1.1 * plain).all()
+    np.testing.assert_allclose(not_felt, plain, rtol=0.05)
+
+
+def test_an_arm_calibrated_as_stiff_may_yield_under_more_load() -> None:
+    """Its geometry holds the sag of its rows, and nothing says how it sags under more."""
+    load, moved = at(OWN_KG + 0.1), []
+    for effects in ((), (SOFT,)):
+        model = learned(*effects)
+        known = KNOWN_TO * np.abs(model.tip(Q, load) - model.tip(Q, at(OWN_KG)))
+        moved.append(beyond_session(model, Q, load)[0] / known)
+    stiff, soft = moved
+    np.testing.assert_allclose(soft, 1.0, rtol=1e-6)
+    assert (stiff > 1.0).all() and stiff.mean() > 1.5
+
+
+def test_warmth_that_never_changed_may_do_what_the_library_holds() -> None:
+    cold = learned(SOFT, temperature_c=np.full(60, 20.0))
+    spread, (why, *_) = beyond_session(cold, Q, Context(columns={"temperature_c": 45.0}))
+    assert (spread > 0).any() and "temperature_c" in why
+    assert not beyond_session(cold, Q, Context(columns={"temperature_c": 20.0}))[0].any()
+
+
+def test_the_command_says_it_and_promises_less(tmp_path: Path) -> None:
+    """Also with the model of a file."""
+    model = learned(SOFT)
+    save_model(tmp_path / "model.yaml", store(model))
+    again = load_model(tmp_path / "model.yaml", ARM)
+    target = model.tip(ARM.mid[None])[0]
+    for each in (model, again):
+        near, far = (compensate(each, None, target, context=at(kg)) for kg in (OWN_KG, 3.0))
+        assert "beyond the session" in far.reason and "beyond" not in near.reason
+        assert far.p90_m > 2.0 * near.p90_m
+
+
+def test_a_model_of_before_says_nothing_of_its_session() -> None:
+    model = learned(SOFT)
+    assert model.uncertainty is not None
+    silent = replace(model, uncertainty=replace(model.uncertainty, circumstances={}))
+    assert not beyond_session(silent, Q, at(9.0))[0].any()
