@@ -52,7 +52,7 @@ def study(
             few = Measured(left.arm, left.train.take(np.sort(rows)), left.test)
             for name, terms in {"rigid": (), "own": own, "right": shared}.items():
                 model = fit(_rigid(few).plus(*terms), few.train).model
-                length = np.linalg.norm(errors(model, few.test), axis=1)
+                length = np.linalg.norm(errors(model, few.held_out), axis=1)
                 found.setdefault(name, []).append(1e3 * float(length.mean()))
         row: dict[str, object] = {"rows": count}
         for name, values in found.items():

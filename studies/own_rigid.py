@@ -61,13 +61,13 @@ class OwnRigid:
             if len(points):
                 where = at[np.searchsorted(points, session.labels["touch"])]
             gaps = [
-                np.linalg.norm(_of(points, at, a) - _of(points, at, b)) - metres
-                for a, b, metres, *_ in session.touch_distances
+                (np.linalg.norm(_of(points, at, a) - _of(points, at, b)) - metres) / sigma
+                for a, b, metres, sigma in session.touch_distances
                 if a in points and b in points
             ]
             pull = PULL / SIZE * x[6:width]
             off = (where - made(x).points(session)).ravel() / SCALE_M
-            return np.concatenate([off, np.array(gaps) / SCALE_M, pull])
+            return np.concatenate([off, np.array(gaps), pull])
 
         near = least_squares(residual, start, x_scale="jac", max_nfev=60).x
         return made(least_squares(residual, near, loss="huber", max_nfev=60).x)

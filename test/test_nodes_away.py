@@ -119,7 +119,7 @@ def test_what_its_clients_gave_up_meanwhile_moves_nothing(stage: Bench, arm: Arm
 
 
 def test_an_answer_that_came_while_it_was_stopped_counts(stage: Bench, arm: Arm) -> None:
-    stand = Stand(stage, arm, acknowledge_s=0.3)
+    stand = Stand(stage, arm, acknowledge_s=1.5)
     withdrawn = stage.collect(graph.WITHDRAWN)
     stand.goes()
     del withdrawn[:]  # of a first try that a busy machine answered late
@@ -132,7 +132,7 @@ def test_an_answer_that_came_while_it_was_stopped_counts(stage: Bench, arm: Arm)
     stand.driver.tell = stops  # type: ignore[method-assign]
     asked = stand.client.call_async(request(stand.target, arm, execute=True))
     stage.spin(lambda: stand.driver.got)
-    passes(stage, 1.0)
+    passes(stage, 3.0)
     stand.node.send_signal(signal.SIGCONT)
     stage.spin(asked.done)
     assert asked.result().success and not withdrawn
