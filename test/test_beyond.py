@@ -11,11 +11,12 @@ import pytest
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.uncertainty import with_uncertainty
+from longarm_comp.core.calibration.uncertainty import FRAME, with_uncertainty
 from longarm_comp.core.compensation.beyond import KNOWN_TO, beyond_session
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.geometry_errors import JointZero
@@ -121,3 +122,21 @@ def test_a_model_of_before_says_nothing_of_its_session() -> None:
     assert model.uncertainty is not None
     silent = replace(model, uncertainty=replace(model.uncertainty, circumstances={}))
     assert not beyond_session(silent, Q, at(9.0))[0].any()
+
+
+def test_a_camera_that_drifts_leaves_the_frame_of_targets_in_doubt(tmp_path: Path) -> None:
+    """By what it drifted from the middle of the session to its ends, here 0.9 mm along x."""
+    true = declared_model(ARM).plus(CameraDrift(x=1.8e-3))
+    q, t = sobol(ARM, 60, 1).q, np.linspace(0.0, 3600.0, 60)
+    seen = true.measured(q, Context(columns={"t_s": t}))
+    rows = Session.record(q, seen, columns={"t_s": t})
+    model = with_uncertainty(fit(true.plus(*JointZero.for_arm(ARM)), rows))
+    save_model(tmp_path / "model.yaml", store(model))
+    again = load_model(tmp_path / "model.yaml", ARM)
+    for each in (model, again):
+        assert each.uncertainty is not None
+        sigma = np.sqrt(np.diag(each.uncertainty.frame))
+        assert sigma[0] == pytest.approx(1.8e-3 * FRAME / np.sqrt(12.0), rel=0.1)
+        assert (sigma[1:] < 0.1 * sigma[0]).all()
+        assert compensate(each, None, true.tip(ARM.mid[None])[0]).p90_m > sigma[0]
+    assert not learned(SOFT).uncertainty.frame.any()  # type: ignore[union-attr]

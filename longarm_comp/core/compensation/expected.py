@@ -79,7 +79,7 @@ def expected_miss(
         return ExpectedMiss(mean, np.full((*mean.shape, 3), np.nan))
     carried = _carried(known, model, at).reshape(*mean.shape, 3)
     if learned is None:
-        return ExpectedMiss(mean, carried + known.structure)
+        return ExpectedMiss(mean, carried + known.structure + known.frame)
     seen = learned**2 - np.diag(known.noise)
     least = np.diagonal(carried, axis1=-2, axis2=-1)
     return ExpectedMiss(mean, _diagonal(np.maximum(seen, least)))

@@ -35,13 +35,20 @@ def commanded_errors(model: Model, session: Session, near: Posture | None = None
 
 def with_frame_shift(model: Model, session: Session) -> Model:
     """The model with the mean of what its measuring side moves the rows of a session by."""
-    told, rows = as_commanded(model), own_way(session)
-    placed = rows.take(rows.placed)
-    if told.biases == model.biases or not len(placed):
-        return dataclasses.replace(model, frame_shift=(0.0, 0.0, 0.0))
-    seen = dataclasses.replace(told, biases=model.biases)
-    x, y, z = (errors(told, placed) - errors(seen, placed)).mean(axis=0).tolist()
+    moved = moved_by_measuring(model, session)
+    x, y, z = moved.mean(axis=0).tolist() if len(moved) else (0.0, 0.0, 0.0)
     return dataclasses.replace(model, frame_shift=(x, y, z))
+
+
+def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
+    """(M, 3) m, what the measuring side moves the rows by that say where the tip is; none where
+    the model has nothing there."""
+    told, rows = as_commanded(model), own_way(session)
+    if told.biases == model.biases:
+        return np.zeros((0, 3))
+    placed = rows.take(rows.placed)
+    seen = dataclasses.replace(told, biases=model.biases)
+    return np.asarray(errors(told, placed) - errors(seen, placed))
 
 
 def as_commanded(model: Model) -> Model:

@@ -30,6 +30,7 @@ from longarm_comp.core.model.uncertainty import ModelUncertainty, read, triangul
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
 _Square = tuple[Vec3, Vec3, Vec3]
+_ZERO: _Square = ((0.0, 0.0, 0.0),) * 3
 
 AS_DECLARED = 0
 """Version of a file that holds the arm as declared, for a first change to be undone."""
@@ -74,6 +75,7 @@ class _StoredUncertainty(Declared):
     noise_m2: _Square
     largest_m: float = Field(ge=0.0)
     rows: int = Field(ge=0)
+    frame_m2: _Square = _ZERO
     circumstances: dict[str, tuple[float, float]] = Field(
         default_factory=dict, description="lowest and highest of the session, by column"
     )
@@ -170,7 +172,8 @@ def _stored_uncertainty(model: Model) -> _StoredUncertainty | None:
     return _StoredUncertainty(
         factor=written(triangular(factor)),
         structure_m2=known.structure.tolist(), noise_m2=known.noise.tolist(),
-        largest_m=known.largest_m, rows=known.rows, circumstances=dict(known.circumstances),
+        largest_m=known.largest_m, rows=known.rows, frame_m2=known.frame.tolist(),
+        circumstances=dict(known.circumstances),
     )  # fmt: skip
 
 
@@ -290,8 +293,9 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
     except ValueError as error:
         allowed = "base 64 of as many 32-bit numbers as its number"
         raise InputError(where, "uncertainty.factor", str(error), allowed) from None
-    structure, noise = np.array(given.structure_m2), np.array(given.noise_m2)
-    for name, square in (("structure_m2", structure), ("noise_m2", noise)):
+    told = ("structure_m2", "noise_m2", "frame_m2")
+    squares = {name: np.array(getattr(given, name)) for name in told}
+    for name, square in squares.items():
         least, size = np.linalg.eigvalsh(square).min(), np.abs(square).max()
         if least < -1e-9 * size or not np.allclose(square, square.T, atol=1e-9 * size):
             raise InputError(where, f"uncertainty.{name}", "no covariance", "a covariance, m^2")
@@ -300,7 +304,14 @@ def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertai
         if not low <= high:
             raise InputError(where, f"uncertainty.circumstances.{name}", [low, high], "low, high")
     return ModelUncertainty(
-        names, factor, structure, noise, given.largest_m, given.rows, given.circumstances
+        names,
+        factor,
+        squares["structure_m2"],
+        squares["noise_m2"],
+        given.largest_m,
+        given.rows,
+        squares["frame_m2"],
+        given.circumstances,
     )
 
 

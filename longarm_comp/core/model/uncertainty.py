@@ -37,6 +37,7 @@ class ModelUncertainty:
         noise: (3, 3) m^2, of the measurement: in every measured row, and no error of the tip.
         largest_m: expected error of the tip, the largest over the fitted rows, m.
         rows: number of fitted rows.
+        frame: (3, 3) m^2, of where the frame of targets lies: what measures moved meanwhile.
         circumstances: lowest and highest payload, temperature and tilt of these, by column.
     """
 
@@ -46,6 +47,7 @@ class ModelUncertainty:
     noise: np.ndarray
     largest_m: float
     rows: int
+    frame: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     circumstances: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @cached_property
