@@ -130,6 +130,18 @@ def test_without_a_scheduler_a_worker_or_dask_it_is_refused(
     assert len(done.stderr.splitlines()) == 1
 
 
+def process_of(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def test_local_is_so_many_processes() -> None:
+    told = list(cluster.spread(process_of, [(0.5,)] * 6, "local", workers=2, asked="fleet"))
+    assert len(told) == 6
+    processes = {made for _, made in told}
+    assert len(processes) == 2 and os.getpid() not in processes
+
+
 def test_a_cluster_of_the_command_itself(arms: Path, tmp_path: Path) -> None:
     words = [str(arms), "-o", str(tmp_path / "out"), "--no-network", "--json"]
     done = CliRunner().invoke(command, [*words, "--dask", "local", "--jobs", "2"])
