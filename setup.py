@@ -51,7 +51,7 @@ EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
     "bench": PEERS,  # longarm bench, what it compares with
     "studies": STUDIES,  # longarm study table1, study loop
-    "cluster": [*STUDIES, *CLUSTER],  # study loop --dask
+    "cluster": [*STUDIES, *CLUSTER],  # longarm fleet --dask, study loop --dask
     "docs": DOCS,  # make docs
     "view": VIEW,  # longarm view
     "path": PATH,  # limits of velocity and acceleration along compensated paths

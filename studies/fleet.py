@@ -7,6 +7,7 @@ so much the true arm, by other physics, differs from the drawing that all share.
 from __future__ import annotations
 
 import resource
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -52,25 +53,34 @@ def write_arms(folder: Path, count: int, seed: int) -> None:
         write_csv(rows, folder / f"arm_{number:04d}.csv")
 
 
-def peak_mb() -> float:
-    """The most memory that this process has held, MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+def peak_mb(whose: int) -> int:
+    """The most memory that a process has held up to now, MB."""
+    return round(resource.getrusage(whose).ru_maxrss / 1024.0)
 
 
 def study(
-    folder: Path, counts: tuple[int, ...], seed: int, progress: Callable[[str, float], None]
-) -> Iterator[dict[str, object]]:
-    """One row a count of arms: what was found at them, and the peak of memory up to then.
+    folder: Path, counts: tuple[int, ...], seed: int, progress: Callable[[str, float], None],
+    jobs: int = 1, dask: str | None = None,
+) -> Iterator[dict[str, object]]:  # fmt: skip
+    """One row a count of arms: what was found at them, time, and the peaks of memory up to then.
 
-    Each count goes on after the arms of the last, in this one process.
+    Each count goes on after the arms of the last. A peak is of this process, and of the largest
+    that it started and that has ended.
     """
     for count in sorted(counts):
         write_arms(folder / "arms", count, seed)
-        arms = fleet(folder / "arms", folder / "out", network=False, progress=progress)
-        yield row(arms, peak_mb())
+        begun = time.monotonic()
+        arms = fleet(
+            folder / "arms", folder / "out", jobs=jobs, dask=dask, network=False, progress=progress
+        )
+        yield row(arms) | {
+            "time_s": round(time.monotonic() - begun, 1),
+            "peak_mb": peak_mb(resource.RUSAGE_SELF),
+            "worker_mb": peak_mb(resource.RUSAGE_CHILDREN) if jobs > 1 or dask else None,
+        }
 
 
-def row(arms: list[Diagnosed], memory_mb: float) -> dict[str, object]:
+def row(arms: list[Diagnosed]) -> dict[str, object]:
     """Shares of arms where what is hidden was found, and something else."""
 
     def share(name: str, among: list[Diagnosed]) -> float:
@@ -92,5 +102,4 @@ def row(arms: list[Diagnosed], memory_mb: float) -> dict[str, object]:
         "of_kind": sorted(told),
         "calibrated_mm": round(float(np.mean(before)), 3),
         "diagnosed_mm": round(float(np.mean(left)), 3),
-        "peak_mb": round(memory_mb),
     }

@@ -1,12 +1,11 @@
 """`longarm study loop`: how often the diagnosis names hidden effects, and nothing else.
 
-Cases run in parallel on all cores, or on a cluster through joblib's dask backend.  Every finished
-case is one line of a JSON-lines file. Cases in the file are not run again.
+Cases run in parallel on all cores, or on a dask cluster.  Every finished case is one line of a
+JSON-lines file. Cases in the file are not run again.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import time
@@ -18,13 +17,11 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.workflows.cluster import spread
 from studies.extra import extra
 from studies.loop_cases import Case
 from studies.loop_score import score
 from studies.loop_setting import set_up
-
-ANSWER_S = 20.0
-"""Time within which a scheduler must answer, s."""
 
 
 def run_case(case: Case, arm: Arm) -> dict[str, Any]:
@@ -66,16 +63,12 @@ def run(
         InputError: the file holds other data; dask is not installed or its scheduler not found.
         JobError: joblib is not installed.
     """
-    with extra():
-        from joblib import Parallel, delayed
-
     wanted = {case.id for case in cases}
     done = {i: line for i, line in read(out).items() if i in wanted}
     left = [case for case in cases if case.id not in done]
     out.parent.mkdir(parents=True, exist_ok=True)
-    with _engine(dask, jobs), out.open("a", encoding="utf-8") as file:
-        pool = Parallel(n_jobs=jobs, return_as="generator_unordered", pre_dispatch="2*n_jobs")
-        for line in pool(delayed(run_case)(case, arm) for case in left):
+    with out.open("a", encoding="utf-8") as file:
+        for line in _worked(left, arm, jobs, dask):
             file.write(json.dumps(line, allow_nan=False) + "\n")
             file.flush()
             done[line["case"]["id"]] = line
@@ -108,28 +101,20 @@ def read(path: Path) -> dict[str, dict[str, Any]]:
     return records
 
 
-@contextlib.contextmanager
-def _engine(address: str | None, jobs: int) -> Iterator[None]:
-    """joblib's own processes, or a dask cluster."""
-    if address is None:
-        yield
+def _worked(
+    cases: Sequence[Case], arm: Arm, jobs: int, dask: str | None
+) -> Iterator[dict[str, Any]]:
+    """The line of each case as it is done."""
+    if dask is None:
+        with extra():
+            from joblib import Parallel, delayed
+
+        pool = Parallel(n_jobs=jobs, return_as="generator_unordered", pre_dispatch="2*n_jobs")
+        yield from pool(delayed(run_case)(case, arm) for case in cases)
         return
-    try:
-        from dask.distributed import Client, LocalCluster
-        from joblib import parallel_config
-    except ImportError:
-        wanted = "pip install 'longarm_comp[cluster]'"
-        raise InputError("study loop", "--dask", "not installed", wanted) from None
-    with contextlib.ExitStack() as stack:
-        target: Any = address
-        if address == "local":
-            workers = os.cpu_count() if jobs < 1 else jobs
-            cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
-            target = stack.enter_context(cluster)
-        try:
-            client = stack.enter_context(Client(target, timeout=ANSWER_S))
-        except (OSError, ValueError) as error:
-            raise InputError("study loop", "--dask", address, f"a scheduler ({error})") from error
-        client.wait_for_workers(1, timeout=60)
-        stack.enter_context(parallel_config(backend="dask", wait_for_workers_timeout=60))
-        yield
+    workers = jobs if jobs > 0 else os.cpu_count() or 1
+    tasks = [(case, arm) for case in cases]
+    for (case, _), made in spread(run_case, tasks, dask, workers=workers, asked="study loop"):
+        if isinstance(made, LongarmError):
+            made = {"case": case.as_dict(), "error": str(made)}
+        yield made

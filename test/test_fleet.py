@@ -177,6 +177,21 @@ def test_it_goes_on_where_it_was_ended(
     assert dataclasses.replace(one, session=first[2].session, kind=first[2].kind) == first[2]
 
 
+def test_a_diagnosis_that_breaks_ends_no_other(
+    folders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def breaks(arm: object, session: Path, *_: object, **__: object) -> None:
+        raise ZeroDivisionError(session.parent.name)
+
+    monkeypatch.setattr("longarm_comp.workflows.fleet.diagnose_files", breaks)
+    told = fleet(folders, tmp_path, network=False)
+    assert [a.summary for a in told] == [
+        f"a fault of longarm: ZeroDivisionError('{name}')"
+        for name in ("broken", "knocked", "sound")
+    ]
+    assert {a.verdict for a in told} == {"failed"}
+
+
 @pytest.mark.long
 def test_simulated_arms_of_one_kind(tmp_path: Path) -> None:
     """Three arms of the study; it goes on from the first two."""

@@ -129,7 +129,10 @@ def test_modules_of_the_folder_where_the_program_is_started(trap: Path) -> None:
     assert not executed(trap)
 
 
-def test_workers_of_a_fleet(trap: Path) -> None:
+@pytest.mark.parametrize("engine", [(), ("--dask", "local")])
+def test_workers_of_a_fleet(trap: Path, engine: tuple[str, ...]) -> None:
+    if engine:
+        pytest.importorskip("dask.distributed", reason="dask is not installed")
     (trap.parent / "multiprocessing").mkdir()
     (trap.parent / "multiprocessing" / "__init__.py").write_text(trap.read_text())
     data = ARM.model_dump(mode="json", exclude_defaults=True)
@@ -138,7 +141,8 @@ def test_workers_of_a_fleet(trap: Path) -> None:
         (trap.parent / "arms" / name / "arm.yaml").write_text(yaml.safe_dump(data))
         session = measured(3, np.random.default_rng(1))  # too few: refused at once
         write_csv(session, trap.parent / "arms" / name / "samples.csv")
-    _, said = program(trap.parent, "fleet", "arms", "--jobs", 2, "-o", "out", "--no-network")
+    words = ("arms", "--jobs", 2, "-o", "out", "--no-network", *engine)
+    _, said = program(trap.parent, "fleet", *words)
     assert (trap.parent / "out" / "fleet.json").is_file(), said
     assert not executed(trap)
 

@@ -101,7 +101,7 @@ def test_every_import_is_declared(folder: str, wheel: Path) -> None:
     assert not undeclared, f"not in setup.py or package.xml: {undeclared}"
 
 
-OF_EXTRAS = ("view/", "core/compensation/planned_path.py", "workflows/fleet.py")
+OF_EXTRAS = ("view/", "core/compensation/planned_path.py", "workflows/cluster.py")
 WITH_EXTRAS = tuple(f"{PACKAGE}/{name}" for name in OF_EXTRAS)
 
 

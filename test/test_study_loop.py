@@ -12,6 +12,7 @@ from longarm_comp.cli.run import run as command_line
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.errors import InputError
+from longarm_comp.workflows import cluster
 from studies import loop
 from studies.loop_cases import GROUPS, NAMES, SPOILED, Case, Design
 from studies.loop_score import told_apart, true_fit
@@ -217,14 +218,14 @@ def test_a_dask_cluster_gives_the_same_lines(study, arm, tmp_path):
     cases, _, lines = study
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None, memory_limit=None
-    ) as cluster:
-        made = loop.run(cases[1:], arm, tmp_path / "a.jsonl", dask=cluster.scheduler_address)
+    ) as two:
+        made = loop.run(cases[1:], arm, tmp_path / "a.jsonl", dask=two.scheduler_address)
     assert [x["result"] for x in made] == [x["result"] for x in lines[1:]]
 
 
 def test_a_dead_scheduler_is_one_clear_error(arm, tmp_path, monkeypatch):
     pytest.importorskip("dask.distributed")
-    monkeypatch.setattr(loop, "ANSWER_S", 1.0)
+    monkeypatch.setattr(cluster, "ANSWER_S", 1.0)
     with pytest.raises(InputError, match="--dask"):
         loop.run([case()], arm, tmp_path / "a.jsonl", dask="tcp://127.0.0.1:9")
 

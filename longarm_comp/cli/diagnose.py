@@ -74,6 +74,7 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
     outputs.folder("fleet.json", told_by="fleet.json", schema="longarm/fleet/1"),
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, help="Processes.")
+@options.dask
 @options.without("network", "Train no network on the remaining error.")
 @options.seed
 @options.as_json
@@ -87,7 +88,7 @@ def fleet(folder: Path, output: Path, **how: Any) -> None:
     \b
     Examples:
       longarm fleet examples/panda_touch -o fleet --jobs 2
-      longarm fleet arms -o fleet
+      longarm fleet arms -o fleet --dask tcp://head:8786
     """
     from longarm_comp.core.files import write_text
     from longarm_comp.report.pages import fleet_page

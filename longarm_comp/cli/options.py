@@ -65,6 +65,9 @@ def _print_as_json(context: click.Context, _: click.Parameter, given: bool) -> N
 model = path_option("--model", "Calibrated model.yaml.")
 predictor = path_option("--predictor", "Trained predictor file.")
 seed = click.option("--seed", type=click.IntRange(min=0), default=0, help="Random seed.")
+dask = click.option(
+    "--dask", metavar="ADDRESS", help="Dask scheduler, or 'local': one with --jobs workers."
+)
 as_json = click.option(
     "--json", is_flag=True, expose_value=False, callback=_print_as_json,
     help="Print results as JSON.",

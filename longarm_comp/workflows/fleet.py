@@ -24,6 +24,7 @@ from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import check_regular, write_text
 from longarm_comp.report.record import read_report
 from longarm_comp.version import __version__
+from longarm_comp.workflows.cluster import spread
 from longarm_comp.workflows.diagnose import diagnose_files
 from longarm_comp.workflows.evaluate import evaluate
 from longarm_comp.workflows.inputs import file_hash
@@ -152,6 +153,7 @@ def fleet(
     output: Path,
     *,
     jobs: int = 1,
+    dask: str | None = None,
     network: bool = True,
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda text, share: None,
@@ -159,15 +161,19 @@ def fleet(
     """Diagnose every arm of a folder (`members`), each into a folder of its own in `output`.
 
     fleet.json is written after each arm. Arms that it has from the same files and options are not
-    diagnosed again.
+    diagnosed again. An arm that cannot be diagnosed has the verdict ``failed``.
 
     Args:
         jobs: processes.
+        dask: address of a scheduler whose workers see the same files, or ``local`` for one with so
+            many processes.
         network: whether to train networks on what remains.
         progress: called with each finished arm and the share of all.
     """
+    if dask is not None:  # workers may be in another folder
+        folder, output = folder.resolve(), output.resolve()
     found = members(folder)
-    tables = [table(Arm.load(member.arm)) for member in found]
+    tables = [_table(member.arm) for member in found]
     options = (__version__, network, seed)
     made: dict[str, Diagnosed] = {}
     for member in found:
@@ -183,13 +189,21 @@ def fleet(
         else:
             left.append((member, kind, key))
     look = partial(_diagnosed, output=output, network=network, seed=seed)
-    for one in _worked(look, left, jobs):
+    for one in _worked(look, left, jobs, dask):
         made[one.name] = one
         _write(made.values(), output)
         progress(one.name, len(made) / len(found))
     told = compared([made[member.name] for member in found])
     _write(told, output)
     return told
+
+
+def _table(path: Path) -> object:
+    """What arms of one kind share; of a file that is refused itself, it is told when diagnosed."""
+    try:
+        return table(Arm.load(path))
+    except LongarmError:
+        return path
 
 
 def _check_free(folder: Path) -> None:
@@ -214,33 +228,43 @@ def _write(arms: Iterable[Diagnosed], output: Path) -> None:
 
 
 def _worked(
-    look: Callable[..., Diagnosed], left: Sequence[tuple[_Member, int, str]], jobs: int
-) -> Iterator[Diagnosed]:
+    look: Callable[..., Diagnosed], left: Sequence[tuple[_Member, int, str]], jobs: int,
+    dask: str | None,
+) -> Iterator[Diagnosed]:  # fmt: skip
     """Each arm as it is done; nothing else of it is kept."""
-    if jobs == 1:
+    if dask is None and jobs == 1:
         yield from (look(*one) for one in left)
         return
     # Processes must not look for modules in the folder where the program was started
     os.environ.setdefault("PYTHONSAFEPATH", "1")
+    if dask is not None:
+        for one, made in spread(look, left, dask, workers=jobs, asked="fleet"):
+            yield _failed(*one, made) if isinstance(made, LongarmError) else made
+        return
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         begun = {pool.submit(look, *one) for one in left}
         for done in as_completed(begun):
             yield done.result()
 
 
+def _failed(member: _Member, kind: int, made_of: str, error: Exception) -> Diagnosed:
+    why = str(error) if isinstance(error, LongarmError) else f"a fault of longarm: {error!r}"
+    return Diagnosed(member.name, kind, str(member.session), 0, "failed", why, made_of=made_of)
+
+
 def _diagnosed(
     member: _Member, kind: int, made_of: str, *, output: Path, network: bool, seed: int
 ) -> Diagnosed:
-    arm, where = Arm.load(member.arm), str(member.session)
     try:
+        arm = Arm.load(member.arm)
         found = diagnose_files(
             arm, member.session, output / member.name, network=network, seed=seed
         )
         in_use = None
         if member.model is not None:
             in_use = 1e3 * evaluate(arm, member.session, model=member.model)["calibrated"].mean
-    except LongarmError as error:
-        return Diagnosed(member.name, kind, where, 0, "failed", str(error), made_of=made_of)
+    except Exception as error:  # of this arm alone: the others are still diagnosed
+        return _failed(member, kind, made_of, error)
     left, reported = found.held_out, read_report(output / member.name)
     sizes = [f.tip_mm.median if f.tip_mm else 0.0 for f in reported.findings]
     findings = tuple(
@@ -253,8 +277,8 @@ def _diagnosed(
     rows = len(found.diagnosis.train) + len(found.diagnosis.held_out)
     calibrated, diagnosed = (1e3 * left[name].mean for name in ("calibrated", list(left)[-1]))
     made = Diagnosed(
-        member.name, kind, where, rows, found.verdict, found.summary, in_use, calibrated,
-        diagnosed, findings, made_of,
+        member.name, kind, str(member.session), rows, found.verdict, found.summary, in_use,
+        calibrated, diagnosed, findings, made_of,
     )  # fmt: skip
     del found
     gc.collect()  # fits and postures refer to each other: a fleet would hold those of many arms

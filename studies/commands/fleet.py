@@ -20,18 +20,23 @@ from studies.commands import shape
         "Folder for arms and diagnoses; existing results are continued.",
         outputs.left_to_the_command,
     ),
+    shape.number("--jobs", 1, "Processes."),
+    options.dask,
     options.seed,
 )  # fmt: skip
-def command(counts: tuple[int, ...], output: Path, seed: int, show: shape.Show) -> shape.Figures:
-    """Simulated arms of one kind diagnosed by `longarm fleet`; the peak of this process's memory.
+def command(
+    counts: tuple[int, ...], output: Path, jobs: int, dask: str | None, seed: int, show: shape.Show
+) -> shape.Figures:
+    """Simulated arms of one kind diagnosed by `longarm fleet`; its time and peaks of memory.
 
     \b
     Example:
       longarm study fleet --arms 20 --arms 200
+      longarm study fleet --arms 8 --arms 16 --dask local --jobs 2
     """
     from studies.fleet import study
 
-    rows = list(study(output, counts, seed, show))
+    rows = list(study(output, counts, seed, show, jobs, dask))
     return shape.Figures(
         {"seed": seed, "fleets": rows}, {"Fleets of simulated arms of one kind": rows}
     )

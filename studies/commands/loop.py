@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     click.option(
         "--jobs", type=int, default=-1, show_default=True, help="Processes; -1: all cores."
     ),
-    click.option("--dask", metavar="ADDRESS", help="Dask scheduler to run on, or 'local'."),
+    options.dask,
 )
 def command(
     output: Path, arm: Arm, groups: str, effects: str | None, plans: str, rows: str, noises: str,

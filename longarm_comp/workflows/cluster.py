@@ -1,0 +1,70 @@
+"""Work on the workers of a dask cluster, which need the extra ``cluster``.
+
+joblib's backend for dask is not used: it waits for ever for a task whose worker died.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import ExitStack
+from typing import Any, TypeVar
+
+from longarm_comp.core.errors import InputError, JobError
+
+ANSWER_S, WORKER_S = 20.0, 60.0
+"""Time within which a scheduler must answer, and have a worker, s."""
+
+Task = TypeVar("Task", bound=tuple)
+Made = TypeVar("Made")
+
+
+def spread(
+    work: Callable[..., Made], tasks: Sequence[Task], address: str, *, workers: int, asked: str
+) -> Iterator[tuple[Task, Made | JobError]]:
+    """Each task with what `work` returns for it, as it is done, on the workers of a cluster.
+
+    A task that ends every worker it is given to has a `JobError` in its place.
+
+    Args:
+        work: called with a task's items. What it raises is raised here.
+        address: of a scheduler (``tcp://host:8786``), or ``local`` for one of this call's own.
+        workers: processes of ``local``.
+        asked: the command, for its errors.
+
+    Raises:
+        InputError: dask is not installed, or its scheduler not found.
+        JobError: the scheduler has no worker, or is lost.
+    """
+    try:
+        from dask.distributed import Client, KilledWorker, LocalCluster, as_completed
+    except ImportError:
+        wanted = "pip install 'longarm_comp[cluster]'"
+        raise InputError(asked, "--dask", "not installed", wanted) from None
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # tracebacks of what is told
+    with ExitStack() as stack:
+        target: Any = address
+        if address == "local":
+            own = LocalCluster(
+                n_workers=workers, threads_per_worker=1, dashboard_address=":0",
+                silence_logs=logging.ERROR,
+            )  # fmt: skip
+            target = stack.enter_context(own)
+        try:
+            client = stack.enter_context(Client(target, timeout=ANSWER_S))
+        except (OSError, ValueError) as error:
+            raise InputError(asked, "--dask", address, f"a scheduler ({error})") from error
+        try:
+            client.wait_for_workers(1, timeout=WORKER_S)
+        except TimeoutError as error:
+            raise JobError(f"{asked}: the scheduler {address} has no worker") from error
+        begun = {client.submit(work, *task, pure=False): task for task in tasks}
+        for future in as_completed(list(begun)):
+            task = begun.pop(future)  # and with the last of its futures the cluster drops a result
+            try:
+                yield task, future.result()
+            except KilledWorker as error:
+                yield task, JobError(f"every worker died that was given it ({error})")
+            except CancelledError as error:
+                raise JobError(f"{asked}: the scheduler {address} was lost: call again") from error
