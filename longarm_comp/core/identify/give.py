@@ -59,7 +59,7 @@ class Slack(NamedTuple):
     @property
     def log_prior(self) -> float:
         """Relative to that of an arm whose parts yield by no more than a little."""
-        return math.log(UNNAMED / len(SOFT)) - NONE if self.soft else 0.0
+        return math.log(UNNAMED / len(SOFT) / FUNCTIONS) - NONE if self.soft else 0.0
 
     @property
     def stiffness(self) -> float:
@@ -75,7 +75,9 @@ STIFF = (1.0, 0.125, 0.0)
 differ by ten, the parts of one arm by less."""
 SOFT = (16.0, 4.0)
 """The same where all parts yield by up to half of what a soft part does: then the arm has no soft
-part.  That is a cause without a name, and costs what these cost."""
+part.  That is a cause without a name, and costs what a function costs."""
+FUNCTIONS = 1000
+"""About so many functions without a name are on offer, one as likely as the other."""
 TOLERANCES = tuple(Slack(form, give) for form in FORMS for give in (*STIFF, *SOFT))
 """Each as likely as the others but for `Slack.log_prior`."""
 RIGID = Slack(FORMS[0], 0.0)
