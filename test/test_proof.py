@@ -9,11 +9,15 @@ import numpy as np
 from cli_shell import on_the_real_arm
 from small_arm import ARM
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.identify.proof import NETWORK, Fold, prove
 from longarm_comp.core.learn.predictor_file import load
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import load_model
+from longarm_comp.sessions.read import read_session
+from studies.touch import EXAMPLE
 
 
 def test_a_network_is_proved_by_the_error_that_it_takes_away(work: Path) -> None:
@@ -37,3 +41,16 @@ def test_a_network_is_proved_by_the_error_that_it_takes_away(work: Path) -> None
         assert after < 0.8 * before, (after, before)
     without = prove([fold])
     assert NETWORK not in without.errors
+
+
+def test_a_touch_that_is_alone_in_its_fold_is_no_row_of_the_proof() -> None:
+    """Its point is solved from it, so it tells nothing; the rows of the errors are the others."""
+    panda = Arm.load(EXAMPLE / "arm.yaml")
+    session = read_session(EXAMPLE / "panda_1.csv", panda)
+    session = dataclasses.replace(session, touch_distances=())
+    touched = session.labels["touch"]
+    several, alone = np.unique(touched)[:2]
+    at = np.r_[np.flatnonzero(touched == several)[:3], np.flatnonzero(touched == alone)[:1]]
+    proof = prove([Fold({"nominal": declared_model(panda)}, {}, session.take(at), np.arange(4))])
+    assert proof.rows_at.tolist() == [0, 1, 2]
+    assert len(proof.errors["nominal"]) == 3
