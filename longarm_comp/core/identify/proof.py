@@ -16,6 +16,7 @@ import numpy as np
 from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.plausible import WORST
 from longarm_comp.core.calibration.standing import standing
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.holdout import folds_of
@@ -31,9 +32,6 @@ from longarm_comp.core.model.model import Model
 CALIBRATED, WITH_EFFECTS, WITH_FUNCTIONS = "calibrated", "with_effects", "with_functions"
 NETWORK = "with_network"
 """Name of the stage with a learned correction on top of the model."""
-WORST = 0.1
-"""Share of the rows, those that err most by either of two models, that are compared by themselves:
-a mean does not see that a few commands became dangerous."""
 
 
 @dataclass(frozen=True)
