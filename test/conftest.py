@@ -56,13 +56,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 Once = Callable[[str, Callable[[Path], object]], Path]
 
 
-@pytest.fixture(scope="session", autouse=True)
-def state_of_this_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The folder of stops and setups: none of another run is here, none of these elsewhere."""
+@pytest.fixture(scope="module", autouse=True)
+def state_of_this_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Give each file of tests its own folder of stops and setups: a stop that lasts is not met."""
     with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.mktemp("state")
-        patch.setenv("XDG_STATE_HOME", str(folder))
-        yield folder
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
 
 
 @pytest.fixture(scope="session")

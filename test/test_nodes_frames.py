@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.frame_tree import FrameTree
+from longarm_comp.core.arm.frame_tree import FrameTree, UnknownPlace
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import Placed
@@ -71,10 +71,21 @@ class Scene:
                         np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w]),
                         stamp_ns(sent.header.stamp), static=bool(static),
                     )  # fmt: skip
-            return {f"{SIDE}/tip", f"{SIDE}/tip_predicted", BASE} <= set(known.names)
+            return all(
+                self._is_connected(known, f"{SIDE}/{name}") for name in ("tip", "tip_predicted")
+            )
 
         self.stage.spin(told)
         return known
+
+    @staticmethod
+    def _is_connected(known: FrameTree, frame: str) -> bool:
+        """Whether tf has told the whole chain from the base to a frame."""
+        try:
+            known.place(frame, BASE, 0)
+        except UnknownPlace:
+            return False
+        return True
 
     def ask(self, frame: str, target: np.ndarray, stamp: Time | None = None) -> Any:
         """The answer for a target (4, 4) of a frame, with its story."""

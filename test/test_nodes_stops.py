@@ -23,6 +23,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.jobs.client import ArmClient, DriverStopped
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp, running
@@ -38,7 +39,7 @@ STOPS = {
 
 
 @pytest.fixture
-def fresh(running_driver: Rig, state_of_this_run: Path) -> Rig:
+def fresh(running_driver: Rig) -> Rig:
     """The rig with a new driver that nobody has stopped, ready."""
     rig = running_driver
     if rig.process.poll() is None:
@@ -46,7 +47,7 @@ def fresh(running_driver: Rig, state_of_this_run: Path) -> Rig:
         rig.process.send_signal(signal.SIGINT)
         assert rig.process.wait(timeout=300) == 0
     rig.emulator.unplug()
-    shutil.rmtree(state_of_this_run / "longarm_comp", ignore_errors=True)
+    shutil.rmtree(state_folder(), ignore_errors=True)
     with rig.emulator.motor(1) as motor:
         motor.blocked = False
     rig.emulator.start()

@@ -207,7 +207,10 @@ def test_nothing_moves_under_a_stop(shell: Shell, by: str, tmp_path: Path) -> No
         assert shell("servo", "setup", mine, *words) == 0, shell.err
 
 
-def test_stops_without_a_driver_are_shown_and_ended_one_by_one(shell: Shell) -> None:
+def test_stops_without_a_driver_are_shown_and_ended_one_by_one(
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     for port in ("/dev/a", "/dev/b"):
         latch = StopLatch(state_folder(), "/", "", port)
         latch.ask(Stop.ESTOP)
