@@ -25,7 +25,7 @@ from longarm_comp.core.calibration.uncertainty import (
     with_uncertainty,
 )
 from longarm_comp.core.compensation.compensate import Method, Status, compensate, judged
-from longarm_comp.core.compensation.expected import expected_miss, of_tolerances
+from longarm_comp.core.compensation.expected import expected_miss, tolerances
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.data.session import Session
@@ -277,7 +277,7 @@ def test_the_arm_as_declared_goes_by_its_tolerances() -> None:
 
 def test_nothing_is_said_of_a_model_without_a_record() -> None:
     fitted = calibrated(session([ZEROS], n=40))
-    assert of_tolerances(fitted.model) is None
+    assert tolerances(fitted.model) is None
     found = compensate(fitted.model, None, fitted.model.tip(ARM.mid), method=Method.DEFLECTION)
     assert found.status is Status.SUCCESS and np.isnan(found.expected_m)
 

@@ -46,11 +46,15 @@ class FitColumns:
             self._shifts.update(zip(new, np.moveaxis(found, -1, 0), strict=True))
         return np.sum([self._shifts[key] for key in keys], axis=0)
 
-    def without(self, places: Container[tuple[str, str]]) -> Marginal:
+    def without(self, places: Container[tuple[str, str]], instead: Sequence[Term] = ()) -> Marginal:
         """Evidence on top of the fit, the terms at some places taken out of it.
 
         A term with parameters leaves with its columns; one without gives its shift back to the
         data.  One that acts through others stays as it is: what these are not says nothing of it.
+
+        Args:
+            places: keys of the terms that are taken out.
+            instead: terms with parameters that are put in.
         """
         fitted = self._fitted
         fixed = np.array([s.owner.through_others for s in fitted.slots], dtype=bool)
@@ -60,7 +64,9 @@ class FitColumns:
         for term in fitted.model.terms:
             if term.key in places and not slots_of(fitted.model.arm, [term]):
                 data = data + fitted.whitened(self.shift([term])[..., None])[:, 0]
-        return Marginal(fitted.design[:, kept], data, fitted.gram[np.ix_(kept, kept)])
+        if not instead:
+            return Marginal(fitted.design[:, kept], data, fitted.gram[np.ix_(kept, kept)])
+        return Marginal(np.concatenate([fitted.design[:, kept], self.white(instead)], axis=1), data)
 
     def white(self, terms: Sequence[Term]) -> np.ndarray:
         """(m, k) columns of some terms side by side, in units of the noise."""

@@ -76,7 +76,7 @@ def _not_known(model: Model, q: np.ndarray, context: Context, edge: Context) -> 
     ratio /= np.maximum(np.linalg.norm(named - bare, axis=1), 1e-12)
     moved = model.tip(q, context) - model.tip(q, edge)
     share = np.hypot(KNOWN_TO, np.minimum(ratio, 1.0))
-    slots, sizes = _not_held(model, context)
+    slots, sizes = not_held(model, context)
     columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
     return np.sqrt((share[:, None] * moved) ** 2 + ((columns * sizes) ** 2).sum(axis=-1))
 
@@ -97,7 +97,7 @@ def _tip_without(
     return np.asarray(dataclasses.replace(model, effects=kept).tip(q, context))
 
 
-def _not_held(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
+def not_held(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarray]:
     """Parameters (k,) of what the model lacks and no row could tell, and how large they may be.
 
     That is every effect of the library that reads a circumstance, and all that yields where the

@@ -7,6 +7,7 @@ declared the tolerances do; where a predictor is used, its own sigma does.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,13 +16,19 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.compensation.beyond import not_held
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.ik.engines import posture_at
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import ModelUncertainty, sizes
+
+BY_HAND = math.radians(1.0)
+"""Zero of a joint, rad, as hands and servo horns set it.  A calibration expects less (`JointZero`):
+its rows tell the zeros; before it nothing does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +79,11 @@ def expected_miss(
     """
     at = posture_at(model, q, context)
     mean = stack(model.tip_frame(at).p) - pseudo
-    known = model.uncertainty or of_tolerances(model)
-    if learned is not None and model.uncertainty is None:
-        return ExpectedMiss(mean, _diagonal(learned**2))
+    known = model.uncertainty
     if known is None:
-        return ExpectedMiss(mean, np.full((*mean.shape, 3), np.nan))
+        if learned is not None:
+            return ExpectedMiss(mean, _diagonal(learned**2))
+        return ExpectedMiss(mean, _as_declared(model, at).reshape(*mean.shape, 3))
     carried = _carried(known, model, at).reshape(*mean.shape, 3)
     if learned is None:
         return ExpectedMiss(mean, carried + known.structure + known.frame)
@@ -85,23 +92,34 @@ def expected_miss(
     return ExpectedMiss(mean, _diagonal(np.maximum(seen, least)))
 
 
-def of_tolerances(model: Model) -> ModelUncertainty | None:
-    """What is not known of an arm as declared: its geometry, to the tolerances.
+def tolerances(model: Model) -> tuple[tuple[Slot, ...], np.ndarray] | None:
+    """What is not known of an arm as declared: k parameters, and (k,) how large each may be.
 
-    Where base and tip are is known, unless arm.yaml gives a tolerance: targets are in the base.
-    None of a model with a geometry of its own, whose record is missing.
+    That is its geometry, to the tolerances that arm.yaml gives or that are usual, a zero to
+    `BY_HAND`; and what yields of it, as in `beyond.not_held`.  Where base and tip are is known,
+    unless arm.yaml gives a tolerance: targets are in the base.  None of a model with a geometry of
+    its own, whose record is missing.
     """
     if any(effect.geometry for effect in model.effects):
         return None
-    held: ModelUncertainty | None = model.__dict__.get("_tolerances")
+    held: tuple[tuple[Slot, ...], np.ndarray] | None = model.__dict__.get("_tolerances")
     if held is None:
-        slots = [s for s in slots_of(model.arm, geometry_of(model.arm)) if not s.parameter.unknown]
-        widths = np.array([slot.parameter.width for slot in slots])
-        none = np.zeros((3, 3))
-        names = tuple(slot.identity for slot in slots)
-        held = ModelUncertainty(names, np.diag(widths), none, none, np.inf, 0)
+        arm = model.arm
+        geometry = [s for s in slots_of(arm, geometry_of(arm)) if not s.parameter.unknown]
+        sizes = [_by_hand(arm, slot) or slot.parameter.width for slot in geometry]
+        yielding, by = not_held(model, Context())
+        held = (*geometry, *yielding), np.concatenate([sizes, by])
         model.__dict__["_tolerances"] = held
     return held
+
+
+def _by_hand(arm: Arm, slot: Slot) -> float:
+    """`BY_HAND` of a turning joint's zero whose tolerance nobody gave, 0 of all else."""
+    if not isinstance(slot.owner, JointZero):
+        return 0.0
+    joint = arm.joints[slot.owner.joint - 1]
+    given = joint.tolerance.theta_deg is not None or joint.type == "prismatic"
+    return 0.0 if given else BY_HAND
 
 
 def geometry_of(arm: Arm) -> list[Effect]:
@@ -111,15 +129,21 @@ def geometry_of(arm: Arm) -> list[Effect]:
 
 
 def _carried(known: ModelUncertainty, model: Model, at: Posture) -> np.ndarray:
-    """(N, 3, 3) m^2 that the parameters bring to the tip at N postures."""
-    held: dict[tuple[object, ...], Slot] | None = model.__dict__.get("_not_known")
-    if held is None:
-        terms = model.effects if model.uncertainty is known else geometry_of(model.arm)
-        every = {slot.identity: slot for slot in slots_of(model.arm, terms)}
-        held = {name: slot for name, slot in every.items() if name in known.row}
-        model.__dict__["_not_known"] = held
-    columns = model.columns(at, tuple(held.values()))[1]
-    return known.carried(columns.reshape(-1, 3, len(held)), tuple(held))
+    """(N, 3, 3) m^2 that the fitted parameters bring to the tip at N postures."""
+    effects = (s for s in model.slots if isinstance(s.owner, Effect))
+    held = [slot for slot in effects if slot.identity in known.row]
+    columns = model.columns(at, held)[1]
+    return known.carried(columns.reshape(-1, 3, len(held)), [slot.identity for slot in held])
+
+
+def _as_declared(model: Model, at: Posture) -> np.ndarray:
+    """(N, 3, 3) m^2 of the tip of an arm as declared at N postures; NaN where nothing says it."""
+    declared = tolerances(model)
+    if declared is None:
+        return np.full((at.count, 3, 3), np.nan)
+    slots, sizes = declared
+    moved = model.columns(at, slots)[1].reshape(-1, 3, len(slots)) * sizes
+    return np.asarray(moved @ np.swapaxes(moved, -1, -2))
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify.give import FORMS, RIGID, TOLERANCES, Slack, with_give
 from longarm_comp.core.identify.intervals import LOOSE
 from longarm_comp.core.identify.posterior.ascent import BETTER
-from longarm_comp.core.identify.posterior.forms import refined
+from longarm_comp.core.identify.posterior.forms import agreement, refined
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     FoundEffect,
@@ -319,16 +319,20 @@ class _Search:
         return ExplainedSession(fitted, found, noise)
 
     def _reformed(self, state: ExplainedSession) -> ExplainedSession:
-        """Forms on a scale moved to where the evidence is highest, each with the rest as it is."""
+        """Move forms on a scale to where the evidence is highest, while the rows agree better.
+
+        One after the other: a form is judged beside those that moved before it.
+        """
         for _ in range(ROUNDS):
             terms = {t.key: t for f in state.found for t in f.terms}
             fitted = {t.key: t for t in state.fit.model.terms}
-            moved = {
-                key: refined(state.fit, fitted[key], self.candidates)
-                for key, term in terms.items()
-                if term.scales()
-            }
-            moved = {key: t for key, t in moved.items() if t.variant != terms[key].variant}
+            moved: dict[tuple[str, str], Term] = {}
+            for key, term in terms.items():
+                if term.scales():
+                    others = tuple(moved.values())
+                    better = refined(state.fit, fitted[key], self.candidates, others)
+                    if better.variant != term.variant:
+                        moved[key] = better
             if not moved:
                 break
             for term in moved.values():
@@ -337,7 +341,8 @@ class _Search:
                 replace(f, terms=tuple(moved.get(t.key, t) for t in f.terms)) for f in state.found
             )
             taken = self._taken(state, found)
-            if taken is None:
+            before = agreement(state.fit, state.fit.residual)
+            if taken is None or agreement(state.fit, taken.fit.residual) < before + BETTER:
                 break
             state = taken
         return state

@@ -23,7 +23,9 @@ from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 
-def refined(fit: ModelFit, term: Term, candidates: Sequence[Candidate]) -> Term:
+def refined(
+    fit: ModelFit, term: Term, candidates: Sequence[Candidate], moved: Sequence[Term] = ()
+) -> Term:
     """The term in the form of highest evidence: of those that were tried, then between them.
 
     As it is, where that is hardly better: a refit costs more than it brings.
@@ -32,14 +34,15 @@ def refined(fit: ModelFit, term: Term, candidates: Sequence[Candidate]) -> Term:
         fit: that holds the term.
         term: as it is in the model.
         candidates: their values of the scales are the tried ones.
+        moved: other terms of the model, in forms that were found better since it was fitted.
     """
-    marginal = FitColumns(fit).without({term.key})
+    marginal = FitColumns(fit).without({t.key for t in (term, *moved)}, moved)
 
     def evidence(terms: Sequence[Term]) -> np.ndarray:
         each = [Candidate(term.name, (t,)) for t in terms]
         return evidence_of_each(fit, marginal, each)
 
-    agreement = partial(_agreement, fit, term)
+    agree = partial(_agreement, fit, term, moved)
     scales = term.scales()
     if (fit.weights == 0).any():
         ends = [(float(getattr(term, field)), low) for field, (low, _) in scales.items()]
@@ -51,8 +54,8 @@ def refined(fit: ModelFit, term: Term, candidates: Sequence[Candidate]) -> Term:
             for value in line
         ]
         looks = [_at(term, list(scales), np.array(point)) for point in crosses]
-        if agreement(looks).max() > agreement([term])[0] + BETTER:
-            return _highest(term, np.array(crosses), agreement)
+        if agree(looks).max() > agree([term])[0] + BETTER:
+            return _highest(term, np.array(crosses), agree)
     tried = itertools.product(*(_tried(term, field, candidates) for field in scales))
     return _highest(term, np.array(list(tried)), evidence)
 
@@ -84,16 +87,21 @@ def _highest(term: Term, grid: np.ndarray, worth: Callable[[Sequence[Term]], np.
     return here if best > least else term
 
 
-def _agreement(fit: ModelFit, now: Term, then: Sequence[Term]) -> np.ndarray:
-    """(T,) log likelihood of all rows with other forms of a term, none beyond an outlier's."""
+def agreement(fit: ModelFit, residual: np.ndarray) -> float:
+    """Log likelihood of all rows by their residual (N, d), none beyond an outlier's."""
+    white = np.nan_to_num(residual / (fit.uneven(fit.session)[:, None] * fit.sigma))
+    return float(-0.5 * np.minimum((white**2).sum(axis=1), OUTLIER**2).sum())
+
+
+def _agreement(fit: ModelFit, now: Term, moved: Sequence[Term], then: Sequence[Term]) -> np.ndarray:
+    """(T,) `agreement` with other forms of a term."""
     columns = FitColumns(fit)
     columns.of(then)  # all at once: much faster
-    here, noise = shift_of(fit, columns, [now]), fit.uneven(fit.session)[:, None] * fit.sigma
-    made = []
-    for each in then:
-        white = np.nan_to_num((fit.residual + here - shift_of(fit, columns, [each])) / noise)
-        made.append(-0.5 * np.minimum((white**2).sum(axis=1), OUTLIER**2).sum())
-    return np.array(made)
+    fitted = {t.key: t for t in fit.model.terms}
+    rest = fit.residual + shift_of(fit, columns, [now, *(fitted[t.key] for t in moved)])
+    if moved:
+        rest = rest - shift_of(fit, columns, moved)
+    return np.array([agreement(fit, rest - shift_of(fit, columns, [each])) for each in then])
 
 
 def _at(term: Term, fields: Sequence[str], values: np.ndarray) -> Term:

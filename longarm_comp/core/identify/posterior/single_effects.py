@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, root_of, sized
 from longarm_comp.core.identify.posterior.found import CREDIBLE
@@ -128,12 +129,12 @@ class OfferBank:
         self.again = math.log(max(0.5 * len(self._of_name), 1.0))
         # what is left of the offers where others hold some places: which they take from, and how
         self._beside: dict[
-            frozenset[Hashable], tuple[list[int], dict[int, Offer], list[_Stack]]
+            frozenset[Hashable], tuple[list[int], dict[int, Offer], list[_Whole | _Free]]
         ] = {}
 
     @cached_property
-    def _stacks(self) -> list[_Stack]:
-        return _stacks(self, dict(enumerate(self.offers)))
+    def _scorers(self) -> list[_Whole | _Free]:
+        return _scorers(self, dict(enumerate(self.offers)))
 
     def single(
         self,
@@ -154,32 +155,35 @@ class OfferBank:
             gone = [n for n, o in enumerate(self.offers) if not held.isdisjoint(o.keys)]
             left = {n: self.offers[n].beside(held) for n in gone}
             changed = {n: offer for n, offer in left.items() if offer is not None}
-            self._beside[held] = gone, changed, _stacks(self, changed, whole=False)
-        taken, changed, stacks = self._beside[held]
+            self._beside[held] = gone, changed, _scorers(self, changed)
+        taken, changed, beside = self._beside[held]
         scores = np.full(len(self.offers), -np.inf)
-        scored = [(stack, stack.score(along, scores)) for stack in self._stacks]
-        scores[taken] = -np.inf
-        scored += [(stack, stack.score(along, scores)) for stack in stacks]
+        scored = []
+        for scorers in (self._scorers, beside):
+            scores[taken] = -np.inf
+            for scorer in scorers:
+                scores[scorer.numbers], found = scorer.score(along)
+                scored.append((scorer, found))
         scores[list(closed)] = -np.inf
         for name in names:
             scores[self._of_name[name]] += self.again
         top = max(float(scores.max(initial=-np.inf)), 0.0)
         weights = np.exp(scores - top)
         q = weights / (weights.sum() + math.exp(-top))
-        mean = np.zeros(len(self.along))
         untouched = q.copy()
         untouched[taken] = 0.0
-        for stack, found in scored:
-            share = (untouched if stack.whole else q)[stack.numbers]
-            np.add.at(mean, stack.columns, share[:, None] * stack.means(found))
+        mean = np.zeros(len(self.along))
+        for n, (scorer, found) in enumerate(scored):
+            share = untouched if n < len(self._scorers) else q
+            mean += scorer.mean(found, share[scorer.numbers])  # type: ignore[arg-type]
         return SingleEffect(q, mean, changed)
 
     @property
     def scores(self) -> np.ndarray:
         """(C,) log odds of every offer alone against none."""
         made = np.full(len(self.offers), -np.inf)
-        for stack in self._stacks:
-            stack.score(self.along, made)
+        for scorer in self._scorers:
+            made[scorer.numbers] = scorer.score(self.along)[0]
         return made
 
     def evidence(self, chosen: Sequence[Offer]) -> float:
@@ -265,74 +269,114 @@ def _solved(
     return mean, np.sqrt(np.diagonal(inverse, axis1=-2, axis2=-1)), evidence
 
 
-class _Stack:
-    """Offers of one number of columns, scored at once.
+class _Whole:
+    """Offers that are there whole or not at all, scored at once."""
 
-    Attributes:
-        whole: whether the offers are as the bank has them; not what others leave of them.
+    def __init__(self, bank: OfferBank, offers: dict[int, Offer]) -> None:
+        self.numbers = np.array(list(offers))
+        places = [offer.places for offer in offers.values()]
+        self._taken = _chosen(places, len(bank.along))
+        half = [0.5 * bank.gram[np.ix_(own, own)].sum() for own in places]
+        self._price = np.array([o.log_prior for o in offers.values()]) - NONE - half
+
+    def score(self, along: np.ndarray) -> tuple[np.ndarray, None]:
+        """(C,) log posterior odds against none of every offer."""
+        return self._taken @ along + self._price, None
+
+    def mean(self, _: None, q: np.ndarray) -> np.ndarray:
+        """(K,) coefficients of the columns on average, the offers having a probability each."""
+        return np.asarray(self._taken.T @ q)
+
+
+class _Free:
+    """Offers whose coefficients are free, scored at once.
+
+    The E coefficients of all offers lie one after the other.  Those of an offer are turned to
+    where they are independent: its Gram matrix is diagonal there.  Sizes (A) are tried side by
+    side; an offer with fewer of them has some of no chance.
     """
 
-    def __init__(
-        self, bank: OfferBank, numbers: Sequence[int], offers: Sequence[Offer], whole: bool
-    ) -> None:
-        self.numbers, self.whole = np.array(numbers), whole
-        self.fixed = offers[0].fixed
-        self.columns = np.array([offer.places for offer in offers])
-        self.prior = np.array([offer.log_prior for offer in offers]) - NONE
-        s = bank.gram[self.columns[:, :, None], self.columns[:, None, :]]
-        if self.fixed:
-            self.half = 0.5 * s.sum((1, 2))
-            return
-        self.chances = np.array([offer.chances for offer in offers])  # (C, A)
-        sizes = np.array([offer.sizes for offer in offers])
-        like = bank.like[self.columns]
-        root = root_of(like)
-        values, turn = np.linalg.eigh(np.swapaxes(root, 1, 2) @ (s + np.swapaxes(s, 1, 2)) @ root)
-        values, self.turn = values / 2, root @ turn
-        square = sizes[..., None] ** 2  # (C, A, 1)
-        grown = 1.0 + square * np.maximum(values, 0.0)[:, None, :]
-        self.share = square / grown  # (C, A, k)
-        self.log_det = np.log(grown).sum(-1) / 2
-        self.lower, self.upper = bank.lower[self.columns], bank.upper[self.columns]
-        self.bounded = bool((np.isfinite(self.lower) | np.isfinite(self.upper)).any())
-        if self.bounded:
-            self.sd = np.sqrt(np.einsum("cik,cak->cai", self.turn**2, self.share))
-            low, high = (b[:, None, :] / sizes[..., None] for b in (self.lower, self.upper))
-            self.outside = log_prior_mass(low, high, like[:, None, :])
+    def __init__(self, bank: OfferBank, offers: dict[int, Offer]) -> None:
+        own = list(offers.values())
+        self.numbers = np.array(list(offers))
+        counts = np.array([len(offer.places) for offer in own])
+        self._starts, columns = np.cumsum(counts) - counts, [k for o in own for k in o.places]
+        self._of = np.repeat(np.arange(len(own)), counts)
+        most = max(len(offer.sizes) for offer in own)
+        sizes, self._chances = np.ones((len(own), most)), np.full((len(own), most), -np.inf)
+        for n, offer in enumerate(own):
+            sizes[n, : len(offer.sizes)] = offer.sizes
+            self._chances[n, : len(offer.sizes)] = offer.chances
+        self._price = np.array([offer.log_prior for offer in own]) - NONE
+        values, blocks, outside = np.empty(len(columns)), [], []
+        for count in np.unique(counts):
+            group = np.flatnonzero(counts == count)
+            at = self._starts[group, None] + np.arange(count)
+            places = np.array(columns)[at]
+            s = bank.gram[places[:, :, None], places[:, None, :]]
+            root = root_of(bank.like[places])
+            turned = np.swapaxes(root, 1, 2) @ (s + np.swapaxes(s, 1, 2)) @ root / 2
+            values[at], turn = np.linalg.eigh(turned)
+            rows, cols = np.broadcast_arrays(at[:, :, None], at[:, None, :])
+            blocks.append(((root @ turn).ravel(), rows.ravel(), cols.ravel()))
+            bounds = bank.lower[places], bank.upper[places]
+            if np.isfinite(bounds).any():
+                low, high = (b[:, None, :] / sizes[group][..., None] for b in bounds)
+                outside.append((group, log_prior_mass(low, high, bank.like[places][:, None, :])))
+        square = sizes[self._of] ** 2
+        grown = 1.0 + square * np.maximum(values, 0.0)[:, None]
+        self._share = square / grown  # (E, A)
+        self._log_det = np.add.reduceat(np.log(grown), self._starts) / 2
+        data, rows, cols = map(np.concatenate, zip(*blocks, strict=True))
+        self._turn = csr_array((data, (rows, cols)), shape=(len(columns), len(columns)))
+        self._picked = _chosen([(k,) for k in columns], len(bank.along))
+        self._turned = self._turn.T @ self._picked
+        self._lower, self._upper = bank.lower[columns], bank.upper[columns]
+        bounded = np.isfinite(self._lower) | np.isfinite(self._upper)
+        self._bounded = np.flatnonzero(bounded)
+        self._turn_bounded = self._turn[self._bounded]
+        self._sd = np.sqrt(self._turn_bounded**2 @ self._share)
+        self._summed = _chosen(
+            [np.flatnonzero(self._of[self._bounded] == n) for n in range(len(own))],
+            len(self._bounded),
+        )
+        for group, mass in outside:
+            self._chances[group] -= mass
 
-    def score(self, along: np.ndarray, scores: np.ndarray) -> Scored:
-        """Log posterior odds against none of every offer; what their means are made of."""
-        t = along[self.columns]
-        if self.fixed:
-            scores[self.numbers] = t.sum(1) - self.half + self.prior
-            return None
-        z = np.einsum("cik,ci->ck", self.turn, t)
-        each = (self.share * z[:, None, :] ** 2).sum(-1) / 2 - self.log_det + self.chances
-        if self.bounded:
-            mean = np.einsum("cik,cak->cai", self.turn, self.share * z[:, None, :])
-            low = (self.lower[:, None, :] - mean) / self.sd
-            high = (self.upper[:, None, :] - mean) / self.sd
-            each = each + log_mass(low, high).sum(-1) - self.outside
+    def score(self, along: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """(C,) log posterior odds against none of every offer; what its mean is made of."""
+        z = self._turned @ along
+        each = np.add.reduceat(self._share * z[:, None] ** 2, self._starts) / 2
+        each = each - self._log_det + self._chances
+        if len(self._bounded):
+            mean = self._turn_bounded @ (self._share * z[:, None])
+            low = (self._lower[self._bounded, None] - mean) / self._sd
+            high = (self._upper[self._bounded, None] - mean) / self._sd
+            each = each + self._summed @ log_mass(low, high)
         top = each.max(1)
         chance = np.exp(each - top[:, None])
         whole = chance.sum(1)
-        scores[self.numbers] = top + np.log(whole) + self.prior
-        return z, chance / whole[:, None]
+        return top + np.log(whole) + self._price, (z, chance / whole[:, None])
 
-    def means(self, found: Scored) -> np.ndarray:
-        """(C, k) coefficients of the offers on average over their sizes, within bounds."""
-        if found is None:
-            return np.ones(self.columns.shape)
+    def mean(self, found: tuple[np.ndarray, np.ndarray], q: np.ndarray) -> np.ndarray:
+        """(K,) coefficients of the columns on average, the offers having a probability each.
+
+        On average over the sizes, too, and within bounds.
+        """
         z, chance = found
-        mean = self.turn @ ((chance[:, :, None] * self.share).sum(1) * z)[..., None]
-        return np.clip(mean[..., 0], self.lower, self.upper)
+        mean = self._turn @ ((chance[self._of] * self._share).sum(1) * z)
+        return np.asarray(self._picked.T @ (q[self._of] * np.clip(mean, self._lower, self._upper)))
 
 
-Scored = tuple[np.ndarray, np.ndarray] | None
+def _chosen(rows: Sequence[Sequence[int] | np.ndarray], width: int) -> csr_array:
+    """(R, width) matrix with a 1 at some columns of each row."""
+    ends = np.cumsum([0, *map(len, rows)])
+    columns = np.concatenate([np.asarray(row, dtype=int) for row in rows])
+    return csr_array((np.ones(len(columns)), columns, ends), shape=(len(rows), width))
 
 
-def _stacks(bank: OfferBank, offers: dict[int, Offer], whole: bool = True) -> list[_Stack]:
-    kinds: dict[tuple[bool, int, int], list[int]] = {}
-    for number, offer in offers.items():
-        kinds.setdefault((offer.fixed, len(offer.places), len(offer.sizes)), []).append(number)
-    return [_Stack(bank, ns, [offers[n] for n in ns], whole) for ns in kinds.values()]
+def _scorers(bank: OfferBank, offers: dict[int, Offer]) -> list[_Whole | _Free]:
+    fixed = {n: offer for n, offer in offers.items() if offer.fixed}
+    free = {n: offer for n, offer in offers.items() if not offer.fixed}
+    made: list[_Whole | _Free] = [_Free(bank, free)] if free else []
+    return [*made, _Whole(bank, fixed)] if fixed else made
