@@ -12,6 +12,7 @@ from hidden_arm import SIGMA, at, session, tip
 from read_arm import ARM as HEAVY
 from small_arm import ARM
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.calibration.calibrate import stages
@@ -29,6 +30,7 @@ from longarm_comp.core.compensation.expected import expected_miss, tolerances
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.camera_errors import CameraRadial
 from longarm_comp.core.effects.drive_errors import JointGain as Gain
 from longarm_comp.core.effects.masses import TipPayload
 from longarm_comp.core.effects.plays import FrictionHysteresis
@@ -36,7 +38,14 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store
-from longarm_comp.core.model.uncertainty import LEVEL, read, sizes, triangular, written
+from longarm_comp.core.model.uncertainty import (
+    LEVEL,
+    ModelUncertainty,
+    read,
+    sizes,
+    triangular,
+    written,
+)
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import JointGain
 from longarm_comp.sim.hidden.geometry import JointZero
@@ -273,6 +282,48 @@ def test_the_arm_as_declared_goes_by_its_tolerances() -> None:
     loose = ARM.model_validate({**ARM.model_dump(exclude_defaults=True), "tolerance": tight})
     more = compensate(Model(loose), None, model.tip(ARM.mid), method=Method.DEFLECTION)
     assert more.expected_m > 2.0 * found.expected_m
+
+
+def test_before_any_calibration_zeros_by_hand_and_joints_that_yield_are_expected() -> None:
+    rng = np.random.default_rng(5)
+    model, inside, off, expected = declared_model(HEAVY), [], [], []
+    for _ in range(40):
+        zeros = JointZero(rng.normal(0.0, np.radians(1.0), HEAVY.n))
+        yields = JointCompliance(rng.uniform(0.0, 5e-3, HEAVY.n))  # up to 2 degrees
+        q = rng.uniform(HEAVY.lower, HEAVY.upper, (8, HEAVY.n))
+        off.append(np.linalg.norm(TrueArm(HEAVY, (zeros, yields)).tip(q) - model.tip(q), axis=1))
+        doubt = expected_miss(model, q, Context(), model.tip(q))
+        inside.append(off[-1] <= doubt.sizes[1])
+        expected.append(doubt.sizes[0])
+    assert np.mean(inside) >= 0.85
+    assert np.mean(expected) < 1.5 * np.mean(off)  # and not by promising nothing
+
+
+def test_a_tolerance_that_is_given_holds_for_the_zeros() -> None:
+    given = ARM.model_dump(exclude_defaults=True)
+    tight = {"theta_deg": 0.05}
+    given["joints"] = [{**joint, "tolerance": tight} for joint in given["joints"]]
+    q, _ = fresh(20, 1)
+    by_hand, measured = (
+        expected_miss(model, q, Context(), model.tip(q)).sizes[0]
+        for model in (declared_model(ARM), declared_model(ARM.model_validate(given)))
+    )
+    assert (measured < 0.7 * by_hand).all()
+
+
+def test_what_the_camera_does_moves_no_tip(demo_arm_path: Path) -> None:
+    arm = Arm.load(demo_arm_path)
+    model = declared_model(arm).plus(*CameraRadial.for_arm(arm), *Gain.for_arm(arm)[:1])
+    names = tuple(slot.identity for slot in model.slots)
+    none, q = np.zeros((3, 3)), arm.mid[None] + 0.1
+    misses = []
+    for of_camera in (0.0, 1.0):
+        sizes_of = [of_camera if isinstance(s.owner, CameraRadial) else 1e-3 for s in model.slots]
+        known = ModelUncertainty(names, np.diag(sizes_of), none, none, 1.0, 50)
+        judged_by = dataclasses.replace(model, uncertainty=known)
+        misses.append(expected_miss(judged_by, q, Context(), model.tip(q)).sizes[0])
+    assert (misses[0] > 0).all()
+    np.testing.assert_array_equal(misses[0], misses[1])
 
 
 def test_nothing_is_said_of_a_model_without_a_record() -> None:
