@@ -294,15 +294,15 @@ def test_outliers_are_no_effect(share: float) -> None:
     np.testing.assert_array_equal(found.fit.weights == 0, bad)
 
 
-@pytest.mark.long
-@pytest.mark.xfail(reason="nothing is found; 14 rows are set aside, 7 of them true outliers")
 def test_seats_that_flip_in_few_rows_are_no_outliers() -> None:
-    """In 7 of 240, beside 7 true outliers."""
+    """In 7 of 240, beside 7 true outliers: two of them stand too near to the flip to be told."""
     seats = (TwoSeats(row=7, axis=1, angle=4e-3, flips_at=-1.085),)
     rows, bad = spoilt(measured(DEMO, seats, 2 * ROWS, 3), 903)
-    found = explained(DEMO, rows)
-    np.testing.assert_array_equal(found.fit.weights == 0, bad)
-    assert "load_6" in one(found).inputs
+    found = diagnose(DEMO, rows)
+    aside = set(found.set_aside.rows)
+    assert set(np.flatnonzero(bad)) <= aside and len(aside) <= bad.sum() + 2
+    (cause,) = found.causes
+    assert found.verdict == "partly" and "load_6" in cause.inputs
 
 
 # ------------------------------------------------------------------ what the data cannot tell

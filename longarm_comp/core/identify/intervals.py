@@ -46,7 +46,8 @@ def intervals(
     """By position in the fit's slots.
 
     Beside the fitted parameters stand, with their priors, the other places of the found effects,
-    and other values of their forms: they could have come out otherwise.
+    and other values of their forms: they could have come out otherwise.  By how much these move an
+    estimate is one more error of it.
 
     Args:
         fit: final.
@@ -73,12 +74,12 @@ def intervals(
     scale = priors(fit.slots) * wider
     centre = u[kept] * scale
     sd = np.maximum(robust, np.sqrt(np.diag(inverse)))[kept] * scale
-    half = ndtri(0.975) * sd
+    half = ndtri(0.975) * np.hypot(sd, centre - fit.model.values)
     made = {}
     for k, (slot, value) in enumerate(zip(fit.slots, fit.model.values, strict=True)):
-        low, high = min(centre[k] - half[k], value), max(centre[k] + half[k], value)
         bounds = slot.parameter
-        low, high = max(float(low), bounds.lower), min(float(high), bounds.upper)
+        low = max(float(value - half[k]), bounds.lower)
+        high = min(float(value + half[k]), bounds.upper)
         room = min(float(value) - bounds.lower, bounds.upper - float(value))
         made[k] = Interval(float(value), low, high, room <= TOUCHES * (high - low))
     return made
