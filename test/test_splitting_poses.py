@@ -7,10 +7,19 @@ import dataclasses
 import numpy as np
 import pytest
 from drawn_reports import in_doubt
+from read_arm import ARM
 
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import priors
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.effects.masses import TipPayload
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.planning.splitting_poses import SplittingPoses, splitting_poses
 
 
@@ -51,3 +60,17 @@ def test_the_odds_of_the_rows_alone_are_half_the_square_of_what_nothing_else_exp
     besides = Marginal(np.concatenate([alone.a, beside], axis=1), alone.y)
     left = besides.normal((columns.white([s.owner for s in own]) @ values)[:, None])[0]
     assert asked(0).log_bayes_factor == pytest.approx(0.5 * float(left[0, 0]), rel=1e-5)
+
+
+def test_a_payload_that_arm_yaml_declares_is_taken_off_at_some_poses() -> None:
+    """The rows carried it, so they tell what it weighs only together with what yields."""
+    carried = {**ARM.model_dump(exclude_defaults=True), "payload": {"mass_kg": 0.4, "frame": 4}}
+    arm = Arm.parse(carried, "loaded arm")
+    compliance, weight = JointCompliance.for_arm(arm)[1], TipPayload.for_arm(arm)[0]
+    model = declared_model(arm).plus(JointZero.for_arm(arm)[1], compliance)
+    q = np.random.default_rng(0).uniform(arm.lower, arm.upper, (40, arm.n))
+    true = model.with_values(np.full(len(model.slots), 4e-3))
+    fitted = fit(model, Session.record(q, true.tip(q)))
+    found, other = (Candidate(t.name, (t,)) for t in (fitted.model.terms[-1], weight))
+    poses = splitting_poses(fitted, found, other, 6)
+    assert poses.payload_kg is not None and 0.0 in poses.payload_kg

@@ -18,7 +18,9 @@ from longarm_comp.core.planning.optimal_poses import POOL, Choice, sides
 
 @dataclass(frozen=True, eq=False)
 class SplittingPoses(Plan):
-    """Poses that would tell two explanations apart, with no payload or the session's largest.
+    """Poses that would tell two explanations apart, with no payload or the largest one.
+
+    That is the largest of the session, or the one that arm.yaml declares.
 
     Attributes:
         between: the two effects.
@@ -49,7 +51,8 @@ def splitting_poses(
     side = sides(POOL)
     recorded = fit.session.context().columns
     typical = {k: np.full(POOL, float(np.median(v))) for k, v in recorded.items()}
-    heaviest = float(np.max(recorded["payload_kg"], initial=0.0)) if "payload_kg" in recorded else 0
+    declared = arm.payload.mass_kg if arm.payload is not None else 0.0
+    heaviest = float(np.max(recorded.get("payload_kg", 0.0), initial=declared))
     if heaviest > 0:
         typical["payload_kg"] = np.where(np.arange(POOL) // 2 % 2 == 0, heaviest, 0.0)
     pool = Context(tuple(side for _ in range(arm.n)), typical)
