@@ -104,7 +104,7 @@ class Moving(Watched):
         return said
 
 
-@pytest.mark.parametrize("rate_hz", [2.0, 5.0])
+@pytest.mark.parametrize("rate_hz", [2.0, pytest.param(5.0, marks=pytest.mark.long)])
 def test_of_sixteen_targets_beside_rival_joints_none_moves_the_arm(
     stage: Bench, arm: Arm, demo_arm_path: Path, rate_hz: float
 ) -> None:

@@ -242,7 +242,7 @@ def test_tables_have_bounds(tmp_path: Path, shell: Shell, monkeypatch: pytest.Mo
         assert "allowed: at most 100 bytes: split it" in shell.refused(*words)
 
 
-@pytest.mark.parametrize("far", ["XFD60000", "S60000"])
+@pytest.mark.parametrize("far", [pytest.param("XFD60000", marks=pytest.mark.long), "S60000"])
 def test_a_sheet_with_a_far_cell_takes_no_memory(far: str, shell: Shell) -> None:
     import tracemalloc
 
