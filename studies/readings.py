@@ -18,7 +18,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance as SoftJoint
 from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.give import TOLERANCES
+from longarm_comp.core.identify.model_tolerance import TOLERANCES
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.posterior.offers import offered
 from longarm_comp.core.identify.posterior.single_effects import OfferBank

@@ -20,7 +20,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.wind_up import as_fitted
+from longarm_comp.core.identify.run_ups import as_fitted
 from longarm_comp.core.model.model_file import load_model, undo
 from longarm_comp.report.record import checked
 from longarm_comp.sessions.csv import write_csv

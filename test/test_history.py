@@ -27,7 +27,7 @@ from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.core.identify.wind_up import as_fitted
+from longarm_comp.core.identify.run_ups import as_fitted
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.arm_truth import TrueArm

@@ -18,7 +18,7 @@ from longarm_comp.core.effects.camera_errors import CameraRadial
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.drive_errors import JointGain, PrismaticPitch, ServoQuantisation
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, TelescopeClearance
-from longarm_comp.core.identify.wind_up import with_run_ups
+from longarm_comp.core.identify.run_ups import with_run_ups
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv

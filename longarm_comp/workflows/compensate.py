@@ -26,7 +26,7 @@ from longarm_comp.core.compensation.unknown import history_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
-from longarm_comp.core.identify.wind_up import as_fitted
+from longarm_comp.core.identify.run_ups import as_fitted
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model

@@ -18,7 +18,7 @@ from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.data.admission import FEW_POSES, admit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.wind_up import as_fitted
+from longarm_comp.core.identify.run_ups import as_fitted
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, store

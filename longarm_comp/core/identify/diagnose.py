@@ -28,7 +28,7 @@ from longarm_comp.core.identify.discover.causes import causes, doubts, proposed
 from longarm_comp.core.identify.findings import findings
 from longarm_comp.core.identify.intervals import intervals
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
-from longarm_comp.core.identify.posterior.offers import tolerances
+from longarm_comp.core.identify.posterior.offers import tolerance_columns
 from longarm_comp.core.identify.proof import (
     CALIBRATED,
     WITH_EFFECTS,
@@ -39,8 +39,8 @@ from longarm_comp.core.identify.proof import (
     prove,
     worse,
 )
+from longarm_comp.core.identify.run_ups import as_fitted, run_up, taken, with_run_ups
 from longarm_comp.core.identify.structure import examine, with_left_out, with_unseen
-from longarm_comp.core.identify.wind_up import as_fitted, run_up, taken, with_run_ups
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import splitting_poses
@@ -128,7 +128,7 @@ def diagnose(
     lengths = proof.expected(found.found, list(fits))
     seen = {name: np.linalg.norm(each, axis=1) for name, each in proof.errors.items()}
     written, failed = _proven(lengths, seen)
-    beside = tolerances(found.fit, found.candidates, found.found, found.tolerance)
+    beside = tolerance_columns(found.fit, found.candidates, found.found, found.tolerance)
     structure = examine(found.fit, fits[CALIBRATED], beside)
     structure = with_left_out(structure, found.fit)
     structure = with_unseen(structure, [(list(f.fits.values())[-1], f.rows) for f in made])
@@ -216,7 +216,7 @@ def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
     """Calibration alone, with the effects that have a name, with functions: the same rows."""
     whole = found.fit
     bare = fit(start, whole.session, **whole.judged)
-    more = found.found or found.tolerance.give
+    more = found.found or found.tolerance.compliance
     made = {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
     functions = {t.key for f in found.found if f.unnamed for t in f.terms}
     if functions:

@@ -164,7 +164,7 @@ def _summary(found: Diagnosis) -> str:
     unnamed = f" {left} and has no name." if left else ""
     gain = f"Held-out mean error {_change(found)}"
     if found.verdict == "noise":
-        if found.search.tolerance.give and found.written != CALIBRATED:
+        if found.search.tolerance.compliance and found.written != CALIBRATED:
             text = "Every part of the arm is a little off; the model now holds this. "
             return f"{text}Beyond it only noise is left. {gain}."
         text = "After calibration only noise is left; no effect was added."

@@ -21,8 +21,14 @@ from longarm_comp.core.calibration.noise import NoiseEstimate
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.give import FORMS, RIGID, TOLERANCES, Slack, with_give
 from longarm_comp.core.identify.intervals import LOOSE
+from longarm_comp.core.identify.model_tolerance import (
+    FORMS,
+    RIGID,
+    TOLERANCES,
+    ModelTolerance,
+    with_background,
+)
 from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.forms import agreement, refined
 from longarm_comp.core.identify.posterior.found import (
@@ -66,7 +72,7 @@ class ExplainedSession:
     noise: NoiseEstimate
     doubtful: tuple[FoundEffect, ...] = ()
     candidates: tuple[Candidate, ...] = ()
-    tolerance: Slack = RIGID
+    tolerance: ModelTolerance = RIGID
     linear: Resampling | None = None
 
     @property
@@ -128,7 +134,7 @@ class _Search:
         self.say("geometry")
         state = self._fitted(self.base, (), None)
         if any(t.through_others for t in self.base.terms):  # what yields a little tells of weights
-            state = replace(state, fit=with_give(state.fit, self.candidates))
+            state = replace(state, fit=with_background(state.fit, self.candidates))
             self.usual = frozenset(t.key for t in state.fit.model.terms)
             self.usual -= frozenset(t.key for t in self.base.terms)
         state = self._repeated(state)
@@ -144,10 +150,10 @@ class _Search:
             taken = {t.key for f in (*state.found, *again) for t in f.terms}
             left = (f for f in doubtful if taken.isdisjoint(t.key for t in f.terms))
             doubtful = (*again, *left)
-        slack = self._standing(state.fit, state.found)[1]
+        tolerance = self._standing(state.fit, state.found)[1]
         self.say("resampled rows")
         linear = Resampling(
-            state.fit, tuple(self.candidates), self.propositions, state.found, slack, self.usual
+            state.fit, tuple(self.candidates), self.propositions, state.found, tolerance, self.usual
         )
         found = linear.averaged(seed)
         stable = tuple(f for f in found if f.there > 0.5)
@@ -158,13 +164,15 @@ class _Search:
         else:
             state = replace(state, found=found)
         fitted = _plain(
-            with_give(state.fit, self.candidates, slack.give) if slack.give else state.fit
+            with_background(state.fit, self.candidates, tolerance.compliance)
+            if tolerance.compliance
+            else state.fit
         )
         known = {t.variant: t for t in fitted.model.terms}
         held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
         left = (f for f in doubtful if f.in_doubt)
         return ExplainedSession(
-            fitted, tuple(held), state.noise, tuple(left), tuple(self.candidates), slack, linear
+            fitted, tuple(held), state.noise, tuple(left), tuple(self.candidates), tolerance, linear
         )
 
     def _repeated(self, state: ExplainedSession, functions: bool = False) -> ExplainedSession:
@@ -208,7 +216,9 @@ class _Search:
         least = self._whole(again, before.found, near=now.fit) + BETTER
         return self._whole(now.fit, now.found) > least
 
-    def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, Slack]:
+    def _standing(
+        self, fitted: ModelFit, found: Sequence[FoundEffect]
+    ) -> tuple[float, ModelTolerance]:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
         every = self._offered(fitted, found, others=False)
         return max((bank.pruned, bank.tolerance) for bank in every)
@@ -275,9 +285,9 @@ class _Search:
     ) -> list[OfferedEffects]:
         """By tolerance; forms count where something is in the model."""
         tried = [
-            slack
-            for slack in TOLERANCES
-            if (found or slack.form == FORMS[0]) and (self.nameless or not slack.soft)
+            tolerance
+            for tolerance in TOLERANCES
+            if (found or tolerance.form == FORMS[0]) and (self.nameless or not tolerance.soft)
         ]
         return offered(
             fitted, self.candidates, self.propositions, found, tried, others=others, near=near,

@@ -14,7 +14,7 @@ from scipy.special import expit, softmax
 from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.identify.discover.inputs import levels_of
-from longarm_comp.core.identify.give import Slack
+from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
@@ -70,7 +70,7 @@ class OfferedEffects:
     widths: np.ndarray
     known: tuple[int, ...]
     base: float
-    tolerance: Slack
+    tolerance: ModelTolerance
 
     def explained(self, begun: Explained | None = None) -> Explained:
         """The posterior over the offers; from what explains them by another tolerance."""

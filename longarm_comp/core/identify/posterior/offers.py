@@ -21,7 +21,7 @@ from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, marginalised
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.calibration.plausible import INCREDIBLE
-from longarm_comp.core.identify.give import Slack, a_little
+from longarm_comp.core.identify.model_tolerance import ModelTolerance, background_columns
 from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
@@ -37,7 +37,7 @@ def offered(
     library: Sequence[Candidate],
     functions: Sequence[Proposition],
     found: Sequence[FoundEffect],
-    slacks: Sequence[Slack],
+    tolerances: Sequence[ModelTolerance],
     *,
     others: bool = True,
     near: ModelFit | None = None,
@@ -51,7 +51,7 @@ def offered(
         library: the named effects.
         functions: without a name.
         found: what was found so far; it stays on offer in its present form.
-        slacks: what may move the rows besides.
+        tolerances: what may move the rows besides.
         others: whether more than these is on offer.
         near: a similar fit of the same rows and noise: what every arm has is about as there.
         counts: (N,) how often each row counts: once where None.
@@ -63,7 +63,7 @@ def offered(
         listed = [entry for entry in listed if _variant(entry[0].terms) in kept]
     raw = _raw(fitted, listed)
     marginal = FitColumns(fitted).without(usual | {t.key for f in found for t in f.terms})
-    beside, sizes = _beside(fitted, library, found, slacks, near)
+    beside, sizes = _beside(fitted, library, found, tolerances, near)
     columns = np.concatenate([beside, raw.b], axis=1)
     if counts is not None:
         root = np.sqrt(np.repeat(counts[fitted.weights > 0], fitted.width))
@@ -76,12 +76,12 @@ def offered(
     at = {_variant(c.terms): n for n, c in enumerate(things)}
     known = tuple(at[_variant(f.terms)] for f in found if _variant(f.terms) in at)
     banks = []
-    for slack, size in zip(slacks, sizes, strict=True):
+    for tolerance, size in zip(tolerances, sizes, strict=True):
         evidence, s, t = marginalised(gram, along, size)
-        offers = [_as_stiff(o, c, slack) for o, c in zip(plain, things, strict=True)]
+        offers = [_as_stiff(o, c, tolerance) for o, c in zip(plain, things, strict=True)]
         bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like)
-        base = marginal.evidence + evidence + slack.log_prior
-        banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, slack))
+        base = marginal.evidence + evidence + tolerance.log_prior
+        banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, tolerance))
     return banks
 
 
@@ -116,11 +116,11 @@ def _listed(
     return listed
 
 
-def _as_stiff(offer: Offer, candidate: Candidate, slack: Slack) -> Offer:
+def _as_stiff(offer: Offer, candidate: Candidate, tolerance: ModelTolerance) -> Offer:
     """An offer of what gives way, of a size that an arm as stiff as this may have."""
     if offer.fixed or not candidate.terms[0].elastic:
         return offer
-    return dataclasses.replace(offer, sizes=tuple(slack.stiffness * s for s in offer.sizes))
+    return dataclasses.replace(offer, sizes=tuple(tolerance.elastic_share * s for s in offer.sizes))
 
 
 def _variant(terms: Sequence[Term]) -> tuple[object, ...]:
@@ -166,11 +166,11 @@ def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candid
     return made
 
 
-def tolerances(
+def tolerance_columns(
     fitted: ModelFit,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
-    tolerance: Slack,
+    tolerance: ModelTolerance,
 ) -> np.ndarray:
     """(m, k) whitened: what is there besides what was found, and no finding, each in its size."""
     made, (sizes,) = _beside(fitted, library, found, [tolerance])
@@ -181,7 +181,7 @@ def _beside(
     fitted: ModelFit,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
-    slacks: Sequence[Slack],
+    tolerances: Sequence[ModelTolerance],
     near: ModelFit | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(m, k) whitened columns of `tolerances`, and (S, k) the size of each by each of some.
@@ -195,13 +195,13 @@ def _beside(
     ways = np.concatenate([smooth_in(q)[:, :2] for q in session.q.T], axis=1)
     ways = ways / math.sqrt(max(ways.shape[1], 1))
     arm = fitted.model.arm
-    forms = np.array([slack.form for slack in slacks])
-    every = np.ones((len(slacks), 1))
+    forms = np.array([tolerance.form for tolerance in tolerances])
+    every = np.ones((len(tolerances), 1))
     usual = [t for t in distinct(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
     made, sizes = [FitColumns(fitted).white(usual)], [every * shares]
-    if any(slack.give for slack in slacks):
-        little, size = a_little(FitColumns(near or fitted), library, slacks)
+    if any(tolerance.compliance for tolerance in tolerances):
+        little, size = background_columns(FitColumns(near or fitted), library, tolerances)
         made.append(little)
         sizes.append(size)
     held = {t.key: t for t in fitted.model.terms}

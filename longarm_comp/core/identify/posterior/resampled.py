@@ -20,7 +20,7 @@ from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.holdout import resampled
-from longarm_comp.core.identify.give import Slack
+from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, Rival
 from longarm_comp.core.identify.posterior.offers import offered
 
@@ -47,7 +47,7 @@ class Resampling:
     candidates: Sequence[Candidate]
     functions: Sequence[Proposition]
     found: Sequence[FoundEffect]
-    tolerance: Slack
+    tolerance: ModelTolerance
     usual: frozenset[tuple[str, str]] = frozenset()
 
     def explained(self, counts: np.ndarray) -> tuple[FoundEffect, ...]:

@@ -16,10 +16,16 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, LinkBending
 from longarm_comp.core.effects.drive_errors import JointGain
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.identify import give
+from longarm_comp.core.identify import model_tolerance
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.give import GIVE, LITTLE, Slack, a_little, with_give
+from longarm_comp.core.identify.model_tolerance import (
+    BACKGROUND_COMPLIANCE,
+    BACKGROUND_REST,
+    ModelTolerance,
+    background_columns,
+    with_background,
+)
 from longarm_comp.core.identify.proof import CALIBRATED, WITH_EFFECTS
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, slots_of
@@ -69,7 +75,9 @@ def test_all_else_is_less_off_than_what_gives_way_however_many_forms_and_names_i
     columns, offered = FitColumns(fitted), found(0.0).search.candidates
     assert {"backlash", "servo_deadband"} < {c.name for c in offered}, "one physics, two names"
     every = [t for t in distinct(offered) if t.name not in ("servo_deadband", "servo_droop")]
-    white, by_slack = a_little(columns, offered, [Slack(0.01, give) for give in (1.0, 16.0)])
+    white, by_slack = background_columns(
+        columns, offered, [ModelTolerance(0.01, share) for share in (1.0, 16.0)]
+    )
     np.testing.assert_allclose(white, columns.white(every))
     elastic = {t.key: t.elastic for t in every}
     for times, sizes in zip((1.0, 16.0), by_slack, strict=True):
@@ -78,13 +86,15 @@ def test_all_else_is_less_off_than_what_gives_way_however_many_forms_and_names_i
             place = slot.owner.key, slot.parameter.name
             of_place[place] = of_place.get(place, 0.0) + size**2
         for (key, _), square in of_place.items():
-            assert np.sqrt(square) == pytest.approx(times * GIVE if elastic[key] else LITTLE)
+            assert np.sqrt(square) == pytest.approx(
+                times * BACKGROUND_COMPLIANCE if elastic[key] else BACKGROUND_REST
+            )
 
 
 def test_a_little_of_everything_is_in_the_model_and_no_finding() -> None:
     """It takes off what calibration leaves, and its priors are far below a finding's."""
-    diagnosis = found(GIVE)
-    assert diagnosis.search.tolerance.give
+    diagnosis = found(BACKGROUND_COMPLIANCE)
+    assert diagnosis.search.tolerance.compliance
     assert diagnosis.findings == ()
     assert diagnosis.written == WITH_EFFECTS
     elastic = [s for s in diagnosis.model.slots if s.owner.elastic]
@@ -92,8 +102,10 @@ def test_a_little_of_everything_is_in_the_model_and_no_finding() -> None:
     bare = dataclasses.replace(diagnosis.model, beyond=())
     for slot, usual in zip(diagnosis.model.slots, bare.slots, strict=True):
         if slot.owner.elastic:
-            assert slot.parameter.width == pytest.approx(GIVE * usual.parameter.width)
-    test = rows_of(giving_way(GIVE), 60, seed=7)
+            assert slot.parameter.width == pytest.approx(
+                BACKGROUND_COMPLIANCE * usual.parameter.width
+            )
+    test = rows_of(giving_way(BACKGROUND_COMPLIANCE), 60, seed=7)
     left = {
         name: np.linalg.norm(errors(fit.model, test), axis=1).mean()
         for name, fit in diagnosis.fits.items()
@@ -103,7 +115,7 @@ def test_a_little_of_everything_is_in_the_model_and_no_finding() -> None:
 
 def test_a_rigid_arm_stays_rigid() -> None:
     diagnosis = found(0.0)
-    assert not diagnosis.search.tolerance.give
+    assert not diagnosis.search.tolerance.compliance
     assert diagnosis.written == CALIBRATED
     assert not any(s.owner.elastic for s in diagnosis.model.slots)
     assert "a little" not in diagnosis.summary
@@ -120,7 +132,9 @@ def test_what_else_is_off_is_in_the_model_too_and_what_is_not_stays_out() -> Non
 
 def test_what_gives_way_is_kept_where_it_may_for_another_load() -> None:
     """A part whose best value is none may still yield: a promise under another load counts it."""
-    fitted = with_give(found(GIVE).search.fit, found(GIVE).search.candidates)
+    fitted = with_background(
+        found(BACKGROUND_COMPLIANCE).search.fit, found(BACKGROUND_COMPLIANCE).search.candidates
+    )
     elastic = [s for s in fitted.model.slots if s.owner.elastic]
     assert any(s.value < 1e-3 * s.parameter.width for s in elastic)
     sure = fitted.standard_errors[[fitted.slots.index(s) for s in elastic]]
@@ -139,27 +153,28 @@ def test_an_arm_of_which_every_part_is_soft_has_no_soft_part() -> None:
 
 def test_what_is_a_little_off_needs_no_recorded_column(monkeypatch: pytest.MonkeyPatch) -> None:
     """An arm that grows when warm is no reason to ask every command for the temperature."""
-    rows = rows_of(giving_way(GIVE), 120)
+    rows = rows_of(giving_way(BACKGROUND_COMPLIANCE), 120)
     warmth = 20.0 + 8.0 * np.sin(np.arange(120) / 9.0)
     grown = rows.xyz * (1.0 + 1.1e-5 * (warmth - 20.0)[:, None])
     rows = dataclasses.replace(rows, xyz=grown, columns={"temperature_c": warmth})
     search = diagnose(ARM, rows).search
     assert "thermal_growth" in {c.name for c in search.candidates}
-    monkeypatch.setattr(give, "LITTLE", 1.0)  # now its column would move the rows
-    added = with_give(search.fit, search.candidates).model.effects
+    # now its column would move the rows
+    monkeypatch.setattr(model_tolerance, "BACKGROUND_REST", 1.0)
+    added = with_background(search.fit, search.candidates).model.effects
     assert "joint_gain" in {t.name for t in added}
     assert not any("temperature_c" in t.inputs for t in added)
 
 
 def test_the_sentence_says_that_parts_are_off() -> None:
-    assert "a little off" in found(GIVE).summary
+    assert "a little off" in found(BACKGROUND_COMPLIANCE).summary
 
 
 def test_what_is_said_of_a_finding_beside_it_is_what_is_written() -> None:
     """One fit of both: without what gives way, the gain would be another."""
-    true = giving_way(GIVE).plus(JointGain(2, gain=0.01))
+    true = giving_way(BACKGROUND_COMPLIANCE).plus(JointGain(2, gain=0.01))
     diagnosis = diagnose(ARM, rows_of(true, 120), kinds=(JointGain, *ELASTIC))
-    assert diagnosis.search.tolerance.give
+    assert diagnosis.search.tolerance.compliance
     (gain,) = (f for f in diagnosis.findings if f.name == "joint_gain")
     written = {t.key: t for t in diagnosis.model.terms}
     assert [written[t.key] for t in gain.terms] == list(gain.terms)

@@ -26,11 +26,11 @@ from longarm_comp.core.identify.posterior.found import UNNAMED
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.model.model import slots_of
 
-GIVE = 0.03
+BACKGROUND_COMPLIANCE = 0.03
 """Size of what gives way at every place of an arm, in the size of a finding.  On UR5 and three
 Pandas (1, 4, 6) the evidence for it is highest at 0.1 to 0.3; at 0.1 it also stands for single soft
 parts, whose names are lost (`test_explain.py`), and real test rows err no less than at 0.03."""
-LITTLE = 0.005
+BACKGROUND_REST = 0.005
 """Size of everything else at every place.  Beside what was found on Justin and UR5 the evidence is
 highest at 0.005 to 0.008."""
 
@@ -39,22 +39,23 @@ OF_NOISE = 0.1
 """Share of the noise below which what is a little off is not in the model: nobody would see it."""
 
 
-class Slack(NamedTuple):
+class ModelTolerance(NamedTuple):
     """What may move the rows besides an explanation, and is no finding.
 
     Attributes:
         form: share of its own shift by which the form of an effect in the model may err.
-        give: how much every part gives way, as a share of `GIVE`, and so what gives way more than
-            that: the parts of one arm are stiff alike. 0: only what is found gives way.
+        compliance: how much every part yields, as a share of `BACKGROUND_COMPLIANCE`, and so what
+            yields more than that: the parts of one arm are stiff alike. 0: only what is found
+            yields.
     """
 
     form: float
-    give: float
+    compliance: float
 
     @property
     def soft(self) -> bool:
         """Whether every part yields by what is no little: a cause without a name."""
-        return self.give in SOFT
+        return self.compliance in SOFT
 
     @property
     def log_prior(self) -> float:
@@ -62,9 +63,9 @@ class Slack(NamedTuple):
         return math.log(UNNAMED / len(SOFT) / FUNCTIONS) - NONE if self.soft else 0.0
 
     @property
-    def stiffness(self) -> float:
+    def elastic_share(self) -> float:
         """Size of an elastic effect that is found, as a share of its prior."""
-        return min(self.give, 1.0) or 1.0
+        return min(self.compliance, 1.0) or 1.0
 
 
 FORMS = (0.01, 0.03, 0.1)
@@ -78,33 +79,35 @@ SOFT = (16.0, 4.0)
 part.  That is a cause without a name, and costs what a function costs."""
 FUNCTIONS = 1000
 """About so many functions without a name are on offer, one as likely as the other."""
-TOLERANCES = tuple(Slack(form, give) for form in FORMS for give in (*STIFF, *SOFT))
-"""Each as likely as the others but for `Slack.log_prior`."""
-RIGID = Slack(FORMS[0], 0.0)
+TOLERANCES = tuple(ModelTolerance(form, share) for form in FORMS for share in (*STIFF, *SOFT))
+"""Each as likely as the others but for `ModelTolerance.log_prior`."""
+RIGID = ModelTolerance(FORMS[0], 0.0)
 """Only what is found gives way."""
 
 
-def little(library: Sequence[Candidate]) -> tuple[Term, ...]:
+def background_terms(library: Sequence[Candidate]) -> tuple[Term, ...]:
     """What every real arm has, in every form; the same physics by another name left out."""
     names = {candidate.name for candidate in library}
     return tuple(t for t in distinct(library) if names.isdisjoint(t.aliases))
 
 
-def a_little(
-    columns: FitColumns, library: Sequence[Candidate], slacks: Sequence[Slack]
+def background_columns(
+    columns: FitColumns, library: Sequence[Candidate], tolerances: Sequence[ModelTolerance]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(m, k) whitened columns of what every real arm has, and (S, k) their sizes by some slacks.
+    """(m, k) whitened columns of what every real arm has, and (S, k) sizes by some tolerances.
 
     The forms of an effect at a place share its size.
     """
-    every = little(library)
+    every = background_terms(library)
     forms = Counter(t.key for t in every)
     slots = slots_of(columns.model.arm, every)
-    sizes = [[_size(s.owner, slack.give) for s in slots] for slack in slacks]
+    sizes = [[_size(s.owner, tolerance.compliance) for s in slots] for tolerance in tolerances]
     return columns.white(every), sizes / np.sqrt([forms[s.owner.key] for s in slots])
 
 
-def with_give(fitted: ModelFit, library: Sequence[Candidate], give: float = 1.0) -> ModelFit:
+def with_background(
+    fitted: ModelFit, library: Sequence[Candidate], compliance: float = 1.0
+) -> ModelFit:
     """A fit with what every arm has besides, as much as the rows ask for; same rows and noise.
 
     That is every effect of the arm that reads no recorded column, in its first form, where it
@@ -113,29 +116,35 @@ def with_give(fitted: ModelFit, library: Sequence[Candidate], give: float = 1.0)
     """
     held = {t.key for t in fitted.model.terms}
     added: dict[tuple[str, str], Term] = {}
-    for t in little(library):
+    for t in background_terms(library):
         wanted = isinstance(t, Effect) and set(t.inputs) <= set(PER_JOINT)
         if wanted and t.key not in held and slots_of(fitted.model.arm, [t]):
             added.setdefault(t.key, t)
-    every = _with(fitted, added, give)
+    every = _with(fitted, added, compliance)
     columns, terms = FitColumns(every), {t.key: t for t in every.model.terms}
     moved = {
-        key: columns.white([terms[key]]) * _size(terms[key], give)
+        key: columns.white([terms[key]]) * _size(terms[key], compliance)
         if terms[key].elastic
         else every.whitened(shift_of(every, columns, [terms[key]])[..., None])
         for key in added
     }
     size = {key: np.sqrt((each**2).sum(axis=1).mean()) for key, each in moved.items()}
-    return _with(fitted, {k: t for k, t in added.items() if size[k] >= OF_NOISE}, give)
+    return _with(fitted, {k: t for k, t in added.items() if size[k] >= OF_NOISE}, compliance)
 
 
-def _with(fitted: ModelFit, added: Mapping[tuple[str, str], Term], give: float) -> ModelFit:
+def _with(fitted: ModelFit, added: Mapping[tuple[str, str], Term], compliance: float) -> ModelFit:
     model = fitted.model.plus(*added.values())
-    small = tuple((s.identity, _size(s.owner, give)) for s in model.slots if s.owner.key in added)
+    small = tuple(
+        (s.identity, _size(s.owner, compliance)) for s in model.slots if s.owner.key in added
+    )
     model = dataclasses.replace(model, beyond=(*model.beyond, *small))
     return fit(model, fitted.session, near=fitted, **fitted.judged)
 
 
-def _size(owner: Term, give: float) -> float:
+def _size(owner: Term, compliance: float) -> float:
     """Of a parameter, as a share of its prior: a soft arm is softer, and no worse made."""
-    return GIVE * give if owner.elastic else LITTLE * min(give, 1.0)
+    return (
+        BACKGROUND_COMPLIANCE * compliance
+        if owner.elastic
+        else BACKGROUND_REST * min(compliance, 1.0)
+    )
