@@ -42,9 +42,9 @@ class SsaProblem:
 
     @cached_property
     def rows(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Inputs (1, 7, N), residuals (1, 3, N), and ones (1, N): all are used."""
-        x, y = (torch.tensor(each.T[None], device=self.device) for each in self.standardised)
-        return x, y, torch.ones_like(x[:, 0])
+        """Inputs (1, N, 7), residuals (1, N, 3), and ones (1, N): all are used."""
+        x, y = (torch.tensor(each[None], device=self.device) for each in self.standardised)
+        return x, y, torch.ones_like(x[..., 0])
 
     def search(
         self, population: int, iterations: int, seed: int, rules: Rules = CANONICAL

@@ -61,6 +61,13 @@ class Flock:
     worst_fitness: Tensor  # (M, 1)
     horizon: int  # T, iterations in all
 
+    @classmethod
+    def of(cls, home: Tensor, now: Tensor, horizon: int) -> Flock:
+        """From the personal bests and where the sparrows are now, (M, n, D+1) each."""
+        best = _take(home, home[..., -1].argmin(1, keepdim=True))
+        worst = _take(now, now[..., -1].argmax(1, keepdim=True))
+        return cls(best[..., :-1], worst[..., :-1], best[..., -1], worst[..., -1], horizon)
+
 
 class Rules:
     """The four moves of the algorithm; each takes and returns (M, m, D) positions."""
@@ -83,13 +90,11 @@ class Rules:
     def watch(
         self, rng: torch.Generator, position: Tensor, fitness: Tensor, flock: Flock
     ) -> Tensor:
-        towards = (
-            flock.best + normal(rng, position, *position.shape) * (position - flock.best).abs()
-        )
+        beta = normal(rng, position, *position.shape)
+        towards = flock.best + beta * (position - flock.best).abs()
         k = 2.0 * uniform(rng, position, *position.shape[:2], 1) - 1.0
         gap = (fitness - flock.worst_fitness)[..., None]
-        step = k * (position - flock.worst).abs()
-        away = position + torch.where(gap < 0, step / gap, 0.0)
+        away = position + torch.where(gap < 0, k * (position - flock.worst).abs() / gap, 0.0)
         return torch.where((fitness > flock.best_fitness)[..., None], towards, away)
 
 
@@ -116,11 +121,9 @@ class SparrowSearch:
     rules: Rules = CANONICAL
 
     def __post_init__(self) -> None:
-        where = "sparrow search"
-        if self.population < 4:
-            raise InputError(where, "population", self.population, "an integer >= 4")
-        if self.iterations < 1:
-            raise InputError(where, "iterations", self.iterations, "an integer >= 1")
+        for name, least in (("population", 4), ("iterations", 1)):
+            if (given := getattr(self, name)) < least:
+                raise InputError("sparrow search", name, given, f"an integer >= {least}")
 
     def minimise(
         self, fitness: Fitness, lower: Tensor, upper: Tensor, rng: torch.Generator
@@ -138,50 +141,40 @@ class SparrowSearch:
         rank = torch.arange(1, n + 1, dtype=lower.dtype, device=lower.device)
         low, high = lower[:, None], upper[:, None]
 
-        def evaluate(position: Tensor) -> Tensor:
-            return fitness(position).to(lower.dtype).nan_to_num(nan=torch.inf, posinf=torch.inf)
+        def land(position: Tensor) -> Tensor:
+            """(M, m, D+1): positions within the box, with their fitness as the last column."""
+            position = position.nan_to_num(nan=torch.inf).clamp(low, high)
+            value = fitness(position).to(position.dtype).nan_to_num(nan=torch.inf, posinf=torch.inf)
+            return torch.cat((position, value[..., None]), dim=2)
 
-        def clip(position: Tensor) -> Tensor:
-            return torch.fmax(torch.fmin(position, high), low)  # a NaN goes to a bound
-
-        def rows(of: Tensor, index: Tensor) -> Tensor:
-            return of.gather(1, index[..., None].expand(-1, -1, size))
-
-        def flock(home: Tensor, value: Tensor, now: Tensor, now_value: Tensor) -> Flock:
-            best, at = value.min(dim=1, keepdim=True)
-            worst, worst_at = now_value.max(dim=1, keepdim=True)
-            return Flock(rows(home, at), rows(now, worst_at), best, worst, horizon)
-
-        home = low + (high - low) * uniform(rng, lower, many, n, size)  # personal bests
-        value = evaluate(home)
-        now, now_value = home, value
+        home = now = land(low + (high - low) * uniform(rng, lower, many, n, size))  # personal bests
         for _ in range(horizon):
-            value, order = value.sort(dim=1, stable=True)
-            home = rows(home, order)
-            before = flock(home, value, now, now_value)
-            alarmed = uniform(rng, lower, many, 1, 1) >= _ST
-            leaders = clip(rules.discover(rng, home[:, :lead], rank[:lead], horizon, alarmed))
-            leader_value = evaluate(leaders)
-            leader = rows(leaders, leader_value.argmin(dim=1, keepdim=True))
-            followers = rules.follow(rng, home[:, lead:half], leader)
-            starving = rules.starve(rng, home[:, half:], rank[half:], before)
-            rest = clip(torch.cat((followers, starving), dim=1))
-            now = torch.cat((leaders, rest), dim=1)
-            now_value = torch.cat((leader_value, evaluate(rest)), dim=1)
-            better = now_value < value
-            home = torch.where(better[..., None], now, home)
-            value = torch.where(better, now_value, value)
+            home = _take(home, home[..., -1].argsort(dim=1, stable=True))
+            flock = Flock.of(home, now, horizon)
+            alarmed, place = uniform(rng, lower, many, 1, 1) >= _ST, home[..., :-1]
+            leaders = land(rules.discover(rng, place[:, :lead], rank[:lead], horizon, alarmed))
+            leader = _take(leaders, leaders[..., -1].argmin(1, keepdim=True))[..., :-1]
+            followers = rules.follow(rng, place[:, lead:half], leader)
+            starving = rules.starve(rng, place[:, half:], rank[half:], flock)
+            now = torch.cat((leaders, land(torch.cat((followers, starving), dim=1))), dim=1)
+            home = _better(home, now)
 
-            watching = uniform(rng, lower, many, n).topk(watchers).indices
-            own, own_value = rows(home, watching), value.gather(1, watching)
-            after = flock(home, value, now, now_value)
-            moved = clip(rules.watch(rng, own, own_value, after))
-            moved_value = evaluate(moved)
-            at = watching[..., None].expand(-1, -1, size)
-            now, now_value = now.scatter(1, at, moved), now_value.scatter(1, watching, moved_value)
-            better = moved_value < own_value
-            home = home.scatter(1, at, torch.where(better[..., None], moved, own))
-            value = value.scatter(1, watching, torch.where(better, moved_value, own_value))
-        fitness_found, best = value.min(dim=1, keepdim=True)
+            flock = Flock.of(home, now, horizon)
+            order = uniform(rng, lower, many, n).argsort(dim=1)  # the first of them watch
+            home, now = _take(home, order), _take(now, order)
+            own = home[:, :watchers]
+            moved = land(rules.watch(rng, own[..., :-1], own[..., -1], flock))
+            now = torch.cat((moved, now[:, watchers:]), dim=1)
+            home = _better(home, now)
+        found = Flock.of(home, now, horizon)
         evaluations = n + horizon * (n + watchers)
-        return SparrowResult(rows(home, best)[:, 0], fitness_found[:, 0], evaluations)
+        return SparrowResult(found.best[:, 0], found.best_fitness[:, 0], evaluations)
+
+
+def _take(sparrows: Tensor, index: Tensor) -> Tensor:
+    """(M, m, D+1) of sparrows (M, n, D+1) by their numbers (M, m)."""
+    return sparrows[torch.arange(len(sparrows), device=index.device)[:, None], index]
+
+
+def _better(home: Tensor, now: Tensor) -> Tensor:
+    return torch.where(now[..., -1:] < home[..., -1:], now, home)
