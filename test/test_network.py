@@ -260,10 +260,7 @@ def test_a_collapsed_start_is_found_and_separated_without_touching_the_rest():
         """A search that finds the collapsed start."""
 
         def minimise(self, fitness, lower, upper, rng):
-            class At:
-                position = collapsed
-
-            return At
+            return collapsed, None
 
     chance = torch.Generator().manual_seed(7)
     apart = SHAPE.split(stack().sparrow_starts(None, 1, chance, Found()))[0]

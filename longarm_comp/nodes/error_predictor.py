@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import LongarmError
 from longarm_comp.core.learn.predictor import Predictor
-from longarm_comp.core.learn.predictor_file import belongs, load
+from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
@@ -119,8 +119,10 @@ class _ErrorPredictor(ArmNode):
         self._model.reload()
         model = self._model.loaded.file_hash
         try:
-            predictor = load(self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names)
-            belongs(predictor, self._path, model, f"the model in use: {model[:12] or 'none'}")
+            predictor = load(
+                self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names,
+                model_hash=model, model=f"the model in use: {model[:12] or 'none'}",
+            )  # fmt: skip
             digest = file_hash(self._path)
             self._loaded = _Loaded(predictor, digest, model)
         except LongarmError as error:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in order until the evidence falls by _UNLIKELY
-_UNLIKELY = 30.0
+_UNLIKELY = 15.0
 _FOLDS = 4
 """Parts of the rows that are left out in turn, to see whether a network helps at all."""
 _FEWEST_ROWS = 20
@@ -66,13 +66,13 @@ def train(
     """
     q, known = check_rows("train", q, context)
     y = _checked_targets(q, residual)
-    for name, given, fits, allowed in (
+    for name, given, fine, allowed in (
         ("init", init, init in (None, "ssa", "xavier"), "ssa or xavier"),
         ("hidden", hidden, hidden is None or 1 <= hidden <= 500, "an integer in 1..500"),
         ("ensemble", ensemble, ensemble >= 1, "an integer >= 1"),
         ("device", device, device in ("auto", "cpu", "cuda"), "auto, cpu or cuda"),
     ):
-        if not fits:
+        if not fine:
             raise InputError("train", name, given, allowed)
         if network and name in ("init", "hidden") and given is not None:
             raise InputError("train", name, given, f"none: {network.name} has its own")

@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import os
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -31,7 +30,9 @@ _LARGEST = 1e6
 _OTHERS = ".safetensors"
 """Ending of the file of a network of others."""
 
-_ENCODING = {name: name for name in ("kept", "mean", "lower", "upper")} | {"scale": "input_scale"}
+_ENCODING = {
+    "kept": "kept", "mean": "mean", "scale": "input_scale", "lower": "lower", "upper": "upper"
+}  # fmt: skip
 _PREDICTOR = ("weights", "posterior", "offset", "noise", "widen", "alone")
 """Arrays: those of the encoding with their names in the file, those of the predictor, ``gain``."""
 
@@ -105,17 +106,17 @@ def load(
     *,
     arm_hash: str | None = None,
     joint_names: tuple[str, ...] | None = None,
+    model_hash: str | None = None,
+    model: str = "",
 ) -> Predictor:
-    """Read a predictor. A given ``arm_hash`` or ``joint_names`` must match the file."""
+    """Read a predictor. What is given of its arm and its model must match the file.
+
+    Args:
+        model_hash: SHA-256 of model.yaml; empty for the declared arm.
+        model: its name, for the error message.
+    """
     header, arrays = _read(path)
-    own = {name: arrays[known] for name, known in _ENCODING.items()}
-    encoding = Encoding(header.joints, header.context, **own)
-    columns, kept = len(encoding.columns), encoding.kept
-    if kept.dtype.kind != "i" or kept.ndim != 1 or not len(kept):
-        raise InputError(path, "kept", kept.dtype, "column indices")
-    if len(np.unique(kept)) != len(kept) or not 0 <= kept.min() <= kept.max() < columns:
-        raise InputError(path, "kept", kept.tolist(), f"distinct columns below {columns}")
-    network, d = None, len(kept)
+    network, d = None, arrays["kept"].size
     size = NetworkShape(d, header.hidden, 3).size
     if (header.hidden == 0) != (header.network is not None):
         raise InputError(path, "hidden", header.hidden, "0 of a network of others alone")
@@ -124,26 +125,31 @@ def load(
 
         network = saved(header.network.name, header.network.origin, path)
         size = network.stack(d, 3).size
-    any_of = {name: max(1, len(np.atleast_1d(arrays[name]))) for name in ("weights", "posterior")}
+    encoding = Encoding(header.joints, header.context, *(arrays[n] for n in _ENCODING.values()))
+    columns = len(encoding.columns)
+    if not np.array_equal(encoding.kept, np.intersect1d(encoding.kept, range(columns))) or d == 0:
+        allowed = f"rising numbers of columns below {columns}"
+        raise InputError(path, "kept", encoding.kept.tolist(), allowed)
+    number = {name: max(1, len(np.atleast_1d(arrays[name]))) for name in ("weights", "posterior")}
     shapes = {
         "mean": (d,), "input_scale": (d,), "lower": (columns,), "upper": (columns,),
-        **{name: (number, size) for name, number in any_of.items()},
+        **{name: (rows, size) for name, rows in number.items()},
         **dict.fromkeys(("offset", "noise", "widen", "alone", "gain"), (3,)),
     }  # fmt: skip
     for name, shape in shapes.items():
-        value = arrays[name]
+        value, most = arrays[name], np.inf if name in ("alone", "gain") else _LARGEST
         if value.shape != shape or value.dtype.kind != "f":
             raise InputError(path, name, f"{value.dtype} {value.shape}", f"floats {shape}")
-        unknown = np.isposinf(value) & (name in ("alone", "gain"))
-        if not (unknown | (np.abs(value) <= _LARGEST)).all():
-            raise InputError(path, name, "NaN or too large", f"numbers up to {_LARGEST:g}")
-    for name, fits in (("input_scale", encoding.scale > 0), ("alone", arrays["alone"] >= 0)):
-        if not fits.all():
-            raise InputError(path, name, arrays[name].min(), "above 0")
+        least = {"alone": 0.0, "input_scale": 1e-12}.get(name, -_LARGEST)
+        if not ((value >= least) & (value <= most)).all():
+            raise InputError(path, name, value.tolist(), f"numbers from {least:g} to {most:g}")
     wanted = {"arm_hash": arm_hash, "joint_names": joint_names and tuple(joint_names)}
     for name, one in wanted.items():
         if one is not None and one != (found := getattr(header, name)):
             raise InputError(path, name, found, f"{one} (the arm in use)")
+    learned = header.settings.get("model_hash")
+    if None not in (learned, model_hash) and learned != model_hash:
+        raise InputError(path, "model_hash", str(learned)[:12] or "the declared arm", model)
     return Predictor(
         encoding,
         hidden=header.hidden,
@@ -158,49 +164,30 @@ def load(
     )
 
 
-def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str, to: str) -> None:
-    """Check that a predictor was trained on the residual of this physics.
-
-    Args:
-        path, to: file of the predictor, and the expected model, for the error message.
-        model_hash: SHA-256 of model.yaml; empty for the declared arm.
-    """
-    found = predictor.provenance.settings.get("model_hash", model_hash)
-    if found != model_hash:
-        said = str(found)[:12] if found else "the declared arm"
-        raise InputError(path, "model_hash", said, to)
-
-
 def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]]]:
     """Checked header, and all arrays of the file, of any shape."""
     try:
         said, arrays = (_packed if Path(path).suffix == _OTHERS else _zipped)(path)
+        header = json.loads(said)
     except InputError:
         raise
-    except FileNotFoundError as error:
-        raise InputError(path, "predictor file", "not found", "an existing file") from error
     except OSError as error:
-        raise InputError(path, "predictor file", str(error), "a readable file") from error
-    except Exception as error:  # whatever zipfile, zlib, numpy and safetensors raise
+        found = error.strerror or str(error)
+        raise InputError(path, "predictor file", found, "a readable file") from error
+    except Exception as error:  # whatever zipfile, zlib, numpy, safetensors and json raise
         found = f"corrupt or truncated ({error})"
         raise InputError(path, "predictor file", found, "a file that longarm wrote") from error
     for name in (*_ENCODING.values(), *_PREDICTOR, "gain"):
-        if name not in arrays:
+        if not isinstance(arrays.get(name), np.ndarray):
             raise InputError(path, name, "missing", "a file that longarm wrote")
-    try:
-        header = json.loads(said)
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "header", "not JSON", "a JSON object") from error
     return parse_declared(_Header, header, str(path)), arrays
 
 
 def _zipped(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]]]:
-    with zipfile.ZipFile(Path(path)) as probe:
-        check_unpacked(path, probe)
-        if (broken := probe.testzip()) is not None:
-            raise InputError(path, broken, "checksum does not match", "an undamaged file")
+    check_regular(path)
     with np.load(path, allow_pickle=False) as data:
-        arrays = dict(data)
+        check_unpacked(path, data.zip)
+        arrays = dict(data)  # checked against the checksums of the archive
     return arrays.pop("header").tobytes(), arrays
 
 

@@ -28,7 +28,7 @@ so as a general-purpose optimiser it loses to differential evolution on shifted 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -51,31 +51,18 @@ def normal(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
     return like.new_empty(size).normal_(generator=rng)
 
 
-@dataclass(frozen=True)
-class Flock:
-    """Inputs of the update rules: best, worst and horizon of the current iteration."""
-
-    best: Tensor  # (M, 1, D)
-    worst: Tensor  # (M, 1, D)
-    best_fitness: Tensor  # (M, 1)
-    worst_fitness: Tensor  # (M, 1)
-    horizon: int  # T, iterations in all
-
-    @classmethod
-    def of(cls, home: Tensor, now: Tensor, horizon: int) -> Flock:
-        """From the personal bests and where the sparrows are now, (M, n, D+1) each."""
-        best = _take(home, home[..., -1].argmin(1, keepdim=True))
-        worst = _take(now, now[..., -1].argmax(1, keepdim=True))
-        return cls(best[..., :-1], worst[..., :-1], best[..., -1], worst[..., -1], horizon)
-
-
 class Rules:
-    """The four moves of the algorithm; each takes and returns (M, m, D) positions."""
+    """The four moves of the algorithm; each returns (M, m, D) positions.
+
+    ``position`` (M, m, D) are the personal bests of those that move, ``rank`` (m,) their ``i``,
+    ``leader`` (M, 1, D) is the best discoverer; ``best`` and ``worst`` (M, 1, D+1) of all sparrows
+    have their fitness as the last column.
+    """
 
     def discover(
         self, rng: torch.Generator, position: Tensor, rank: Tensor, horizon: int, alarmed: Tensor
     ) -> Tensor:
-        """Eq. (6): contract while calm, jump along the diagonal when alarmed (M, 1, 1)."""
+        """Contract while calm, jump along the diagonal when alarmed (M, 1, 1)."""
         alpha = 1.0 - uniform(rng, position, *position.shape[:2])  # (0, 1]
         calm = position * torch.exp(-rank / (alpha * horizon))[..., None]
         return torch.where(alarmed, position + normal(rng, position, *position.shape[:2], 1), calm)
@@ -83,19 +70,22 @@ class Rules:
     def follow(self, rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
         return leader + diagonal_step(rng, position, leader)
 
-    def starve(self, rng: torch.Generator, position: Tensor, rank: Tensor, flock: Flock) -> Tensor:
-        quantity = normal(rng, position, *position.shape[:2], 1)
-        return quantity * torch.exp((flock.worst - position) / rank[:, None] ** 2)
-
-    def watch(
-        self, rng: torch.Generator, position: Tensor, fitness: Tensor, flock: Flock
+    def starve(
+        self, rng: torch.Generator, position: Tensor, rank: Tensor, worst: Tensor, horizon: int
     ) -> Tensor:
+        quantity = normal(rng, position, *position.shape[:2], 1)
+        return quantity * torch.exp((worst[..., :-1] - position) / rank[:, None] ** 2)
+
+    def watch(self, rng: torch.Generator, own: Tensor, best: Tensor, worst: Tensor) -> Tensor:
+        """``own`` (M, m, D+1): with the fitness as the last column."""
+        position, fitness = own[..., :-1], own[..., -1:]
         beta = normal(rng, position, *position.shape)
-        towards = flock.best + beta * (position - flock.best).abs()
+        towards = best[..., :-1] + beta * (position - best[..., :-1]).abs()
         k = 2.0 * uniform(rng, position, *position.shape[:2], 1) - 1.0
-        gap = (fitness - flock.worst_fitness)[..., None]
-        away = position + torch.where(gap < 0, k * (position - flock.worst).abs() / gap, 0.0)
-        return torch.where((fitness > flock.best_fitness)[..., None], towards, away)
+        gap = fitness - worst[..., -1:]
+        step = k * (position - worst[..., :-1]).abs()
+        away = position + torch.where(gap < 0, step / gap, 0.0)
+        return torch.where(fitness > best[..., -1:], towards, away)
 
 
 def diagonal_step(rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
@@ -104,42 +94,43 @@ def diagonal_step(rng: torch.Generator, position: Tensor, leader: Tensor) -> Ten
     return ((position - leader) * sign).mean(dim=2, keepdim=True)
 
 
-CANONICAL = Rules()
-
-
-@dataclass(frozen=True)
-class SparrowResult:
-    position: Tensor  # (M, D) best positions found
-    fitness: Tensor  # (M,)
-    evaluations: int  # of each search
-
-
 @dataclass(frozen=True)
 class SparrowSearch:
     population: int = 50
     iterations: int = 100
-    rules: Rules = CANONICAL
+    rules: Rules = field(default_factory=Rules)
 
     def __post_init__(self) -> None:
         for name, least in (("population", 4), ("iterations", 1)):
             if (given := getattr(self, name)) < least:
                 raise InputError("sparrow search", name, given, f"an integer >= {least}")
 
+    @property
+    def evaluations(self) -> int:
+        """Of the fitness, in one search."""
+        return self.population + self.iterations * (self.population + self._watchers)
+
+    @property
+    def _watchers(self) -> int:
+        return max(1, round(_SD * self.population))
+
     def minimise(
         self, fitness: Fitness, lower: Tensor, upper: Tensor, rng: torch.Generator
-    ) -> SparrowResult:
+    ) -> tuple[Tensor, Tensor]:
         """Minimise ``fitness`` over the boxes ``lower <= x <= upper``, (M, D) each, at once.
 
         Args:
             fitness: NaN counts as infinitely bad.
             rng: the only source of randomness; the same state gives the same result.
+
+        Returns: the best positions found (M, D), and their fitness (M,).
         """
         (many, size), n, horizon, rules = lower.shape, self.population, self.iterations, self.rules
         lead = max(1, round(_PD * n))
         half = max(lead, n // 2)
-        watchers = max(1, round(_SD * n))
         rank = torch.arange(1, n + 1, dtype=lower.dtype, device=lower.device)
         low, high = lower[:, None], upper[:, None]
+        search = torch.arange(many, device=lower.device)[:, None]
 
         def land(position: Tensor) -> Tensor:
             """(M, m, D+1): positions within the box, with their fitness as the last column."""
@@ -147,34 +138,30 @@ class SparrowSearch:
             value = fitness(position).to(position.dtype).nan_to_num(nan=torch.inf, posinf=torch.inf)
             return torch.cat((position, value[..., None]), dim=2)
 
+        def best_of(sparrows: Tensor) -> Tensor:
+            return sparrows[search, sparrows[..., -1].argmin(dim=1, keepdim=True)]
+
+        def worst_of(sparrows: Tensor) -> Tensor:
+            return sparrows[search, sparrows[..., -1].argmax(dim=1, keepdim=True)]
+
+        def better(home: Tensor, now: Tensor) -> Tensor:
+            return torch.where(now[..., -1:] < home[..., -1:], now, home)
+
         home = now = land(low + (high - low) * uniform(rng, lower, many, n, size))  # personal bests
         for _ in range(horizon):
-            home = _take(home, home[..., -1].argsort(dim=1, stable=True))
-            flock = Flock.of(home, now, horizon)
+            home = home[search, home[..., -1].argsort(dim=1, stable=True)]
             alarmed, place = uniform(rng, lower, many, 1, 1) >= _ST, home[..., :-1]
             leaders = land(rules.discover(rng, place[:, :lead], rank[:lead], horizon, alarmed))
-            leader = _take(leaders, leaders[..., -1].argmin(1, keepdim=True))[..., :-1]
-            followers = rules.follow(rng, place[:, lead:half], leader)
-            starving = rules.starve(rng, place[:, half:], rank[half:], flock)
+            followers = rules.follow(rng, place[:, lead:half], best_of(leaders)[..., :-1])
+            starving = rules.starve(rng, place[:, half:], rank[half:], worst_of(now), horizon)
             now = torch.cat((leaders, land(torch.cat((followers, starving), dim=1))), dim=1)
-            home = _better(home, now)
+            home = better(home, now)
 
-            flock = Flock.of(home, now, horizon)
+            best, worst = best_of(home), worst_of(now)
             order = uniform(rng, lower, many, n).argsort(dim=1)  # the first of them watch
-            home, now = _take(home, order), _take(now, order)
-            own = home[:, :watchers]
-            moved = land(rules.watch(rng, own[..., :-1], own[..., -1], flock))
-            now = torch.cat((moved, now[:, watchers:]), dim=1)
-            home = _better(home, now)
-        found = Flock.of(home, now, horizon)
-        evaluations = n + horizon * (n + watchers)
-        return SparrowResult(found.best[:, 0], found.best_fitness[:, 0], evaluations)
-
-
-def _take(sparrows: Tensor, index: Tensor) -> Tensor:
-    """(M, m, D+1) of sparrows (M, n, D+1) by their numbers (M, m)."""
-    return sparrows[torch.arange(len(sparrows), device=index.device)[:, None], index]
-
-
-def _better(home: Tensor, now: Tensor) -> Tensor:
-    return torch.where(now[..., -1:] < home[..., -1:], now, home)
+            home, now = home[search, order], now[search, order]
+            moved = land(rules.watch(rng, home[:, : self._watchers], best, worst))
+            now = torch.cat((moved, now[:, self._watchers :]), dim=1)
+            home = better(home, now)
+        found = best_of(home)[:, 0]
+        return found[:, :-1], found[:, -1]

@@ -152,7 +152,7 @@ class TanhStack(Stack):
         """Initial weights (M, D) by sparrow search, with hidden units that differ."""
         xavier = self.xavier_starts(many, rng)
         bound = torch.ones_like(xavier, dtype=torch.float32)
-        found = search.minimise(fitness, -bound, bound, rng).position.double()
+        found = search.minimise(fitness, -bound, bound, rng)[0].double()
         (v, w), (new_v, new_w) = self.shape.split(found), self.shape.split(xavier)
         alike = hidden_alike(v)
         v.copy_(torch.where(alike[:, None], new_v, v))
