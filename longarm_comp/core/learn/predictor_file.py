@@ -137,12 +137,14 @@ def load(
         **dict.fromkeys(("offset", "noise", "widen", "alone", "gain"), (3,)),
     }  # fmt: skip
     for name, shape in shapes.items():
-        value, most = arrays[name], np.inf if name in ("alone", "gain") else _LARGEST
+        value = arrays[name]
         if value.shape != shape or value.dtype.kind != "f":
             raise InputError(path, name, f"{value.dtype} {value.shape}", f"floats {shape}")
         least = {"alone": 0.0, "input_scale": 1e-12}.get(name, -_LARGEST)
-        if not ((value >= least) & (value <= most)).all():
-            raise InputError(path, name, value.tolist(), f"numbers from {least:g} to {most:g}")
+        unknown = np.isposinf(value) & (name in ("alone", "gain"))
+        if not ((value >= least) & (unknown | (value <= _LARGEST))).all():
+            allowed = f"numbers from {least:g} to {_LARGEST:g}"
+            raise InputError(path, name, value.tolist(), allowed)
     wanted = {"arm_hash": arm_hash, "joint_names": joint_names and tuple(joint_names)}
     for name, one in wanted.items():
         if one is not None and one != (found := getattr(header, name)):
