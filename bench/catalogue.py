@@ -41,6 +41,8 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[Any, ...]]] = {
         "ssa_time_to_error_vs_gp_300": ("ssa_training.time_to_error", "gp", 300),
         "ssa_time_to_error_vs_mlp_900": ("ssa_training.time_to_error", "mlp", 900),
         "ssa_time_to_error_vs_gp_900": ("ssa_training.time_to_error", "gp", 900),
+        "ssa_train_300": ("ssa_training.defaults", 300),
+        "ssa_train_900": ("ssa_training.defaults", 900),
         "ssa_search_population_10000": ("ssa_scaling.search_population", 10_000),
         "ssa_train_100000": ("ssa_scaling.train_many", 100_000),
         "ssa_gpu_search_population_10000": ("ssa_scaling.search_on_gpu", 10_000),

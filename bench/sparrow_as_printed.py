@@ -12,7 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from longarm_comp.core.learn.sparrow import CANONICAL, Flock, Rules, diagonal_step, normal, uniform
+from longarm_comp.core.learn.sparrow import Rules, diagonal_step, normal, uniform
 
 
 class Printed(Rules):
@@ -21,21 +21,21 @@ class Printed(Rules):
     def follow(self, rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
         return position + diagonal_step(rng, position, leader)
 
-    def starve(self, rng: torch.Generator, position: Tensor, rank: Tensor, flock: Flock) -> Tensor:
+    def starve(
+        self, rng: torch.Generator, position: Tensor, rank: Tensor, worst: Tensor, horizon: int
+    ) -> Tensor:
         quantity = normal(rng, position, *position.shape[:2], 1)
         alpha = 1.0 - uniform(rng, position, *position.shape[:2], 1)
-        return quantity * torch.exp((flock.worst - position) / (alpha * flock.horizon))
+        return quantity * torch.exp((worst[..., :-1] - position) / (alpha * horizon))
 
-    def watch(
-        self, rng: torch.Generator, position: Tensor, fitness: Tensor, flock: Flock
-    ) -> Tensor:
+    def watch(self, rng: torch.Generator, own: Tensor, best: Tensor, worst: Tensor) -> Tensor:
+        position, fitness = own[..., :-1], own[..., -1:]
         beta = normal(rng, position, *position.shape[:2], 1)
         k = 2.0 * uniform(rng, position, *position.shape[:2], 1) - 1.0
-        towards = flock.best + beta * (position - flock.best).abs()
-        gap = (fitness - flock.worst_fitness)[..., None]
-        away = position + k * torch.exp((flock.worst - position).abs() / (gap + 1e-50))
-        return torch.where((fitness > flock.best_fitness)[..., None], towards, away)
+        towards = best[..., :-1] + beta * (position - best[..., :-1]).abs()
+        gap = fitness - worst[..., -1:]
+        away = position + k * torch.exp((worst[..., :-1] - position).abs() / (gap + 1e-50))
+        return torch.where(fitness > best[..., -1:], towards, away)
 
 
-PRINTED = Printed()
-RULES = {"canonical": CANONICAL, "printed": PRINTED}
+RULES = {"canonical": Rules(), "printed": Printed()}

@@ -90,7 +90,7 @@ def errata(runs: int = 60, iterations: int = 200) -> str:
     for form in ("canonical", "printed"):
         ends, after, whole, some = [], [], 0, 0
         for seed in range(runs):
-            weights = problem.search(50, iterations, seed, RULES[form]).position
+            weights = problem.search(50, iterations, seed, RULES[form])[0]
             alike = int(hidden_alike(SHAPE.split(weights)[0]).sum())
             whole += alike >= SHAPE.hidden - 1
             some += alike > 0
@@ -113,10 +113,10 @@ def origin_bias(runs: int = 9, dims: int = 20, iterations: int = 200) -> str:
         def solve(centre: Array, seed: int) -> float:
             search, rng = SparrowSearch(50, iterations, rules=RULES[form]), torch.Generator()
             at = torch.as_tensor(centre)
-            found = search.minimise(
+            _, found = search.minimise(
                 lambda x: ((x - at) ** 2).sum(2), -bound, bound, rng.manual_seed(seed)
             )
-            return float(found.fitness[0])
+            return float(found[0])
 
         return solve
 

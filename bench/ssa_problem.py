@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bench.smooth import SmoothSet, rms_mm, smooth_set
 from longarm_comp.core.learn.network import NetworkShape, TanhMembers
-from longarm_comp.core.learn.sparrow import CANONICAL, Rules, SparrowResult, SparrowSearch
+from longarm_comp.core.learn.sparrow import Rules, SparrowSearch
 from longarm_comp.core.learn.stack import TanhStack
 from longarm_comp.core.learn.training import Fits, back_propagate
 
@@ -42,16 +42,16 @@ class SsaProblem:
 
     @cached_property
     def rows(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Inputs (1, 7, N), residuals (1, 3, N), and ones (1, N): all are used."""
-        x, y = (torch.tensor(each.T[None], device=self.device) for each in self.standardised)
-        return x, y, torch.ones_like(x[:, 0])
+        """Inputs (1, N, 7), residuals (1, N, 3), and ones (1, N): all are used."""
+        x, y = (torch.tensor(each[None], device=self.device) for each in self.standardised)
+        return x, y, torch.ones_like(x[..., 0])
 
     def search(
-        self, population: int, iterations: int, seed: int, rules: Rules = CANONICAL
-    ) -> SparrowResult:
+        self, population: int, iterations: int, seed: int, rules: Rules | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """The raw search, without the guard against collapsed units."""
         bound = torch.ones(1, SHAPE.size, device=self.device)
-        search = SparrowSearch(population, iterations, rules=rules)
+        search = SparrowSearch(population, iterations, rules or Rules())
         fitness = self.stack.squared_error(*self.rows)
         return search.minimise(fitness, -bound, bound, self.chance(seed))
 

@@ -13,6 +13,7 @@ from bench.ssa_problem import SHAPE, SsaProblem
 from bench.subprocess_cost import cost_of
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.ensemble import train
+from longarm_comp.core.learn.sparrow import SparrowSearch
 
 NAME = "bench.ssa_scaling"
 """Of this module, also where it is run as a program."""
@@ -26,9 +27,9 @@ def search_rate(samples: int, population: int, iterations: int, device: str = "c
     problem = SsaProblem.of(samples, device=device, test=1)
     problem.search(50, 1, 0)
     begin = time.perf_counter()
-    found = problem.search(population, iterations, 0)
-    float(found.fitness[0])  # waits for a GPU
-    return found.evaluations / (time.perf_counter() - begin)
+    _, found = problem.search(population, iterations, 0)
+    float(found[0])  # waits for a GPU
+    return SparrowSearch(population, iterations).evaluations / (time.perf_counter() - begin)
 
 
 def train_once(samples: int, networks: int, device: str = "cpu") -> dict[str, float]:

@@ -52,18 +52,33 @@ def reached(kind: str, samples: int, target_mm: float, repeats: int) -> dict[str
     """The cheapest setting whose median error is below the target: seconds and errors."""
     torch.set_num_threads(1)
     for setting, learn in LADDERS[kind]:
-        seconds, errors = [], []
-        for seed in range(repeats):
-            data = smooth_set(samples, seed)
-            begin = time.process_time()
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                learned = learn(data, seed)
-            seconds.append(time.process_time() - begin)
-            errors.append(rms_mm(learned.predict(data.test_q).error - data.test_truth))
+        seconds, errors = zip(*(_trained(learn, samples, s) for s in range(repeats)), strict=True)
         if np.median(errors) <= target_mm:
             return {"setting": setting, "seconds": seconds, "rms_mm": float(np.median(errors))}
     return None
+
+
+def _trained(learn: Learner, samples: int, seed: int) -> tuple[float, float]:
+    """Processor time of one training (s), and its error (mm)."""
+    data, begin = smooth_set(samples, seed), time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        learned = learn(data, seed)
+    seconds = time.process_time() - begin
+    return seconds, rms_mm(learned.predict(data.test_q).error - data.test_truth)
+
+
+def defaults(samples: int, seeds: int = 8) -> Result:
+    """A training with the defaults, imports apart, in turn with scikit-learn's network."""
+    torch.set_num_threads(1)
+    for learn in (_ours(hidden=2, ensemble=1), _mlp(2)):
+        _trained(learn, 100, 0)  # imports
+    pairs = [[_trained(learn, samples, s) for learn in (_ours(), _mlp(24))] for s in range(seeds)]
+    (ours, mine), (theirs, other) = np.transpose(pairs, (1, 2, 0))
+    return beside(
+        "s CPU", ours, f"{PEERS['mlp']}, 24 hidden, alpha by CV", theirs,
+        rms_mm=float(np.mean(mine)), peer_rms_mm=float(np.mean(other)),
+    )  # fmt: skip
 
 
 def time_to_error(

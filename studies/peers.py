@@ -40,7 +40,7 @@ class PeerPredictor:
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
         """Expected residual. Peers have no domain, so every row counts as inside."""
         q, known = check_rows("predict", q, context)
-        x = self.encoding.standardise(self.encoding.raw(q, known))
+        _, x = self.encoding.encode(q, known)
         if self.sigma is None:
             mean, sd = self.regressor.predict(x, return_std=True)
             sigma = self.scale * np.asarray(sd).reshape(len(x), -1) * np.ones(3)
@@ -108,7 +108,7 @@ def _fit(
     q, known = check_rows("train", q, context)
     used = np.ones(len(q), bool) if weights is None else np.asarray(weights) > 0
     encoding = fit_encoding(q, known, inputs)
-    x = encoding.standardise(encoding.raw(q, known))[used]
+    x = encoding.encode(q, known)[1][used]
     y = np.asarray(residual, float)[used]
     offset, scale = y.mean(axis=0), float(y.std())
     regressor = build(x.shape[1])

@@ -101,8 +101,9 @@ class Outcome:
 def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
     """The paper's network: joints in, one member, and it never refuses."""
     made = train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
-    far = np.full_like(made.lower, np.inf)
-    return replace(made, lower=-far, upper=far, variance_limit=np.inf, alone=np.full(3, np.inf))
+    far = np.full_like(made.encoding.lower, np.inf)
+    everywhere = replace(made.encoding, lower=-far, upper=far)
+    return replace(made, encoding=everywhere, variance_limit=np.inf, alone=np.full(3, np.inf))
 
 
 def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:

@@ -10,7 +10,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import Status, compensate
 from longarm_comp.core.compensation.expansion import LINEAR_M, Nearby
 from longarm_comp.core.learn.ensemble import train
-from longarm_comp.core.learn.predictor import Expander, Predictor
+from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.declared_model import declared_model
 from studies.many import compensated
 
@@ -37,7 +37,7 @@ def postures(count: int, share: float, seed: int = 1) -> np.ndarray:
 
 
 def test_slope_is_that_of_the_prediction(predictor: Predictor) -> None:
-    expand = Expander(predictor)
+    expand = predictor.expand
     h = 1e-6
     for q in postures(10, 0.5):
         steps = np.concatenate([q + h * np.eye(ARM.n), q - h * np.eye(ARM.n)])
@@ -48,7 +48,7 @@ def test_slope_is_that_of_the_prediction(predictor: Predictor) -> None:
 
 def test_within_reach_the_error_is_true_and_the_domain_the_same(predictor: Predictor) -> None:
     """Also at the corners of the reach, and next to the edge of the training data."""
-    expand, rng = Expander(predictor), np.random.default_rng(2)
+    expand, rng = predictor.expand, np.random.default_rng(2)
     reached = 0
     for q in postures(60, 0.56):
         found = expand(q, FROM_BELOW)
@@ -69,7 +69,7 @@ def test_within_reach_the_error_is_true_and_the_domain_the_same(predictor: Predi
 
 def test_commands_and_statuses_are_those_of_asking_every_time(predictor: Predictor) -> None:
     """Targets inside, outside and at the edge of the training data, and out of reach."""
-    model, expand = declared_model(ARM), Expander(predictor)
+    model, expand = declared_model(ARM), predictor.expand
     targets = model.tip(postures(80, 0.62, seed=4))
     targets[-1] = [9.0, 0.0, 0.0]
     context = Context(approach=(1.0,) * ARM.n)
@@ -92,7 +92,7 @@ def test_commands_and_statuses_are_those_of_asking_every_time(predictor: Predict
 
 def test_another_side_is_another_question(predictor: Predictor) -> None:
     asked = []
-    expand = Expander(predictor)
+    expand = predictor.expand
 
     def ask(q, context):
         asked.append(context)
@@ -108,7 +108,7 @@ def test_another_side_is_another_question(predictor: Predictor) -> None:
 
 def test_several_joints_are_answered_by_the_slope_at_the_first(predictor: Predictor) -> None:
     asked = []
-    expand = Expander(predictor)
+    expand = predictor.expand
 
     def ask(q, context):
         asked.append(q)

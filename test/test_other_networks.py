@@ -21,7 +21,7 @@ from bench.smooth import rms_mm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn import others
 from longarm_comp.core.learn.ensemble import train
-from longarm_comp.core.learn.predictor import Expander, Predictor
+from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import load, save
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -73,7 +73,7 @@ def test_it_learns_is_honest_and_comes_back_from_its_file(small: Path, tmp_path:
 def test_the_slope_is_that_of_the_prediction_and_is_not_carried_on(small: Path) -> None:
     predictor = trained(small)
     for q in rows().q[:3]:
-        expansion, h = Expander(predictor)(q), 1e-6
+        expansion, h = predictor.expand(q), 1e-6
         seen = predictor.predict(np.concatenate([q + h * np.eye(7), q - h * np.eye(7)])).error
         numeric = (seen[:7] - seen[7:]).T / (2.0 * h)
         np.testing.assert_allclose(expansion.jacobian, numeric, rtol=1e-5, atol=1e-9)

@@ -14,7 +14,6 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import recorded
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.ensemble import train
-from longarm_comp.core.learn.inputs import raw_names
 
 
 @pytest.fixture(name="data")
@@ -106,10 +105,10 @@ def test_a_joint_whose_side_is_not_known_does_not_blur_the_others(small):
     predictor, _ = small
     q, warm = np.zeros((1, 7)) + 0.1, {"temperature_c": 25.0}
     sides = [1.0, 1.0, -1.0, 1.0, -1.0, 1.0, 1.0]
-    known = predictor.encoding.raw(q, Context(tuple(sides), warm))[0]
+    known = predictor.encoding.encode(q, Context(tuple(sides), warm))[0][0]
     sides[3] = 0.0
-    some = predictor.encoding.raw(q, Context(tuple(sides), warm))[0]
-    at = [k for k, name in enumerate(raw_names(7, predictor.encoding.context)) if "_q" in name]
+    some = predictor.encoding.encode(q, Context(tuple(sides), warm))[0][0]
+    at = [k for k, name in enumerate(predictor.encoding.columns) if "_q" in name]
     assert np.isnan(some[at]).tolist() == [j == 3 for j in range(7)]
     assert some[at[0] - 1] == pytest.approx(2 / 6)  # the mean of those that are known
     assert known[at[0] - 1] == pytest.approx(3 / 7)
@@ -140,9 +139,9 @@ def test_variance_alone_can_refuse():
     known = predictor.predict(q)
     assert known.in_domain.mean() > 0.95
     assert far.sigma.max() > np.median(known.sigma)
-    corner = predictor.lower[:7] + 0.5 * (predictor.upper - predictor.lower)[:7]  # in every range
+    low, high = predictor.encoding.lower[:7], predictor.encoding.upper[:7]
+    corner = 0.5 * (low + high)  # in every range
     assert predictor.predict(corner[None]).doubt[0] > np.median(known.doubt)
-    low, high = predictor.lower[:7], predictor.upper[:7]
     anywhere = predictor.predict(low + rng.random((500, 7)) * (high - low)).doubt
     assert 0.1 < np.quantile(anywhere, 0.99) < 1.0  # the limit is four times this quantile
     limit = predictor.variance_limit * float(predictor.predict(corner[None]).doubt[0])

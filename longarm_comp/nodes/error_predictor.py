@@ -13,8 +13,8 @@ from std_msgs.msg import Header
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import LongarmError
-from longarm_comp.core.learn.predictor import Expander, Predictor
-from longarm_comp.core.learn.predictor_file import belongs, load
+from longarm_comp.core.learn.predictor import Predictor
+from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Report
@@ -40,7 +40,6 @@ _OUTSIDE = "outside the training data"
 @dataclass(frozen=True)
 class _Loaded:
     predictor: Predictor
-    expand: Expander
     hash: str
     model_hash: str
 
@@ -102,7 +101,7 @@ class _ErrorPredictor(ArmNode):
         q = joints_of(request.joints, self._arm, "predict_error")
         side = sides_of(request.approach, request.joints.name, self._arm, "predict_error")
         columns = {"temperature_c": request.temperature_c, "payload_kg": request.payload_kg}
-        found = loaded.expand(q, Context(tuple(side.tolist()), columns))
+        found = loaded.predictor.expand(q, Context(tuple(side.tolist()), columns))
         response.success = response.in_domain = found.in_domain
         response.error = vector_message(found.error)
         response.sigma = float(found.sigma.max())
@@ -120,10 +119,12 @@ class _ErrorPredictor(ArmNode):
         self._model.reload()
         model = self._model.loaded.file_hash
         try:
-            predictor = load(self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names)
-            belongs(predictor, self._path, model, f"the model in use: {model[:12] or 'none'}")
+            predictor = load(
+                self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names,
+                model_hash=model, model=f"the model in use: {model[:12] or 'none'}",
+            )  # fmt: skip
             digest = file_hash(self._path)
-            self._loaded = _Loaded(predictor, Expander(predictor), digest, model)
+            self._loaded = _Loaded(predictor, digest, model)
         except LongarmError as error:
             self._fault = str(error)
             if self._loaded is not None and self._loaded.model_hash != model:

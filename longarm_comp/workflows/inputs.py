@@ -178,14 +178,14 @@ def load_predictor(
     Raises:
         InputError: corrupt, or trained for another arm or on top of another model.
     """
-    from longarm_comp.core.learn.predictor_file import belongs, load
+    from longarm_comp.core.learn.predictor_file import load
 
     learnable(network)
-    predictor = load(path, arm_hash=arm.hash, joint_names=arm.joint_names)
-    if not isinstance(model, Model):
-        wanted = str(physics_mark(model)["model_hash"])
-        to = f"the model that it was trained with, not {model or 'none'}"
-        belongs(predictor, path, wanted, to)
+    predictor = load(
+        path, arm_hash=arm.hash, joint_names=arm.joint_names,
+        model_hash=None if isinstance(model, Model) else str(physics_mark(model)["model_hash"]),
+        model=f"the model that it was trained with, not {model or 'none'}",
+    )  # fmt: skip
     check_predictor(predictor, physics(arm, model), path)
     return predictor
 

@@ -19,16 +19,12 @@ from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 from longarm_comp.core.model.uncertainty import LEVEL
 
 if TYPE_CHECKING:
-    import torch
-
     from longarm_comp.core.learn.others import NetworkKind
 
 Array = NDArray[np.float64]
 
-_INITS = ["ssa", "xavier"]
-_DEVICES = ["auto", "cpu", "cuda"]
 _HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in order until the evidence falls by _UNLIKELY
-_UNLIKELY = 30.0
+_UNLIKELY = 15.0
 _FOLDS = 4
 """Parts of the rows that are left out in turn, to see whether a network helps at all."""
 _FEWEST_ROWS = 20
@@ -70,25 +66,24 @@ def train(
     """
     q, known = check_rows("train", q, context)
     y = _checked_targets(q, residual)
-    if init not in (None, *_INITS):
-        raise InputError("train", "init", init, f"one of {_INITS}")
-    if network is not None and (init or hidden):
-        field = "init" if init else "hidden"
-        raise InputError("train", field, init or hidden, f"none: {network.name} has its own")
-    if ensemble < 1:
-        raise InputError("train", "ensemble", ensemble, "an integer >= 1")
-    if hidden is not None and not 1 <= hidden <= 500:
-        raise InputError("train", "hidden", hidden, "an integer in 1..500")
+    for name, given, fine, allowed in (
+        ("init", init, init in (None, "ssa", "xavier"), "ssa or xavier"),
+        ("hidden", hidden, hidden is None or 1 <= hidden <= 500, "an integer in 1..500"),
+        ("ensemble", ensemble, ensemble >= 1, "an integer >= 1"),
+        ("device", device, device in ("auto", "cpu", "cuda"), "auto, cpu or cuda"),
+    ):
+        if not fine:
+            raise InputError("train", name, given, allowed)
+        if network and name in ("init", "hidden") and given is not None:
+            raise InputError("train", name, given, f"none: {network.name} has its own")
     encoding = fit_encoding(q, known, inputs)
-    raw = encoding.raw(q, known)
-    x = encoding.standardise(raw)
+    _, x = encoding.encode(q, known)
     offset = np.median(y, axis=0)
     scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset), axis=0) ** 2)))
     scale = max(1.4826 * scale, 1e-9)
     learner = _Learner(
-        x, (y - offset) / scale, init or "ssa", seed, (population, iterations), network,
-        _device(device),
-    )  # fmt: skip
+        x, (y - offset) / scale, init or "ssa", seed, (population, iterations), network, device
+    )
     sizes = (0,) if network else _HIDDEN_CHOICES if hidden is None else (hidden,)
     starts = ensemble if len(sizes) == 1 else (ensemble + 1) // 2
 
@@ -96,26 +91,22 @@ def train(
         if progress is not None:
             progress(networks, len(sizes) * starts + _FOLDS)
 
-    folds = _folds(q, np.random.default_rng([seed, _FOLDS]))
-    fits, without = learner.likeliest(sizes, starts, folds, tell)
-    fits = fits[:ensemble]
+    fits = learner.likeliest(sizes, starts, tell)[:ensemble]
+    out = _folds(q, np.random.default_rng([seed, _FOLDS]))
+    without = learner.fits(fits[0].units, ~out)
     tell(len(sizes) * starts + _FOLDS)
     shape = NetworkShape(x.shape[1], max(each.units for each in fits), 3)
-    probe = _probe(x, encoding, np.random.default_rng([seed]))
     settings = {
         "inputs": inputs, "init": init or ("own" if network else "ssa"), "seed": seed,
         "population": population, "iterations": iterations, "hidden": [f.units for f in fits],
         "ensemble": ensemble, "samples": len(q),
     }  # fmt: skip
     origin = provenance or Provenance()
-    ranged = np.where(np.isnan(raw).all(axis=0), 0.0, raw)
     draft = Predictor(
         encoding=encoding,
-        lower=np.nanmin(ranged, axis=0),
-        upper=np.nanmax(ranged, axis=0),
         weights=np.array([each.padded(shape, each.weights) for each in fits]),
         hidden=shape.hidden,
-        posterior=np.zeros((1, 1), np.float32),
+        posterior=np.zeros((1, shape.size), np.float32),
         offset=offset,
         scale=scale,
         noise=np.full(3, scale * float(np.median([each.sigma for each in fits]))),
@@ -124,11 +115,12 @@ def train(
         provenance=replace(origin, settings={**origin.settings, **settings}),
         network=network,
     )
+    probe = _probe(x, encoding, np.random.default_rng([seed]))
     draft = replace(draft, posterior=_leading(draft, fits[0].padded(shape, fits[0].root), probe))
     left = y.copy()
-    for one, out in zip(without, folds, strict=True):
-        weights = one.padded(shape, one.weights)[None]
-        left[out] -= replace(draft, weights=weights).members.outputs(x[out])[0] * scale + offset
+    for one, rows in zip(without, out, strict=True):
+        alone = replace(draft, weights=one.padded(shape, one.weights)[None])
+        left[rows] -= alone.members.outputs(x[rows])[0] * scale + offset
     return _calibrated(draft, y, left, x, probe)
 
 
@@ -157,11 +149,11 @@ class _Learner:
 
     x: Array  # x, target: (N, d) inputs and (N, 3) residual, standardised
     target: Array
-    init: str  # init, seed: as `train` has them
+    init: str  # init, seed, device: as `train` has them
     seed: int
     search: tuple[int, int]  # population, iterations
     network: NetworkKind | None
-    device: torch.device
+    device: str
 
     def fits(self, units: int, rows: NDArray[np.bool_]) -> list[_Fit]:
         """Networks of so many hidden units, each trained on its rows (M, N), as one batch."""
@@ -171,76 +163,57 @@ class _Learner:
         from longarm_comp.core.learn.stack import TanhStack
         from longarm_comp.core.learn.training import back_propagate
 
+        there = torch.cuda.is_available()
+        if self.device == "cuda" and not there:
+            allowed = f"cpu: torch {torch.__version__} sees no GPU"
+            raise InputError("train", "device", self.device, allowed)
+        device = torch.device("cuda" if there and self.device != "cpu" else "cpu")
         most = int(rows.sum(axis=1).max())  # rows of fewer are filled up with ones not used
         own = np.argsort(~rows, axis=1, kind="stable")[:, :most]
         x, y, used = (
-            torch.tensor(np.ascontiguousarray(each), dtype=torch.float64, device=self.device)
-            for each in (
-                self.x[own].swapaxes(1, 2), self.target[own].swapaxes(1, 2),
-                np.take_along_axis(rows, own, axis=1),
-            )
-        )  # fmt: skip
+            torch.tensor(each, dtype=torch.float64, device=device)
+            for each in (self.x[own], self.target[own], np.take_along_axis(rows, own, axis=1))
+        )
         many, tags = len(rows), [self.seed, units, *rows.sum(axis=1).tolist()]
         number = int(np.random.SeedSequence(tags).generate_state(1, np.uint64)[0])
-        shape = NetworkShape(x.shape[1], units, y.shape[1])
+        shape = NetworkShape(x.shape[2], units, y.shape[2])
         # These products are small: threads would wait for each other, for long on a busy computer
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         try:
             if self.network:
-                stack = self.network.stack(shape.inputs, shape.outputs, self.device)
+                stack = self.network.stack(shape.inputs, shape.outputs, device)
                 start = self.network.starts(shape.inputs, shape.outputs, many, number).to(x)
             else:
-                stack = TanhStack(shape, self.device)
-                rng = torch.Generator(self.device).manual_seed(number)
-                fitness = stack.squared_error(x, y, used)
-                search = SparrowSearch(*self.search)
-                start = (
-                    stack.xavier_starts(many, rng)
-                    if self.init == "xavier"
-                    else stack.sparrow_starts(fitness, many, rng, search)
-                )
+                stack = TanhStack(shape, device)
+                rng = torch.Generator(device).manual_seed(number)
+                if self.init == "xavier":
+                    start = stack.xavier_starts(many, rng)
+                else:
+                    fitness = stack.squared_error(x, y, used)
+                    start = stack.sparrow_starts(fitness, many, rng, SparrowSearch(*self.search))
             found = back_propagate(stack, start, x, y, used)
         finally:
             torch.set_num_threads(threads)
         # equal optima: hidden units permuted, signs flipped
         evidence = found.evidence + math.lgamma(units + 1) + units * math.log(2.0)
-        each = (found.weights, found.sigma, evidence, found.posterior)
-        return [
-            _Fit(units, weights, float(sigma), float(log), root)
-            for weights, sigma, log, root in zip(
-                *(part.cpu().numpy() for part in each), strict=True
-            )
-        ]
+        parts = (found.weights, found.beta**-0.5, evidence, found.root)
+        return [_Fit(units, *each) for each in zip(*(p.cpu().numpy() for p in parts), strict=True)]
 
     def likeliest(
-        self, sizes: Sequence[int], starts: int, out: NDArray[np.bool_], tell: Callable[[int], None]
-    ) -> tuple[list[_Fit], list[_Fit]]:
-        """Networks of rising size until the evidence falls, the likeliest first; and one of the
-        likeliest size without the rows of each fold ``out`` (F, N)."""
+        self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
+    ) -> list[_Fit]:
+        """Networks of rising size until the evidence falls, the likeliest first."""
         fits = list[_Fit]()
-        for h in sizes:
-            if fits and NetworkShape(self.x.shape[1], h, 3).size > 1.5 * len(self.x):
+        for units in sizes:
+            if fits and NetworkShape(self.x.shape[1], units, 3).size > 1.5 * len(self.x):
                 break
-            networks = self.fits(h, np.ones((starts, len(self.x)), bool))
+            networks = self.fits(units, np.ones((starts, len(self.x)), bool))
             fits += networks
             tell(len(fits))
-            best_yet = max(each.evidence for each in fits)
-            if max(each.evidence for each in networks) < best_yet - _UNLIKELY:
+            if max(f.evidence for f in networks) < max(f.evidence for f in fits) - _UNLIKELY:
                 break
-        fits.sort(key=lambda each: -each.evidence)
-        return fits, self.fits(fits[0].units, ~out)
-
-
-def _device(wanted: str) -> torch.device:
-    import torch
-
-    if wanted not in _DEVICES:
-        raise InputError("train", "device", wanted, f"one of {_DEVICES}")
-    there = torch.cuda.is_available()
-    if wanted == "cuda" and not there:
-        raise InputError("train", "device", wanted, f"cpu: torch {torch.__version__} sees no GPU")
-    return torch.device("cuda" if there and wanted != "cpu" else "cpu")
+        return sorted(fits, key=lambda each: -each.evidence)
 
 
 def _folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
@@ -253,23 +226,25 @@ def _folds(q: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
 
 def _calibrated(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) -> Predictor:
     """With what rows left out of the training say: gain, conformal factors; the variance limit."""
-    _, epistemic = draft._mean_and_variance(x)
+    _, epistemic = draft.mean_and_variance(x)
     score = np.abs(left) / np.sqrt(epistemic + draft.noise**2)
     level = min(1.0, np.ceil(LEVEL * (len(score) + 1)) / len(score))
     normal = NormalDist().inv_cdf(0.5 * (1.0 + LEVEL))  # of either sign
-    widen = np.quantile(score, level, axis=0) / normal
-    alone = np.quantile(np.abs(y), level, axis=0) / normal
-    _, variance = draft._mean_and_variance(probe)
-    limit = 4.0 * float(np.quantile(variance.max(axis=1), 0.99))
-    gain = LearnedGain.of(y, left)
-    return replace(draft, widen=widen, variance_limit=limit, alone=alone, gain=gain)
+    _, variance = draft.mean_and_variance(probe)
+    return replace(
+        draft,
+        widen=np.quantile(score, level, axis=0) / normal,
+        alone=np.quantile(np.abs(y), level, axis=0) / normal,
+        variance_limit=4.0 * float(np.quantile(variance.max(axis=1), 0.99)),
+        gain=LearnedGain.of(y, left),
+    )
 
 
 def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
     """Inputs (2000, d) over the training region: random joints in their box, with the context of
     some training sample."""
-    joints = int(np.sum(encoding.kept < encoding.joints))
-    probe = x[rng.integers(0, len(x), 2000)].copy()
+    joints = int(encoding.moved.sum())
+    probe = x[rng.integers(0, len(x), 2000)]
     low, high = x[:, :joints].min(axis=0), x[:, :joints].max(axis=0)
     probe[:, :joints] = rng.uniform(low, high, (len(probe), joints))
     return probe

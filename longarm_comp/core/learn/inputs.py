@@ -17,6 +17,7 @@ physics only.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,63 +39,63 @@ class Encoding:
     kept: NDArray[np.intp]  # (d,) raw columns that are not constant
     mean: Array  # (d,)
     scale: Array  # (d,)
+    lower: Array  # (columns,) training range of every raw column
+    upper: Array
+
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the raw columns."""
+        names = [f"q{i + 1}" for i in range(self.joints)]
+        for name in self.context:
+            each = range(self.joints) if name in PER_JOINT else ()
+            names += [name, *(f"{name}_q{i + 1}" for i in each)]
+        return tuple(names)
 
     @property
     def names(self) -> tuple[str, ...]:
-        raw = raw_names(self.joints, self.context)
-        return tuple(raw[i] for i in self.kept)
+        """Names of the inputs (d)."""
+        return tuple(self.columns[i] for i in self.kept)
 
-    def raw(self, q: Array, context: Context) -> Array:
-        """(N, columns) raw inputs in SI units; NaN where the context is unknown."""
-        return _raw_columns(q, context, self.context)
+    @cached_property
+    def moved(self) -> NDArray[np.bool_]:
+        """(d,) which inputs are joints."""
+        return self.kept < self.joints
 
-    def standardise(self, raw: Array) -> Array:
-        """Inputs (N, d) from raw columns. NaN is replaced by the training mean."""
-        x: Array = (raw[:, self.kept] - self.mean) / self.scale
-        if self.context:
-            x[np.isnan(x)] = 0.0
-        return x
+    @cached_property
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper (columns,) of the training region, margins included."""
+        # share of a joint's training range; of a context column's, which matters less and drifts
+        margin = np.where(np.arange(len(self.lower)) < self.joints, 0.02, 0.5)
+        width = margin * (self.upper - self.lower) + 1e-6
+        return self.lower - width, self.upper + width
 
-
-def raw_names(joints: int, context: tuple[str, ...]) -> list[str]:
-    """Names of the raw columns, before constant ones are dropped."""
-    names = [f"q{i + 1}" for i in range(joints)]
-    for name in context:
-        names.append(name)
-        if name in PER_JOINT:
-            names += [f"{name}_q{i + 1}" for i in range(joints)]
-    return names
+    def encode(self, q: Array, context: Context) -> tuple[Array, Array]:
+        """Raw inputs (N, columns) in SI units, NaN where the context is unknown; and standardised
+        ones (N, d), where the training mean stands for NaN."""
+        raw = _raw_columns(q, context, self.context)
+        x = (raw[:, self.kept] - self.mean) / self.scale
+        return raw, np.where(np.isnan(x), 0.0, x)
 
 
 def _raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
-    n, joints = q.shape
-    raw = np.full((n, len(raw_names(joints, used))), np.nan)
-    raw[:, :joints] = q
-    at = joints
-    for name in used:
-        columns = raw[:, at : at + (1 + joints if name in PER_JOINT else 1)]
-        at += columns.shape[1]
-        if not context.has(name):
-            continue
-        if name in PER_JOINT:
-            _spread(getattr(context, name), columns)
-        else:
-            columns[:, 0] = context.columns[name]
-    return raw
+    return np.concatenate((q, *(_of_context(name, context, q.shape) for name in used)), axis=1)
 
 
-def _spread(values: tuple[object, ...], columns: Array) -> None:
-    """Mean over the joints whose value is known (not 0), and the difference of each from it."""
-    each = columns[:, 1:]
-    each[:] = np.asarray(values, float).T
-    each[~(np.abs(each) > 0.0)] = np.nan
-    count = (~np.isnan(each)).sum(axis=1)
-    some = count > 0
-    columns[some, 0] = np.nansum(each[some], axis=1) / count[some]
-    each -= columns[:, :1]
+def _of_context(name: str, context: Context, shape: tuple[int, ...]) -> Array:
+    """(N, 1) of a column. Of a side of arrival (N, 1+n): the mean over the joints whose side is
+    known, and the difference of each from it."""
+    if name not in PER_JOINT:
+        known = context.columns.get(name, np.nan)
+        return np.broadcast_to(np.asarray(known, float), shape[:1])[:, None]
+    each = np.broadcast_to(np.asarray(getattr(context, name) or np.nan, float).T, shape)
+    each = np.where(np.abs(each) > 0.0, each, np.nan)
+    with np.errstate(invalid="ignore"):
+        mean = np.nansum(each, axis=1, keepdims=True) / (~np.isnan(each)).sum(axis=1, keepdims=True)
+    return np.concatenate((mean, each - mean), axis=1)
 
 
 def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
+    """The encoding of training rows; ``q`` and ``context`` as `check_rows` returns them."""
     if kind not in INPUT_KINDS:
         raise InputError("train", "inputs", kind, f"one of {sorted(INPUT_KINDS)}")
     used = tuple(name for name in INPUT_KINDS[kind] if context.has(name))
@@ -105,8 +106,8 @@ def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
     varies = scale > 1e-6 * (1.0 + np.abs(mean))
     if not varies[: q.shape[1]].any():
         raise InputError("train", "q", "all rows one pose", "poses that differ")
-    kept = np.flatnonzero(varies)
-    return Encoding(q.shape[1], used, kept, mean[kept], scale[kept])
+    kept, lower, upper = np.flatnonzero(varies), np.nanmin(raw, axis=0), np.nanmax(raw, axis=0)
+    return Encoding(q.shape[1], used, kept, mean[kept], scale[kept], lower, upper)
 
 
 def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Context]:

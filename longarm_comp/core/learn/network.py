@@ -1,11 +1,8 @@
 """The BP network of the paper's section II.C, served without torch: one tanh layer, linear outputs.
 
-``y = tanh([x, 1] V) W + b`` with ``V (d+1, H)``, ``W (H, k)``, ``b (k,)``. One flat vector
-``[V, W, b]`` of length ``D = (d+1) H + H k + k`` holds all weights: the position of a sparrow, and
-a row of predictor.npz. `stack.TanhStack` trains it.
-
-Each weight's column of the Jacobian is one of the columns ``B = [x s, s, z, 1]`` (``z = tanh``,
-``s = 1 - z^2``) times a number of each output: ``J[n, o, a] = B[n, column(a)] lift[o, a]``.
+``y = [tanh([x, 1] V), 1] W`` with ``V (d+1, H)`` and ``W (H+1, k)``. One flat vector ``[V, W]`` of
+length ``D = (d+1) H + (H+1) k`` holds all weights: the position of a sparrow, and a row of
+predictor.npz. `stack.TanhStack` trains it.
 """
 
 from __future__ import annotations
@@ -31,37 +28,21 @@ class NetworkShape:
     @property
     def size(self) -> int:
         """D, the number of weights."""
-        return (self.inputs + 1) * self.hidden + self.hidden * self.outputs + self.outputs
+        return (self.inputs + 1) * self.hidden + (self.hidden + 1) * self.outputs
 
-    def split(self, weights: Any) -> tuple[Any, Any, Any]:
-        """Views ``V (..., d+1, H)``, ``W (..., H, k)``, ``b (..., k)`` of weights (..., D)."""
-        lead = weights.shape[:-1]
-        first = (self.inputs + 1) * self.hidden
-        second = first + self.hidden * self.outputs
+    def split(self, weights: Any) -> tuple[Any, Any]:
+        """Views ``V (..., d+1, H)`` and ``W (..., H+1, k)`` of weights (..., D)."""
+        lead, first = weights.shape[:-1], (self.inputs + 1) * self.hidden
         return (
             weights[..., :first].reshape(*lead, self.inputs + 1, self.hidden),
-            weights[..., first:second].reshape(*lead, self.hidden, self.outputs),
-            weights[..., second:],
+            weights[..., first:].reshape(*lead, self.hidden + 1, self.outputs),
         )
-
-    @cached_property
-    def groups(self) -> NDArray[np.intp]:
-        """(D,) index of the prior of each weight: one per input (ARD), one for the hidden
-        biases, one for ``W``, one for ``b``."""
-        d, h, k = self.inputs, self.hidden, self.outputs
-        return np.repeat(np.arange(d + 3), [h] * (d + 1) + [h * k, k])
-
-    @cached_property
-    def column(self) -> NDArray[np.intp]:
-        """(D,) index of each weight's column of ``B``."""
-        first, h, k = (self.inputs + 1) * self.hidden, self.hidden, self.outputs
-        unit = np.repeat(np.arange(first, first + h), k)
-        return np.concatenate((np.arange(first), unit, np.full(k, first + h)))
 
     def within(self, larger: NetworkShape) -> NDArray[np.intp]:
         """(D,) places of these weights among those of a network with more hidden units."""
-        v, w, b = larger.split(np.arange(larger.size))
-        return np.concatenate((v[:, : self.hidden].ravel(), w[: self.hidden].ravel(), b))
+        v, w = larger.split(np.arange(larger.size))
+        kept = np.r_[: self.hidden, larger.hidden]  # the last row of W belongs to no unit
+        return np.concatenate((v[:, : self.hidden].ravel(), w[kept].ravel()))
 
 
 @dataclass(frozen=True)
@@ -72,33 +53,33 @@ class TanhMembers:
     weights: Array  # (M, D)
 
     @cached_property
-    def _products(self) -> tuple[Array, Array]:
-        """All members in one product: V (d+1, M H), and W of the mean (M H, k)."""
-        v, w, _ = self.shape.split(self.weights)
-        return np.concatenate(v, axis=1), np.concatenate(w) / len(w)
+    def _mean(self) -> tuple[Array, Array]:
+        """The mean of all members as one network: V (d+1, M H), and W without its bias (M H, k)."""
+        v, w = self.shape.split(self.weights)
+        return np.concatenate(v, axis=1), np.concatenate(w[:, :-1]) / len(w)
 
     def outputs(self, x: Array) -> Array:
         """(M, N, k) of inputs (N, d)."""
-        v, w, b = self.shape.split(self.weights)
-        made: Array = np.tanh(_with_ones(x) @ v) @ w + b[:, None, :]
+        v, w = self.shape.split(self.weights)
+        made: Array = np.tanh(_with_ones(x) @ v) @ w[:, :-1] + w[:, -1:]
         return made
 
     def jacobian(self, x: Array) -> Array:
         """(N, k, D): of the first member's outputs by its weights."""
-        v, w, _ = self.shape.split(self.weights[0])
+        v, w = self.shape.split(self.weights[0])
         x1, k = _with_ones(x), self.shape.outputs
         z = np.tanh(x1 @ v)
-        slope = x1[:, :, None] * (1.0 - z * z)[:, None, :]
-        basis = np.concatenate((slope.reshape(len(x), -1), z, x1[:, -1:]), axis=1)
-        lift = np.tile(np.eye(k), 1 + self.shape.hidden)
-        lift = np.concatenate((np.tile(w.T, len(v)), lift), axis=1)
-        made: Array = basis[:, None, self.shape.column] * lift
+        back = (1.0 - z * z)[:, None] * w[:-1].T  # (N, k, H)
+        by_v = x1[:, None, :, None] * back[:, :, None]
+        by_w = _with_ones(z)[:, None, :, None] * np.eye(k)[:, None]
+        parts = [part.reshape(len(x), k, -1) for part in (by_v, by_w)]
+        made: Array = np.concatenate(parts, axis=2)
         return made
 
     def slope(self, x: Array, moved: NDArray[np.bool_], error: float) -> tuple[Array, float]:
         """Slope (k, m) of the mean at inputs (d,), by the m moved ones, and the step of all of them
         within which it is accurate to ``error``; 0 where that is not known."""
-        hidden, output = self._products
+        hidden, output = self._mean
         z = np.tanh(x @ hidden[:-1] + hidden[-1])
         bend, rates = 1.0 - z * z, hidden[:-1][moved]
         # |tanh''| bounds the error of a step of at most 1 in every column, without cancelling

@@ -75,16 +75,15 @@ class TorchMembers:
     weights: torch.Tensor  # (M, D)
 
     def outputs(self, x: Array) -> Array:
-        columns = torch.as_tensor(x.T).expand(len(self.weights), -1, -1)
-        return self.stack.outputs(self.weights, columns).mT.numpy()
+        rows = torch.as_tensor(x).expand(len(self.weights), -1, -1)
+        return self.stack.outputs(self.weights, rows).numpy()
 
     def jacobian(self, x: Array) -> Array:
-        return self.stack.jacobian(self.weights[:1], torch.as_tensor(x.T)[None])[0].numpy()
+        return self.stack.jacobian(self.weights[:1], torch.as_tensor(x)[None])[0].numpy()
 
     def slope(self, x: Array, moved: NDArray[np.bool_], error: float) -> tuple[Array, float]:
         def mean(x: torch.Tensor) -> torch.Tensor:
-            columns = x[None, :, None].expand(len(self.weights), -1, -1)
-            return self.stack.outputs(self.weights, columns).mean(dim=0)[:, 0]
+            return self.stack.outputs(self.weights, x.expand(len(self.weights), 1, -1)).mean(0)[0]
 
         slope = torch.func.jacrev(mean)(torch.as_tensor(x)).numpy()
         return slope[:, moved], 0.0  # how far it holds is not known

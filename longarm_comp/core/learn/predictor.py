@@ -28,7 +28,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.expansion import LINEAR_M, Expansion
 from longarm_comp.core.compensation.result import Prediction
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.learn.inputs import Encoding, check_rows, raw_names
+from longarm_comp.core.learn.inputs import Encoding, check_rows
 from longarm_comp.core.learn.network import NetworkShape, TanhMembers
 
 if TYPE_CHECKING:
@@ -85,8 +85,6 @@ class Predictor:
     """A trained ensemble; ``train`` makes one, ``load`` reads one."""
 
     encoding: Encoding
-    lower: Array  # (columns,) training range of every raw column
-    upper: Array
     weights: Array  # (M, D), standardised units
     hidden: int  # of the largest member; smaller ones have idle units; 0 of a network of others
     posterior: NDArray[np.float32]  # (r, D) covariance C ~ P'P of the first member, the likeliest
@@ -107,16 +105,6 @@ class Predictor:
             return self.network.members(inputs, outputs, self.weights)
         return TanhMembers(NetworkShape(inputs, self.hidden, outputs), self.weights)
 
-    @cached_property
-    def box(self) -> tuple[Array, Array]:
-        """Lower and upper (columns,) of the training region, margins included."""
-        # of a context column's training range; it has less influence, and drifts
-        margin = np.full(len(self.lower), 0.5)
-        # of a joint's training range
-        margin[: self.encoding.joints] = 0.02
-        width = margin * (self.upper - self.lower) + 1e-6
-        return self.lower - width, self.upper + width
-
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
         """Expected residual at joints (N, n), rad and m.
 
@@ -126,28 +114,31 @@ class Predictor:
         q, known = check_rows("predict", q, context)
         if q.shape[1] != self.encoding.joints:
             raise InputError("predict", "q", f"{q.shape[1]} joints", f"{self.encoding.joints}")
-        raw = self.encoding.raw(q, known)
-        x = self.encoding.standardise(raw)
-        error, epistemic = self._mean_and_variance(x)
-        if np.isnan(raw).any():
-            epistemic = epistemic + self._unknown_context(raw, x)
-        sigma = self.widen * np.sqrt(epistemic + self.noise**2)
-        largest = epistemic.max(axis=1)
-        inside, outside, reason = self._domain(raw, largest, sigma)
-        return Prediction(error, sigma, inside, reason, largest / self.variance_limit, outside)
+        raw, x = self.encoding.encode(q, known)
+        error, epistemic = self.mean_and_variance(x)
+        epistemic += self._unknown_context(raw, x)
+        sigma, largest = self.widen * np.sqrt(epistemic + self.noise**2), epistemic.max(axis=1)
+        low, high = self.encoding.box
+        outside = (raw < low) | (raw > high)  # NaN, not known, is neither
+        unsure = largest > self.variance_limit
+        useless = np.linalg.norm(sigma, axis=1) >= np.linalg.norm(self.alone)
+        away = unsure | outside.any(axis=1)
+        inside = ~(away | useless) & self.gain.helps
+        reason = [""] * len(q)
+        for row in np.flatnonzero(~inside):
+            reason[row] = self._reason(raw[row], outside[row], largest[row], sigma[row])
+        return Prediction(error, sigma, inside, reason, largest / self.variance_limit, away)
 
-    def _mean_and_variance(self, x: Array) -> tuple[Array, Array]:
+    def mean_and_variance(self, x: Array) -> tuple[Array, Array]:
         """Mean (N, 3) and epistemic variance (N, 3) in m, m^2 for standardised inputs (N, d)."""
         outputs = self.members.outputs(x)
-        mean = outputs.sum(axis=0) / len(outputs)
+        mean = outputs.mean(axis=0)
         variance = ((outputs - mean) ** 2).sum(axis=0) / max(1, len(outputs) - 1)
         for start in range(0, len(x), 1024):
             rows = slice(start, start + 1024)
-            jacobian = self.members.jacobian(x[rows])
-            flat = jacobian.reshape(-1, jacobian.shape[2]).astype(np.float32)
-            spread = flat @ self.posterior.T
-            laplace = np.einsum("ij,ij->i", spread, spread)
-            variance[rows] += laplace.reshape(-1, len(self.offset))
+            jacobian = self.members.jacobian(x[rows]).reshape(-1, self.posterior.shape[1])
+            spread = jacobian.astype(np.float32) @ self.posterior.T
+            variance[rows] += np.einsum("ij,ij->i", spread, spread).reshape(-1, len(self.offset))
         return mean * self.scale + self.offset, variance * self.scale**2
 
     def _unknown_context(self, raw: Array, x: Array) -> Array:
@@ -162,68 +153,42 @@ class Predictor:
             variance += (0.5 * self.scale * (up - down)) ** 2
         return variance
 
-    def _domain(
-        self, raw: Array, variance: Array, sigma: Array
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], list[str]]:
-        low, high = self.box
-        outside = (raw < low) | (raw > high)  # NaN, not known, is neither
-        unsure = variance > self.variance_limit
-        without = float(np.linalg.norm(self.alone))
-        left = np.linalg.norm(sigma, axis=1)
-        useless = left >= without
-        unproven = np.full(len(raw), not self.gain.helps)
-        away = unsure | outside.any(axis=1)
-        bad = away | useless | unproven
-        reason = [""] * len(raw)
-        names = raw_names(self.encoding.joints, self.encoding.context)
-        for row in np.flatnonzero(bad):
-            parts = [
-                f"{names[c]} = {raw[row, c]:.4g} outside the training range "
-                f"[{self.lower[c]:.4g}, {self.upper[c]:.4g}]"
-                for c in np.flatnonzero(outside[row])
-            ]
-            if unsure[row]:
-                parts.append(
-                    f"uncertainty {1e3 * variance[row] ** 0.5:.2f} mm above the limit "
-                    f"{1e3 * self.variance_limit**0.5:.2f} mm"
-                )
-            if useless[row]:
-                parts.append(
-                    f"sigma {1e3 * left[row]:.2f} mm is not below the {1e3 * without:.2f} mm that "
-                    "the physics alone leaves"
-                )
-            if unproven[row]:
-                parts.append(str(self.gain))
-            reason[row] = "; ".join(parts)
-        return ~bad, away, reason
+    def _reason(self, raw: Array, outside: NDArray[np.bool_], variance: float, sigma: Array) -> str:
+        """Why one row is refused."""
+        encoding = self.encoding
+        parts = [
+            f"{encoding.columns[c]} = {raw[c]:.4g} outside the training range "
+            f"[{encoding.lower[c]:.4g}, {encoding.upper[c]:.4g}]"
+            for c in np.flatnonzero(outside)
+        ]
+        if variance > self.variance_limit:
+            found, limit = (1e3 * each**0.5 for each in (variance, self.variance_limit))
+            parts.append(f"uncertainty {found:.2f} mm above the limit {limit:.2f} mm")
+        left, without = (1e3 * float(np.linalg.norm(each)) for each in (sigma, self.alone))
+        if left >= without:
+            parts.append(
+                f"sigma {left:.2f} mm is not below the {without:.2f} mm that the physics alone "
+                "leaves"
+            )
+        if not self.gain.helps:
+            parts.append(str(self.gain))
+        return "; ".join(parts)
 
-
-class Expander:
-    """Computes expansions of one predictor."""
-
-    def __init__(self, predictor: Predictor) -> None:
-        self._predictor = predictor
-        encoding = predictor.encoding
-        self._joint = encoding.kept < encoding.joints  # columns that are a joint
-        self._moved = encoding.kept[self._joint]
-        self._width = encoding.scale[self._joint]
-
-    def __call__(self, q: np.ndarray, context: Context | None = None) -> Expansion:
+    def expand(self, q: Array, context: Context | None = None) -> Expansion:
         """Predict at joints (n,) and around them."""
-        predictor, n = self._predictor, len(q)
-        context = context or Context()
-        found = predictor.predict(q[None], context)
-        x = predictor.encoding.standardise(predictor.encoding.raw(q[None], context))[0]
-        slope, step = predictor.members.slope(x, self._joint, LINEAR_M / predictor.scale)
-        jacobian, reach = np.zeros((3, n)), np.zeros(n)
-        jacobian[:, self._moved] = predictor.scale * slope / self._width
+        encoding, context = self.encoding, context or Context()
+        found = self.predict(q[None], context)
+        x = encoding.encode(q[None], context)[1][0]
+        slope, step = self.members.slope(x, encoding.moved, LINEAR_M / self.scale)
+        moved, width = encoding.kept[encoding.moved], encoding.scale[encoding.moved]
+        jacobian, reach = np.zeros((3, len(q))), np.zeros(len(q))
+        jacobian[:, moved] = self.scale * slope / width
         # allowed growth of the variance, up to the limit of the domain
         if found.in_domain[0] and found.doubt[0] * 1.5 <= 1.0:
+            low, high = (each[: len(q)] for each in encoding.box)
+            reach = np.minimum(q - low, high - q)
             # of a column's training sd; epistemic variance grows by a quarter at the most
-            step = min(0.05, step)
-            low, high = predictor.box
-            reach = np.minimum(q - low[:n], high[:n] - q)
-            reach[self._moved] = np.minimum(reach[self._moved], step * self._width)
+            reach[moved] = np.minimum(reach[moved], min(0.05, step) * width)
         return Expansion(
             found.error[0], found.sigma[0], bool(found.in_domain[0]), found.reason[0],
             jacobian, reach,

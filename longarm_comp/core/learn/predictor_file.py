@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import os
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +20,7 @@ from pydantic import Field
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import check_regular, check_unpacked, write_bytes
-from longarm_comp.core.learn.inputs import Encoding, raw_names
+from longarm_comp.core.learn.inputs import Encoding
 from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 from longarm_comp.core.yaml_file import Declared, parse_declared
@@ -31,8 +30,11 @@ _LARGEST = 1e6
 _OTHERS = ".safetensors"
 """Ending of the file of a network of others."""
 
-_ARRAYS = ("lower", "upper", "weights", "posterior", "offset", "noise", "widen", "alone")
-"""Of a predictor, under their own names."""
+_ENCODING = {
+    "kept": "kept", "mean": "mean", "scale": "input_scale", "lower": "lower", "upper": "upper"
+}  # fmt: skip
+_PREDICTOR = ("weights", "posterior", "offset", "noise", "widen", "alone")
+"""Arrays: those of the encoding with their names in the file, those of the predictor, ``gain``."""
 
 
 class _Network(Declared):
@@ -70,9 +72,9 @@ def check_ending(path: str | os.PathLike[str], of_others: bool) -> None:
 
 def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
     """Write ``predictor`` to ``path``, whole or not at all."""
-    check_ending(path, predictor.network is not None)
-    origin, encoding = predictor.provenance, predictor.encoding
-    header = {
+    network, origin, encoding = predictor.network, predictor.provenance, predictor.encoding
+    check_ending(path, network is not None)
+    header: dict[str, Any] = {
         "format": "longarm/predictor", "version": 1, "arm_hash": origin.arm_hash,
         "session_hash": origin.session_hash, "joint_names": origin.joint_names,
         "settings": dict(origin.settings), "joints": encoding.joints,
@@ -80,13 +82,11 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         "variance_limit": predictor.variance_limit, "input_names": encoding.names,
     }  # fmt: skip
     arrays = {
-        "kept": encoding.kept.astype(np.int64),
-        "mean": encoding.mean,
-        "input_scale": encoding.scale,
+        **{name: getattr(encoding, own) for own, name in _ENCODING.items()},
+        **{name: getattr(predictor, name) for name in _PREDICTOR},
         "gain": np.array(dataclasses.astuple(predictor.gain)),
-        **{name: getattr(predictor, name) for name in _ARRAYS},
     }
-    if predictor.network is None:
+    if network is None:
         text = json.dumps(header, sort_keys=True).encode()
         buffer = io.BytesIO()
         np.savez(buffer, header=np.frombuffer(text, dtype=np.uint8), **arrays)
@@ -94,8 +94,8 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
     else:
         from safetensors.numpy import save as packed
 
-        network = {"name": predictor.network.name, "origin": predictor.network.origin}
-        said = json.dumps(header | {"network": network}, sort_keys=True)
+        header["network"] = {"name": network.name, "origin": network.origin}
+        said = json.dumps(header, sort_keys=True)
         arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         content = packed(arrays, {"header": said, "sha256": _digest(said, arrays)})
     write_bytes(path, content)
@@ -106,104 +106,94 @@ def load(
     *,
     arm_hash: str | None = None,
     joint_names: tuple[str, ...] | None = None,
+    model_hash: str | None = None,
+    model: str = "",
 ) -> Predictor:
-    """Read a predictor. A given ``arm_hash`` or ``joint_names`` must match the file."""
-    arrays = _arrays(path)
-    header = _header(path, arrays)
-    columns = len(raw_names(header.joints, header.context))
-    kept = arrays["kept"]
-    if kept.dtype.kind != "i" or kept.ndim != 1 or not len(kept) or kept.min() < 0:
-        raise InputError(path, "kept", kept.dtype, "column indices")
-    if kept.max() >= columns or len(np.unique(kept)) != len(kept):
-        raise InputError(path, "kept", kept.tolist(), f"distinct columns below {columns}")
-    d = len(kept)
+    """Read a predictor. What is given of its arm and its model must match the file.
+
+    Args:
+        model_hash: SHA-256 of model.yaml; empty for the declared arm.
+        model: its name, for the error message.
+    """
+    header, arrays = _read(path)
+    network, d = None, arrays["kept"].size
+    size = NetworkShape(d, header.hidden, 3).size
     if (header.hidden == 0) != (header.network is not None):
         raise InputError(path, "hidden", header.hidden, "0 of a network of others alone")
-    size = NetworkShape(d, header.hidden, 3).size
-    network = None
     if header.network is not None:
         from longarm_comp.core.learn.others import saved
 
         network = saved(header.network.name, header.network.origin, path)
         size = network.stack(d, 3).size
-    members, rank = (max(1, len(np.atleast_1d(arrays[n]))) for n in ("weights", "posterior"))
+    encoding = Encoding(header.joints, header.context, *(arrays[n] for n in _ENCODING.values()))
+    columns = len(encoding.columns)
+    if not np.array_equal(encoding.kept, np.intersect1d(encoding.kept, range(columns))) or d == 0:
+        allowed = f"rising numbers of columns below {columns}"
+        raise InputError(path, "kept", encoding.kept.tolist(), allowed)
+    number = {name: max(1, len(np.atleast_1d(arrays[name]))) for name in ("weights", "posterior")}
     shapes = {
         "mean": (d,), "input_scale": (d,), "lower": (columns,), "upper": (columns,),
-        "weights": (members, size), "posterior": (rank, size), "offset": (3,),
-        "noise": (3,), "widen": (3,), "alone": (3,), "gain": (3,),
+        **{name: (rows, size) for name, rows in number.items()},
+        **dict.fromkeys(("offset", "noise", "widen", "alone", "gain"), (3,)),
     }  # fmt: skip
     for name, shape in shapes.items():
         value = arrays[name]
         if value.shape != shape or value.dtype.kind != "f":
             raise InputError(path, name, f"{value.dtype} {value.shape}", f"floats {shape}")
-        unknown = np.isposinf(value) if name in ("alone", "gain") else False
-        if not (unknown | (np.abs(value) <= _LARGEST)).all():
-            raise InputError(path, name, "NaN or too large", f"numbers up to {_LARGEST:g}")
-    for name, fits in (("input_scale", arrays["input_scale"] > 0), ("alone", arrays["alone"] >= 0)):
-        if not fits.all():
-            raise InputError(path, name, arrays[name].min(), "above 0")
-    if arm_hash is not None and header.arm_hash != arm_hash:
-        raise InputError(path, "arm_hash", header.arm_hash, f"{arm_hash} (the arm in use)")
-    names = header.joint_names
-    if joint_names is not None and names != tuple(joint_names):
-        raise InputError(path, "joint_names", names, f"{tuple(joint_names)} (the arm in use)")
-    arrays["posterior"] = arrays["posterior"].astype(np.float32)
+        least = {"alone": 0.0, "input_scale": 1e-12}.get(name, -_LARGEST)
+        unknown = np.isposinf(value) & (name in ("alone", "gain"))
+        if not ((value >= least) & (unknown | (value <= _LARGEST))).all():
+            allowed = f"numbers from {least:g} to {_LARGEST:g}"
+            raise InputError(path, name, value.tolist(), allowed)
+    wanted = {"arm_hash": arm_hash, "joint_names": joint_names and tuple(joint_names)}
+    for name, one in wanted.items():
+        if one is not None and one != (found := getattr(header, name)):
+            raise InputError(path, name, found, f"{one} (the arm in use)")
+    learned = header.settings.get("model_hash")
+    if None not in (learned, model_hash) and learned != model_hash:
+        raise InputError(path, "model_hash", str(learned)[:12] or "the declared arm", model)
     return Predictor(
-        encoding=Encoding(
-            header.joints, header.context, kept, arrays["mean"], arrays["input_scale"]
-        ),
+        encoding,
         hidden=header.hidden,
         scale=header.scale,
         variance_limit=header.variance_limit,
         gain=LearnedGain(*arrays["gain"].tolist()),
-        provenance=Provenance(header.arm_hash, header.session_hash, names, header.settings),
+        provenance=Provenance(
+            header.arm_hash, header.session_hash, header.joint_names, header.settings
+        ),
         network=network,
-        **{name: arrays[name] for name in _ARRAYS},
+        **{name: arrays[name] for name in _PREDICTOR},
     )
 
 
-def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str, to: str) -> None:
-    """Check that a predictor was trained on the residual of this physics.
-
-    Args:
-        path, to: file of the predictor, and the expected model, for the error message.
-        model_hash: SHA-256 of model.yaml; empty for the declared arm.
-    """
-    found = predictor.provenance.settings.get("model_hash", model_hash)
-    if found != model_hash:
-        said = str(found)[:12] if found else "the declared arm"
-        raise InputError(path, "model_hash", said, to)
-
-
-def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]]]:
+    """Checked header, and all arrays of the file, of any shape."""
     try:
-        arrays = _packed(path) if Path(path).suffix == _OTHERS else _zipped(path)
-    except FileNotFoundError as error:
-        raise InputError(path, "predictor file", "not found", "an existing file") from error
-    except OSError as error:
-        raise InputError(path, "predictor file", str(error), "a readable file") from error
+        said, arrays = (_packed if Path(path).suffix == _OTHERS else _zipped)(path)
+        header = json.loads(said)
     except InputError:
         raise
-    except Exception as error:  # whatever zipfile, zlib, numpy and safetensors raise
+    except OSError as error:
+        found = error.strerror or str(error)
+        raise InputError(path, "predictor file", found, "a readable file") from error
+    except Exception as error:  # whatever zipfile, zlib, numpy, safetensors and json raise
         found = f"corrupt or truncated ({error})"
         raise InputError(path, "predictor file", found, "a file that longarm wrote") from error
-    for name in ("header", "kept", "mean", "input_scale", "gain", *_ARRAYS):
+    for name in (*_ENCODING.values(), *_PREDICTOR, "gain"):
         if not isinstance(arrays.get(name), np.ndarray):
             raise InputError(path, name, "missing", "a file that longarm wrote")
-    return arrays
+    return parse_declared(_Header, header, str(path)), arrays
 
 
-def _zipped(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
-    with zipfile.ZipFile(Path(path)) as probe:
-        check_unpacked(path, probe)
-        broken = probe.testzip()
-        if broken is not None:
-            raise InputError(path, broken, "checksum does not match", "an undamaged file")
+def _zipped(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]]]:
+    check_regular(path)
     with np.load(path, allow_pickle=False) as data:
-        return {name: data[name] for name in data.files}
+        check_unpacked(path, data.zip)
+        arrays = dict(data)  # checked against the checksums of the archive
+    return arrays.pop("header").tobytes(), arrays
 
 
-def _packed(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+def _packed(path: str | os.PathLike[str]) -> tuple[bytes, dict[str, NDArray[Any]]]:
     from safetensors import safe_open
 
     check_regular(path)
@@ -211,7 +201,7 @@ def _packed(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         said, arrays = data.metadata(), {name: data.get_tensor(name) for name in data.keys()}  # noqa: SIM118
     if said["sha256"] != _digest(said["header"], arrays):
         raise InputError(path, "sha256", "does not match", "an undamaged file")
-    return {**arrays, "header": np.frombuffer(said["header"].encode(), dtype=np.uint8)}
+    return said["header"].encode(), arrays
 
 
 def _digest(header: str, arrays: Mapping[str, NDArray[Any]]) -> str:
@@ -221,11 +211,3 @@ def _digest(header: str, arrays: Mapping[str, NDArray[Any]]) -> str:
         array = arrays[name]
         digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
     return digest.hexdigest()
-
-
-def _header(path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]]) -> _Header:
-    try:
-        header = json.loads(arrays["header"].tobytes().decode())
-    except (ValueError, RecursionError) as error:
-        raise InputError(path, "header", "not JSON", "a JSON object") from error
-    return parse_declared(_Header, header, str(path))

@@ -28,7 +28,7 @@ so as a general-purpose optimiser it loses to differential evolution on shifted 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -51,24 +51,18 @@ def normal(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
     return like.new_empty(size).normal_(generator=rng)
 
 
-@dataclass(frozen=True)
-class Flock:
-    """Inputs of the update rules: best, worst and horizon of the current iteration."""
-
-    best: Tensor  # (M, 1, D)
-    worst: Tensor  # (M, 1, D)
-    best_fitness: Tensor  # (M, 1)
-    worst_fitness: Tensor  # (M, 1)
-    horizon: int  # T, iterations in all
-
-
 class Rules:
-    """The four moves of the algorithm; each takes and returns (M, m, D) positions."""
+    """The four moves of the algorithm; each returns (M, m, D) positions.
+
+    ``position`` (M, m, D) are the personal bests of those that move, ``rank`` (m,) their ``i``,
+    ``leader`` (M, 1, D) is the best discoverer; ``best`` and ``worst`` (M, 1, D+1) of all sparrows
+    have their fitness as the last column.
+    """
 
     def discover(
         self, rng: torch.Generator, position: Tensor, rank: Tensor, horizon: int, alarmed: Tensor
     ) -> Tensor:
-        """Eq. (6): contract while calm, jump along the diagonal when alarmed (M, 1, 1)."""
+        """Contract while calm, jump along the diagonal when alarmed (M, 1, 1)."""
         alpha = 1.0 - uniform(rng, position, *position.shape[:2])  # (0, 1]
         calm = position * torch.exp(-rank / (alpha * horizon))[..., None]
         return torch.where(alarmed, position + normal(rng, position, *position.shape[:2], 1), calm)
@@ -76,21 +70,22 @@ class Rules:
     def follow(self, rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
         return leader + diagonal_step(rng, position, leader)
 
-    def starve(self, rng: torch.Generator, position: Tensor, rank: Tensor, flock: Flock) -> Tensor:
-        quantity = normal(rng, position, *position.shape[:2], 1)
-        return quantity * torch.exp((flock.worst - position) / rank[:, None] ** 2)
-
-    def watch(
-        self, rng: torch.Generator, position: Tensor, fitness: Tensor, flock: Flock
+    def starve(
+        self, rng: torch.Generator, position: Tensor, rank: Tensor, worst: Tensor, horizon: int
     ) -> Tensor:
-        towards = (
-            flock.best + normal(rng, position, *position.shape) * (position - flock.best).abs()
-        )
+        quantity = normal(rng, position, *position.shape[:2], 1)
+        return quantity * torch.exp((worst[..., :-1] - position) / rank[:, None] ** 2)
+
+    def watch(self, rng: torch.Generator, own: Tensor, best: Tensor, worst: Tensor) -> Tensor:
+        """``own`` (M, m, D+1): with the fitness as the last column."""
+        position, fitness = own[..., :-1], own[..., -1:]
+        beta = normal(rng, position, *position.shape)
+        towards = best[..., :-1] + beta * (position - best[..., :-1]).abs()
         k = 2.0 * uniform(rng, position, *position.shape[:2], 1) - 1.0
-        gap = (fitness - flock.worst_fitness)[..., None]
-        step = k * (position - flock.worst).abs()
+        gap = fitness - worst[..., -1:]
+        step = k * (position - worst[..., :-1]).abs()
         away = position + torch.where(gap < 0, step / gap, 0.0)
-        return torch.where((fitness > flock.best_fitness)[..., None], towards, away)
+        return torch.where(fitness > best[..., -1:], towards, away)
 
 
 def diagonal_step(rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
@@ -99,89 +94,74 @@ def diagonal_step(rng: torch.Generator, position: Tensor, leader: Tensor) -> Ten
     return ((position - leader) * sign).mean(dim=2, keepdim=True)
 
 
-CANONICAL = Rules()
-
-
-@dataclass(frozen=True)
-class SparrowResult:
-    position: Tensor  # (M, D) best positions found
-    fitness: Tensor  # (M,)
-    evaluations: int  # of each search
-
-
 @dataclass(frozen=True)
 class SparrowSearch:
     population: int = 50
     iterations: int = 100
-    rules: Rules = CANONICAL
+    rules: Rules = field(default_factory=Rules)
 
     def __post_init__(self) -> None:
-        where = "sparrow search"
-        if self.population < 4:
-            raise InputError(where, "population", self.population, "an integer >= 4")
-        if self.iterations < 1:
-            raise InputError(where, "iterations", self.iterations, "an integer >= 1")
+        for name, least in (("population", 4), ("iterations", 1)):
+            if (given := getattr(self, name)) < least:
+                raise InputError("sparrow search", name, given, f"an integer >= {least}")
+
+    @property
+    def evaluations(self) -> int:
+        """Of the fitness, in one search."""
+        return self.population + self.iterations * (self.population + self._watchers)
+
+    @property
+    def _watchers(self) -> int:
+        return max(1, round(_SD * self.population))
 
     def minimise(
         self, fitness: Fitness, lower: Tensor, upper: Tensor, rng: torch.Generator
-    ) -> SparrowResult:
+    ) -> tuple[Tensor, Tensor]:
         """Minimise ``fitness`` over the boxes ``lower <= x <= upper``, (M, D) each, at once.
 
         Args:
             fitness: NaN counts as infinitely bad.
             rng: the only source of randomness; the same state gives the same result.
+
+        Returns: the best positions found (M, D), and their fitness (M,).
         """
         (many, size), n, horizon, rules = lower.shape, self.population, self.iterations, self.rules
         lead = max(1, round(_PD * n))
         half = max(lead, n // 2)
-        watchers = max(1, round(_SD * n))
         rank = torch.arange(1, n + 1, dtype=lower.dtype, device=lower.device)
         low, high = lower[:, None], upper[:, None]
+        search = torch.arange(many, device=lower.device)[:, None]
 
-        def evaluate(position: Tensor) -> Tensor:
-            return fitness(position).to(lower.dtype).nan_to_num(nan=torch.inf, posinf=torch.inf)
+        def land(position: Tensor) -> Tensor:
+            """(M, m, D+1): positions within the box, with their fitness as the last column."""
+            position = position.nan_to_num(nan=torch.inf).clamp(low, high)
+            value = fitness(position).to(position.dtype).nan_to_num(nan=torch.inf, posinf=torch.inf)
+            return torch.cat((position, value[..., None]), dim=2)
 
-        def clip(position: Tensor) -> Tensor:
-            return torch.fmax(torch.fmin(position, high), low)  # a NaN goes to a bound
+        def best_of(sparrows: Tensor) -> Tensor:
+            return sparrows[search, sparrows[..., -1].argmin(dim=1, keepdim=True)]
 
-        def rows(of: Tensor, index: Tensor) -> Tensor:
-            return of.gather(1, index[..., None].expand(-1, -1, size))
+        def worst_of(sparrows: Tensor) -> Tensor:
+            return sparrows[search, sparrows[..., -1].argmax(dim=1, keepdim=True)]
 
-        def flock(home: Tensor, value: Tensor, now: Tensor, now_value: Tensor) -> Flock:
-            best, at = value.min(dim=1, keepdim=True)
-            worst, worst_at = now_value.max(dim=1, keepdim=True)
-            return Flock(rows(home, at), rows(now, worst_at), best, worst, horizon)
+        def better(home: Tensor, now: Tensor) -> Tensor:
+            return torch.where(now[..., -1:] < home[..., -1:], now, home)
 
-        home = low + (high - low) * uniform(rng, lower, many, n, size)  # personal bests
-        value = evaluate(home)
-        now, now_value = home, value
+        home = now = land(low + (high - low) * uniform(rng, lower, many, n, size))  # personal bests
         for _ in range(horizon):
-            value, order = value.sort(dim=1, stable=True)
-            home = rows(home, order)
-            before = flock(home, value, now, now_value)
-            alarmed = uniform(rng, lower, many, 1, 1) >= _ST
-            leaders = clip(rules.discover(rng, home[:, :lead], rank[:lead], horizon, alarmed))
-            leader_value = evaluate(leaders)
-            leader = rows(leaders, leader_value.argmin(dim=1, keepdim=True))
-            followers = rules.follow(rng, home[:, lead:half], leader)
-            starving = rules.starve(rng, home[:, half:], rank[half:], before)
-            rest = clip(torch.cat((followers, starving), dim=1))
-            now = torch.cat((leaders, rest), dim=1)
-            now_value = torch.cat((leader_value, evaluate(rest)), dim=1)
-            better = now_value < value
-            home = torch.where(better[..., None], now, home)
-            value = torch.where(better, now_value, value)
+            home = home[search, home[..., -1].argsort(dim=1, stable=True)]
+            alarmed, place = uniform(rng, lower, many, 1, 1) >= _ST, home[..., :-1]
+            leaders = land(rules.discover(rng, place[:, :lead], rank[:lead], horizon, alarmed))
+            followers = rules.follow(rng, place[:, lead:half], best_of(leaders)[..., :-1])
+            starving = rules.starve(rng, place[:, half:], rank[half:], worst_of(now), horizon)
+            now = torch.cat((leaders, land(torch.cat((followers, starving), dim=1))), dim=1)
+            home = better(home, now)
 
-            watching = uniform(rng, lower, many, n).topk(watchers).indices
-            own, own_value = rows(home, watching), value.gather(1, watching)
-            after = flock(home, value, now, now_value)
-            moved = clip(rules.watch(rng, own, own_value, after))
-            moved_value = evaluate(moved)
-            at = watching[..., None].expand(-1, -1, size)
-            now, now_value = now.scatter(1, at, moved), now_value.scatter(1, watching, moved_value)
-            better = moved_value < own_value
-            home = home.scatter(1, at, torch.where(better[..., None], moved, own))
-            value = value.scatter(1, watching, torch.where(better, moved_value, own_value))
-        fitness_found, best = value.min(dim=1, keepdim=True)
-        evaluations = n + horizon * (n + watchers)
-        return SparrowResult(rows(home, best)[:, 0], fitness_found[:, 0], evaluations)
+            best, worst = best_of(home), worst_of(now)
+            order = uniform(rng, lower, many, n).argsort(dim=1)  # the first of them watch
+            home, now = home[search, order], now[search, order]
+            moved = land(rules.watch(rng, home[:, : self._watchers], best, worst))
+            now = torch.cat((moved, now[:, self._watchers :]), dim=1)
+            home = better(home, now)
+        found = best_of(home)[:, 0]
+        return found[:, :-1], found[:, -1]
