@@ -19,8 +19,6 @@ from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
 from longarm_comp.math.cubic_path import CubicPath, monotone_slopes, smooth_slopes
 
-_POSE_JOINTS = 6
-"""An arm of fewer joints cannot keep a planned orientation: its path is one of positions."""
 _LOOKED_AT = 16
 """Places between two way-points at which the way is looked at."""
 _ROUNDING = 1e-6
@@ -53,9 +51,7 @@ class PlannedPath:
 
         The first way-point is where it believes the arm to stand.
         """
-        poses = Model(arm).pose(joints)
-        targets = poses if arm.n >= _POSE_JOINTS else poses[:, :3, 3]
-        return cls(targets, times, joints, velocities, begun=True)
+        return cls(Model(arm).pose(joints), times, joints, velocities, begun=True)
 
     def check(self, n: int) -> None:
         """Refuse shapes and times that are not allowed, of an arm of n joints."""
@@ -77,14 +73,16 @@ class PlannedPath:
             raise InputError("path", f"time of way-point {row}", now, "0 s or later, rising")
 
 
-def as_planned(rigid: Model, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
+def as_planned(
+    rigid: Model, model: Model, q: np.ndarray, context: Context, position_only: bool = False
+) -> np.ndarray:
     """(n,) joints at which the declared, ``rigid`` arm has its tip where the model's is at q (n,).
 
-    Where none inside the limits do, the nearest.
+    The orientation is as near as the joints allow. Where none inside the limits do, the nearest.
     """
     real = model.pose(q, context)
-    target = real if model.arm.n >= _POSE_JOINTS else real[:3, 3]
-    return ik.solve(rigid, target, seed=q, max_starts=1).q
+    found = ik.solve(rigid, real, seed=q, max_starts=1, position_only=position_only, near=True)
+    return found.q
 
 
 @dataclass(frozen=True, eq=False)
