@@ -24,6 +24,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from small_arm import ARM as SMALL
 from test_circle import declared, through_pi, wrapped
 from test_nodes_driver_link import ARM
+from test_target_frame import AWAY
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from walking import Walk
 
@@ -252,16 +253,19 @@ def test_a_plan_through_pi_goes_on_live_or_is_refused(
     assert len(controller.got) == 1
 
 
-@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize(("free", "tracked"), [(False, False), (True, False), (False, True)])
 def test_an_arm_that_cannot_hold_the_orientation_follows_a_plan_and_says_so(
-    stage: Bench, tmp_path: Path, free: bool
+    stage: Bench, tmp_path: Path, free: bool, tracked: bool
 ) -> None:
-    """Four joints, a tool that leans: no joints bring both its place and its orientation."""
+    """Four joints, a tool that leans: no joints bring both its place and its orientation.
+
+    ``tracked``: the model's frame is a tracker's, metres away and turned; the plan is in the base.
+    """
     files = {"arm": tmp_path / "arm.yaml", "model": tmp_path / "model.yaml"}
     files["arm"].write_text(yaml.safe_dump(SMALL.model_dump(mode="json", exclude_none=True)))
     made = Arm.load(files["arm"])
     bent = Model(made, (DhError(row=2, alpha=0.02), DhError(row=4, alpha=0.03)))
-    save_model(files["model"], store(bent))
+    save_model(files["model"], store(bent.plus(AWAY) if tracked else bent))
     controller = Controller(stage, made)
     stage.start("trajectory_compensator", {
         **files, "controller": THEIRS, "acknowledged": False, "method": "deflection",

@@ -72,6 +72,7 @@ class ArmClient(GraphClient):
         self.joints: np.ndarray | None = None
         self.sightings: list[tuple[int, np.ndarray]] = []
         """(stamp ns, tip (3,) m or NaN), newest last."""
+        self.seen_in = ""  # the frame of the last one
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         self._tips = tips
@@ -91,6 +92,7 @@ class ArmClient(GraphClient):
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
         tip, _ = sighting_of(message)
         self.sightings.append((stamp_ns(message.header.stamp), tip))
+        self.seen_in = message.header.frame_id
         del self.sightings[:-200]
 
     def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
@@ -108,7 +110,7 @@ class ArmClient(GraphClient):
         self.until(self.driver_takes, within_s, "the driver is not ready (`longarm status`)")
         if tip:
             hint = ""
-            if self._tips is graph.TIP_MEASURED:
+            if self._tips is not graph.TIP_BY_READINGS:
                 hint = " (do the cameras publish left|right/image_raw and camera_info?)"
             self.until(lambda: self.sightings, within_s, f"no {self._tips.name}{hint}")
 

@@ -190,7 +190,8 @@ class _TrajectoryCompensator(ArmNode):
         history = History.unknown(self._arm.n) if self._following else self._driver.history
         try:
             compensate = partial(
-                compensate_path, loaded.model, plan=self._plan(request.trajectory, start),
+                compensate_path, loaded.model,
+                plan=self._plan(request.trajectory, start).seen_from(loaded.stands.motion),
                 start=start, history=history, limits=self._limits,
                 context_at=partial(self._state.context, model=physics),
                 max_correction_m=self.p["max_correction_m"], turn_m=self.p["turn_m"],
@@ -236,7 +237,8 @@ class _TrajectoryCompensator(ArmNode):
 
         What the next path needs is compiled then.
         """
-        q, model = self._state.joints, physics_of(self._files.loaded.model, self._method)
+        q, loaded = self._state.joints, self._files.loaded
+        model = physics_of(loaded.model, self._method)
         if q is None or self._state.doubt:
             return
         stamp = self.get_clock().now().to_msg()
@@ -244,7 +246,8 @@ class _TrajectoryCompensator(ArmNode):
             context = self._state.context(model=model)
             ik.warm_up(model, context)
             free = self.p["position_only"]
-            planned = as_planned(self._files.rigid, model, q, context, free)
+            real = loaded.stands.asked(model.pose(q, context))
+            planned = as_planned(self._files.rigid, real, q, free)
             self._planned.publish(joints_message(self._arm, planned, stamp))
             self._ready = True
 

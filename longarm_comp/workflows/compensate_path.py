@@ -109,7 +109,9 @@ def compensate_path(
     first = start if seed is None else np.asarray(seed, float)
     found = solve_path(
         model, predictor,
-        PlannedPath(carried, None if times is None else np.asarray(times, float)),
+        PlannedPath(
+            carried, None if times is None else np.asarray(times, float), base=placements[0].moved
+        ),
         start=start, history=came, seed=first,
         context_at=lambda arrived: points.after(told, arrived),
         limits=limits, max_correction_m=max_correction_m, max_turn_rad=max_turn_rad,

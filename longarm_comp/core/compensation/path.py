@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.frame_tree import carried
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.compensation.circle import check_no_turn, unwrapped
@@ -267,7 +268,8 @@ class _Way:
         """(k,) m: how far the declared arm's tip is moved; refused where that is too far."""
         wanted, first = ik.position_of(self.plan.targets), int(self.begun)
         rigid = Model(self.model.arm, elements_per_beam=1)
-        moved = np.linalg.norm(rigid.tip(joints) - wanted, axis=1)
+        meant = carried(self.plan.base, rigid.tip(joints))
+        moved = np.linalg.norm(meant - wanted, axis=1)
         row = first + int(np.argmax(moved[first:])) if first < len(moved) else 0
         if first < len(moved) and moved[row] > self.max_correction_m:
             why = f"{1e3 * moved[row]:.2f} mm, allowed {1e3 * self.max_correction_m:g} mm"

@@ -7,13 +7,13 @@ than the plan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.frame_tree import carried
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
@@ -27,7 +27,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PlannedPath:
-    """Way-points of the tip, base frame, and how a planner would have the joints bring it there.
+    """Way-points of the tip, and how a planner would have the joints bring it there.
 
     Attributes:
         targets: (k, 3) m or (k, 4, 4).
@@ -35,6 +35,7 @@ class PlannedPath:
         joints: (k, n) as planned, to start each search from; None: none were planned.
         velocities: (k, n) as planned; None: none were.
         begun: the first way-point is where the planner believes the arm to stand.
+        base: (4, 4) of the declared arm's base frame in that of the targets.
     """
 
     targets: np.ndarray
@@ -42,6 +43,7 @@ class PlannedPath:
     joints: np.ndarray | None = None
     velocities: np.ndarray | None = None
     begun: bool = False
+    base: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     @classmethod
     def of_joints(
@@ -52,6 +54,10 @@ class PlannedPath:
         The first way-point is where it believes the arm to stand.
         """
         return cls(Model(arm).pose(joints), times, joints, velocities, begun=True)
+
+    def seen_from(self, base: np.ndarray) -> PlannedPath:
+        """The same in a frame in which the base frame has a pose (4, 4)."""
+        return replace(self, targets=carried(base, self.targets), base=base @ self.base)
 
     def check(self, n: int) -> None:
         """Refuse shapes and times that are not allowed, of an arm of n joints."""
@@ -74,13 +80,12 @@ class PlannedPath:
 
 
 def as_planned(
-    rigid: Model, model: Model, q: np.ndarray, context: Context, position_only: bool = False
+    rigid: Model, real: np.ndarray, q: np.ndarray, position_only: bool = False
 ) -> np.ndarray:
-    """(n,) joints at which the declared, ``rigid`` arm has its tip where the model's is at q (n,).
+    """(n,) joints at which the declared, ``rigid`` arm has its tip at a real pose (4, 4), near q.
 
     The orientation is as near as the joints allow. Where none inside the limits do, the nearest.
     """
-    real = model.pose(q, context)
     found = ik.solve(rigid, real, seed=q, max_starts=1, position_only=position_only, near=True)
     return found.q
 
