@@ -41,6 +41,7 @@ ARGUMENTS = (
     ("bus", "", "simulation: link to make to the servo bus; empty: in a new temporary folder"),
     ("namespace", "", "of this arm, so that several share a network"),
     ("config", "", "folder of parameter files that replace the package's own"),
+    ("driver", "true", "false: another program drives the arm"),
     ("paths", "false", "trajectory_compensator too, for planned paths"),
     ("shaping", "false", "moves that leave no ring"),
     ("rviz", "false", "start RViz too"),
@@ -87,6 +88,7 @@ def nodes(context):
         port=given["port"],
         speed=float(given["speed"]),
         set={"simulated_arm": {"hidden": given["hidden"]}} if sim else {},
+        driver=true(given["driver"]),
         paths=true(given["paths"]),
         shaping=true(given["shaping"]),
     ).fitted(scratch)

@@ -18,6 +18,7 @@ from trajectory_msgs.msg import JointTrajectory
 from walking import Walk
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.frame_tree import carried
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message
@@ -34,6 +35,7 @@ class QuickArm:
         arm: whose joints.
         sees: whether the cameras see the marker at joints (n,).
         tip: (3,) m at joints (n,) that arrived from sides (n,); as declared where not given.
+        frame: of the sightings; stands: (4, 4) of the arm's base in it.
     """
 
     def __init__(
@@ -41,8 +43,11 @@ class QuickArm:
         arm: Arm,
         sees: Callable[[np.ndarray], bool],
         tip: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+        frame: str = "base",
+        stands: np.ndarray | None = None,
     ) -> None:
         self.arm, self.sees = arm, sees
+        self._frame, self._stands = frame, np.eye(4) if stands is None else stands
         self.visited: list[np.ndarray] = []
         self.heard: list[Any] = []
         model = declared_model(arm)
@@ -78,7 +83,8 @@ class QuickArm:
         """See the tip where the arm stands now, after it was at joints ``was`` (n,)."""
         q = self._walk.q
         self._side = np.where(q == was, self._side, np.sign(q - was))
-        self._tip = self.tip(q, self._side) if self.sees(q) else np.full(3, np.nan)
+        self.true = self.tip(q, self._side)
+        self._tip = carried(self._stands, self.true) if self.sees(q) else np.full(3, np.nan)
 
     def hold(self, on: bool, state: int = DriverState.HOLDING) -> None:
         """Hold the arm where it is, or let it go on; or another state in which it is stopped."""
@@ -115,7 +121,7 @@ class QuickArm:
         warm.header.stamp = now
         self._temperature.publish(warm)
         seen = PoseWithCovarianceStamped()
-        seen.header.stamp, seen.header.frame_id = now, "base"
+        seen.header.stamp, seen.header.frame_id = now, self._frame
         x, y, z = self._tip.tolist()
         seen.pose.pose.position = Point(x=x, y=y, z=z)
         no_turn = [1e-8] * 3 + [0.0] * 3  # it measures no orientation
@@ -128,9 +134,10 @@ def quick_arm(
     arm: Arm,
     sees: Callable[[np.ndarray], bool],
     tip: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    **tracker: Any,
 ) -> Iterator[QuickArm]:
     """The arm on the graph, in a thread of its own."""
-    made = QuickArm(arm, sees, tip)
+    made = QuickArm(arm, sees, tip, **tracker)
     executor = SingleThreadedExecutor(context=made.context)
     executor.add_node(made.node)
     thread = threading.Thread(target=executor.spin)

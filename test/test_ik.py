@@ -8,10 +8,13 @@ import pickle
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
+from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.errors import InputError
@@ -71,6 +74,43 @@ def test_the_whole_paper_grid(model, position_only):
     assert position_only or angle.max() < EXACT
     assert (made.starts == 1).mean() > 0.97
     assert np.allclose(made.position_residual_m, position, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.MODEL])
+def test_an_orientation_that_no_joints_hold_is_held_as_near_as_they_allow(engine, rng):
+    """Four joints: of the angles at a position, the least that another search finds."""
+    bent = Model(SMALL, (DhError(row=2, alpha=0.2), DhError(row=4, alpha=0.3, beta=0.1)))
+    q = SMALL.lower + (0.2 + 0.6 * rng.random((8, 4))) * (SMALL.upper - SMALL.lower)
+    targets = Model(SMALL).pose(q)
+    assert not solve_many(bent, targets, seed=q, max_starts=1, engine=engine).ok.any()
+    made = solve_many(bent, targets, seed=q, max_starts=1, near=True, engine=engine)
+    position, angle = misses(bent, made.q, targets)
+    assert made.ok.all() and inside(bent, made.q)
+    assert position.max() < 1e-9 and angle.min() > 0.1
+    np.testing.assert_allclose(made.angle_residual_rad, angle, atol=1e-9)
+
+    def gap(x: np.ndarray, k: int) -> np.ndarray:
+        return 100.0 * (bent.pose(x)[:3, 3] - targets[k, :3, 3])
+
+    for k in range(len(q)):
+        other = minimize(
+            lambda x, k=k: misses(bent, x[None], targets[k : k + 1])[1][0] ** 2, q[k],
+            method="SLSQP", bounds=list(zip(*SMALL.bounds, strict=True)),
+            constraints=[{"type": "eq", "fun": gap, "args": (k,)}], options={"ftol": 1e-13},
+        )  # fmt: skip
+        assert angle[k] == pytest.approx(np.sqrt(other.fun), rel=1e-6)
+    loose = solve_many(bent, targets, seed=q, max_starts=1, position_only=True, engine=engine)
+    assert (misses(bent, loose.q, targets)[1] > 1.02 * angle).any()
+
+
+def test_near_changes_nothing_where_the_orientation_can_be_held(model, rng):
+    q = model.arm.mid + 0.2 * rng.standard_normal((5, 7)) * (model.arm.upper - model.arm.mid)
+    targets = model.pose(q)
+    targets[4, :3, 3] += 10.0  # out of reach either way
+    held, near = (solve_many(model, targets, near=near, max_starts=1) for near in (False, True))
+    np.testing.assert_array_equal(held.q[:4], near.q[:4])
+    assert held.ok.tolist() == near.ok.tolist() == [True] * 4 + [False]
+    assert near[4].reason is held[4].reason
 
 
 @pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.MODEL])

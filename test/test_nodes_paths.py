@@ -21,14 +21,18 @@ from geometry_msgs.msg import PointStamped
 from nodes_bench import Bench, bench
 from rclpy.action import ActionClient, ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
+from small_arm import ARM as SMALL
 from test_circle import declared, through_pi, wrapped
 from test_nodes_driver_link import ARM
+from test_target_frame import AWAY
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from walking import Walk
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import trajectory_compensator
 from longarm_comp.nodes.bringup import BringUp, running
@@ -247,6 +251,41 @@ def test_a_plan_through_pi_goes_on_live_or_is_refused(
     result = planner.ends(goal, GoalStatus.STATUS_ABORTED)
     assert "way-point 16: bad_target: joint1 from" in result.error_string
     assert len(controller.got) == 1
+
+
+@pytest.mark.parametrize(("free", "tracked"), [(False, False), (True, False), (False, True)])
+def test_an_arm_that_cannot_hold_the_orientation_follows_a_plan_and_says_so(
+    stage: Bench, tmp_path: Path, free: bool, tracked: bool
+) -> None:
+    """Four joints, a tool that leans: no joints bring both its place and its orientation.
+
+    ``tracked``: the model's frame is a tracker's, metres away and turned; the plan is in the base.
+    """
+    files = {"arm": tmp_path / "arm.yaml", "model": tmp_path / "model.yaml"}
+    files["arm"].write_text(yaml.safe_dump(SMALL.model_dump(mode="json", exclude_none=True)))
+    made = Arm.load(files["arm"])
+    bent = Model(made, (DhError(row=2, alpha=0.02), DhError(row=4, alpha=0.03)))
+    save_model(files["model"], store(bent.plus(AWAY) if tracked else bent))
+    controller = Controller(stage, made)
+    stage.start("trajectory_compensator", {
+        **files, "controller": THEIRS, "acknowledged": False, "method": "deflection",
+        "max_velocity": [1.0], "max_acceleration": [5.0], "planned_period_s": 0.05,
+        "diagnostics_period_s": 0.1, "position_only": free,
+    })  # fmt: skip
+    planned = stage.collect(graph.PLANNED_JOINTS)
+    planner, plan = Planner(stage), ramp(made.mid, made.mid + 0.2 * (made.upper - made.lower))
+    goal = planner.send(list(made.joint_names), plan, 2.0)
+    said = planner.ends(goal, GoalStatus.STATUS_SUCCEEDED).error_string
+    assert ("the joints cannot hold the orientation: it is off by up to" in said) is not free
+    went = np.array([point.positions for point in controller.got[-1].trajectory.points])
+    rigid = Model(made)
+    np.testing.assert_allclose(bent.tip(went[1:]), rigid.tip(plan[1:]), atol=2e-6)
+
+    def seen() -> bool:  # the planner sees its own end
+        found = rigid.tip(np.array(planned[-1].position))
+        return np.allclose(found, rigid.tip(plan[-1]), atol=2e-6)
+
+    stage.spin(seen)
 
 
 def test_without_limits_nothing_goes_to_a_controller_that_is_not_ours(stage: Bench) -> None:

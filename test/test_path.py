@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_shell import Shell
+from scipy.spatial.transform import Rotation
+from small_arm import ARM as SMALL
 
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
@@ -27,6 +29,7 @@ from longarm_comp.core.compensation.planned_path import (
     retimed,
 )
 from longarm_comp.core.compensation.result import Method, Prediction, Status
+from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
@@ -227,6 +230,31 @@ def test_a_way_that_cannot_be_gone_is_refused_whole_and_in_words(arm: Arm, model
     ):
         with pytest.raises(InputError, match=name):
             follow(model, bad, start=arm.mid)
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_an_arm_that_cannot_hold_the_orientation_follows_the_positions_and_says_so(
+    free: bool,
+) -> None:
+    bent = Model(SMALL, (DhError(row=2, alpha=0.02), DhError(row=4, alpha=0.03)))
+    plan = plan_of(SMALL)
+    found = follow(bent, plan, position_only=free)
+    poses = bent.pose(found.timed.joints)[1:]
+    wanted = plan.targets[1:]
+    np.testing.assert_allclose(poses[:, :3, 3], wanted[:, :3, 3], atol=2e-6)
+    turned = np.swapaxes(poses[:, :3, :3], 1, 2) @ wanted[:, :3, :3]
+    off = Rotation.from_matrix(turned).magnitude()
+    assert off.min() > 0.01
+    shift = np.diff(found.timed.joints - plan.joints, axis=0)[1:]
+    assert np.abs(shift).max() < 2e-3  # no joint jumps
+    if free:
+        assert not found.turn_rad.any() and not found.notes
+        return
+    np.testing.assert_allclose(found.turn_rad[1:], off, atol=1e-6)
+    said = f"it is off by up to {np.degrees(off.max()):.2g} deg, at way-point {1 + off.argmax()}"
+    assert said in found.notes[0] and not found.turn_rad[0]
+    with pytest.raises(PathRefused, match=r"unreachable: its orientation .* allowed 0.01 rad"):
+        follow(bent, plan, max_turn_rad=0.01)
 
 
 def test_what_the_predictor_cannot_answer_for_is_not_corrected_in_part(

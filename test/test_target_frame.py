@@ -13,8 +13,9 @@ from small_arm import ARM, measured
 import longarm_comp as la
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.quaternion import from_rotation
-from longarm_comp.core.compensation.target_frame import placement
+from longarm_comp.core.compensation.target_frame import base_of_graph, placement
 from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
@@ -74,6 +75,29 @@ def test_where_it_matters_and_nobody_said_it_both_are_offered() -> None:
     made = la.compensate(Model(ARM, (NEAR,)), target)
     assert made.success.all() and "frame measured" in made.frames[0]
     assert "frame base" in la.compensate(Model(ARM), target).frames[0]
+
+
+def test_the_base_of_a_graph_is_the_arms_own_wherever_the_tracker_stands() -> None:
+    target, pose = Model(ARM).tip(ARM.mid), Model(ARM).pose(ARM.mid)
+    far = base_of_graph(Model(ARM, (AWAY,)))
+    assert far.solved and far.apart
+    np.testing.assert_allclose(far.carried(target), moved(AWAY, target), atol=1e-12)
+    np.testing.assert_allclose(far.asked(far.carried(pose)), pose, atol=1e-12)
+    np.testing.assert_allclose(far.asked(far.carried(np.array([target] * 3))), [target] * 3)
+    for model, solved in ((Model(ARM), False), (Model(ARM, (NEAR,)), True)):
+        here = base_of_graph(model)  # as files have it, where nobody said the frame
+        assert here.solved is solved and not here.apart
+        np.testing.assert_array_equal(here.motion, np.eye(4))
+    grouped = base_of_graph(Model(ARM, (BasePose(group="a", x=8.0),)))
+    assert not grouped.solved and not grouped.apart
+
+
+def test_a_path_is_corrected_by_what_the_arm_does_and_not_by_where_the_tracker_stands() -> None:
+    path = Model(ARM).tip(ARM.mid + np.outer([0.0, 0.05, 0.1], ARM.upper - ARM.mid))
+    models = [Model(ARM, (JointZero(2, 2e-3), *base)) for base in ((AWAY,), ())]
+    away, home = (la.compensate_path(m, path, frame="base", seed=ARM.mid) for m in models)
+    np.testing.assert_allclose(away.correction_m, home.correction_m, atol=1e-6)
+    assert 1e-4 < away.correction_m.max() < 2e-3
 
 
 def test_the_frame_of_the_measurements_needs_a_calibration() -> None:

@@ -8,9 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from small_arm import ARM
+from test_target_frame import AWAY
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.target_frame import base_of_graph
 from longarm_comp.core.data.rest import RestPose
 from longarm_comp.core.effects.placements import CameraPose
 from longarm_comp.core.model.model import Model
@@ -26,33 +28,42 @@ from longarm_comp.nodes.monitoring import ReadingsTeller, RingTeller, TipMonitor
 from longarm_interfaces.msg import Motion
 
 
-def monitor_of(settle_s: float = 0.0) -> TipMonitor:
+def files_of(model: Model) -> SimpleNamespace:
+    return SimpleNamespace(loaded=SimpleNamespace(file_hash="", stands=base_of_graph(model)))
+
+
+def monitor_of(settle_s: float = 0.0, model: Model = Model(ARM)) -> TipMonitor:  # noqa: B008
     """A monitor of an arm without a predictor, warned by one sighting a pose."""
     p = {"settle_s": settle_s, "sightings": 1, "sigma_m": 1e-3, "run_length": 1e4}
     given = {"arm": "arm.yaml", "model": "", **{f"monitor.{k}": v for k, v in p.items()}}
-    files = SimpleNamespace(loaded=SimpleNamespace(file_hash=""))
+    files = files_of(model)
     node, nobody = SimpleNamespace(get_namespace=lambda: "/"), SimpleNamespace(present=False)
     return TipMonitor(SimpleNamespace(p=given, files=files, node=node, predictor=nobody))
 
 
 def watched(model: Model, off_prediction: float, off_target: float) -> TipMonitor:
     """Forty rest poses: the tip is off its prediction, and its prediction off the target."""
-    monitor = monitor_of()
+    monitor, stands = monitor_of(model=model), base_of_graph(model)
     rng = np.random.default_rng(1)
     for _ in range(40):
         q = ARM.mid + 0.2 * (ARM.upper - ARM.lower) * (rng.random(ARM.n) - 0.5)
         noise = 3e-4 * rng.standard_normal(3)
         seen = model.measured(q) + np.array([0.0, 0.0, off_prediction]) + noise
-        monitor.aimed(q, model.tip(q) - [0.0, 0.0, off_target])
+        monitor.aimed(q, stands.asked(model.tip(q)) - [0.0, 0.0, off_target])
         rest = RestPose(q, History.unknown(ARM.n), seen, np.full(3, 1e-8))
         monitor.judge(rest, model, Context())
+    assert monitor.sighted is not None
+    miss = [0.0, 0.0, off_prediction + off_target]
+    turn = stands.motion[:3, :3] if off_prediction else np.eye(3)
+    np.testing.assert_allclose(turn @ monitor.sighted.miss, miss, atol=2e-3)
     return monitor
 
 
-@pytest.fixture
-def model() -> Model:
-    """Whose camera stands 5 mm beside where it is declared: that is no miss."""
-    return Model(ARM, (), (CameraPose(x=5e-3),))
+@pytest.fixture(params=[(), (AWAY,)], ids=["declared", "tracked"])
+def model(request: pytest.FixtureRequest) -> Model:
+    """Whose camera stands 5 mm beside where it is declared, which is no miss; one that reports in
+    a frame metres away."""
+    return Model(ARM, request.param, (CameraPose(x=5e-3),))
 
 
 def test_a_healthy_arm_raises_no_alarm(model: Model) -> None:
@@ -158,7 +169,7 @@ def test_the_tip_by_readings_goes_on_whatever_the_worker_does() -> None:
     )
     state = SimpleNamespace(
         node=node, worker=Quick(), standing=(Model(ARM), ARM.mid, Context()),
-        stamp=stamp_of(0), base_frame="base",
+        stamp=stamp_of(0), base_frame="base", files=files_of(Model(ARM)),
     )  # fmt: skip
     ReadingsTeller(state)
     (tick,) = ticks

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -140,25 +139,26 @@ def verify(
       longarm verify arm.yaml --targets targets.csv -o verified
     """
     from longarm_comp.core.compensation.compensate import Method
-    from longarm_comp.core.data.plan import random_targets, sobol
+    from longarm_comp.core.data.plan import sobol
     from longarm_comp.core.files import write_text
+    from longarm_comp.core.model.model import Model
     from longarm_comp.jobs import targets as job
     from longarm_comp.nodes import interfaces as graph
     from longarm_comp.sessions.targets import read_targets
     from longarm_comp.workflows.inputs import physics
 
     drawn_from, rng = physics(arm, model), np.random.default_rng(seed)
-    draw: job.Draw = partial(random_targets, drawn_from, rng=rng)
+    draw = job.at_random(drawn_from, rng)
     if targets is not None:
         given = read_targets(targets).xyz
         draw, count = job.one_by_one(given), len(given)
     paced = pace(drawn_from, sobol(arm, 16, seed).q)
-    tips = graph.TIP_BY_READINGS if by == "readings" else graph.TIP_MEASURED
+    tips = graph.TIP_BY_READINGS if by == "readings" else graph.TIP_SEEN
     with on_graph("verify", namespace, arm, tips=tips) as client, progress("verify") as show:
         client.ready()
         with kept_if_broken_off(lambda: _BROKEN_OFF):
             runner = job.TargetRunner(client, paced)
-            runner.ready(drawn_from.tip(arm.mid), 30.0)
+            runner.ready(Model(arm).tip(arm.mid), 30.0)
             judged = Method(method) if method else job.method_at_work(client)
             kept, refused = job.choose(runner, draw, count, (Method.NONE, judged))
             result, report = job.verify(runner, kept, refused, judged, seed=seed, progress=show)
@@ -172,6 +172,11 @@ def verify(
         note(f"target {xyz.round(4).tolist()} was left out: {why}")
     counts = ", ".join(f"{name} {n}" for name, n in report["status"].items())
     note(f"{len(refused)} targets refused; with compensation: {counts}")
+    if frame := report["placed_by_each_run"]:
+        note(
+            f"nobody knows where {frame!r} lies, so each run's sightings were laid on its targets: "
+            "what moves or turns all of them alike is not seen"
+        )
     say(result.summary)
     if not result.helps:
         raise JobError(result.summary)
@@ -222,6 +227,7 @@ def loop(
     from longarm_comp.core.data.plan import sobol
     from longarm_comp.core.model.declared_model import declared_model
     from longarm_comp.jobs.loop import Loop, LoopSettings
+    from longarm_comp.nodes import interfaces as graph
 
     paced = pace(declared_model(arm), sobol(arm, 16, seed).q)
     settings = LoopSettings(output, targets=targets, seed=seed, pace=paced, **size)
@@ -233,7 +239,7 @@ def loop(
     kept = f"{output} keeps what was done; continue with --resume"
     with (
         kept_if_broken_off(lambda: kept if output.is_dir() else ""),
-        on_graph("loop", namespace, arm) as client,
+        on_graph("loop", namespace, arm, tips=graph.TIP_SEEN) as client,
         progress("loop") as show,
     ):
         _, printed = Loop(client, settings, agree, resume=resume, say=show).run()

@@ -124,25 +124,33 @@ namespace = namespace_of("", "Namespace of the arm.")
 
 
 def pace(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Options ``--sightings``, ``--dwell``, ``--move``.
+    """Options ``--sightings``, ``--within``, ``--dwell``, ``--move``.
 
     The command gets `pace`: of a model and postures (N, n), the `Pace` with a rest that the arm's
     ring needs there.
     """
 
     @functools.wraps(function)
-    def command(sightings: int, dwell: float | None, move: float, **rest: Any) -> Any:
+    def command(
+        sightings: int, dwell: float | None, move: float, within: float | None, **rest: Any
+    ) -> Any:
         def pace(model: Any, q: Any) -> Any:
             from longarm_comp.core.vibration.ring import rest_s
             from longarm_comp.jobs.client import Pace
 
+            near = {} if within is None else {"tolerance": within}
             dwell_s = rest_s(model, q, move, dwell)
-            return Pace(sightings=sightings, dwell_s=dwell_s, move_s=move)
+            return Pace(sightings=sightings, dwell_s=dwell_s, move_s=move, **near)
 
         return function(pace=pace, **rest)
 
     return several(
         click.option("--sightings", default=5, help="Sightings averaged at each pose."),
+        click.option(
+            "--within",
+            type=click.FloatRange(1e-6, 0.1),
+            help="So near to its command a joint is there, rad or m; default: 0.002.",
+        ),
         click.option(
             "--dwell",
             type=float,

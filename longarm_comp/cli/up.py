@@ -39,6 +39,7 @@ SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mea
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Folder of parameter files NODE.yaml; default: ARM's folder, then the package's.",
 )
+@click.option("--driver/--no-driver", default=True, help="--no-driver: another program drives.")
 @options.flag("--paths", "trajectory_compensator too, for planned paths.")
 @options.flag("--shaping", "Shape moves so that they leave little ring (docs/ringing.md).")
 @click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")
@@ -60,6 +61,7 @@ def up(
     Examples:
       longarm up arm.yaml --sim
       longarm up arm.yaml --model model.yaml --predictor predictor.npz --port /dev/ttyUSB0
+      longarm up arm.yaml --no-driver
     """
     import rclpy  # noqa: F401
 
@@ -72,7 +74,7 @@ def up(
     graph = BringUp(arm=arm, effects=effect_files, sim=sim, namespace=namespace, set=given, **how)
     with (
         stop_on_signals() as stop,
-        alone(namespace, stop),
+        alone(namespace, stop, others=not graph.driver),
         running(graph, respawn=respawn, say=note) as supervisor,
     ):
         note(f"{', '.join(graph.nodes)} are starting; Ctrl-C ends all")
@@ -80,11 +82,11 @@ def up(
 
 
 @contextmanager
-def alone(namespace: str, stop: threading.Event) -> Iterator[None]:
+def alone(namespace: str, stop: threading.Event, *, others: bool = False) -> Iterator[None]:
     """Refuse a second graph beside one that runs: both would command the same arm.
 
     On this machine a lock tells it, which ends with its process; the graph tells of others, as
-    soon as the middleware has discovered them.
+    soon as the middleware has discovered them, unless ``others`` may drive the arm.
     """
     from longarm_comp.jobs.graph_client import GraphClient, drivers
 
@@ -100,11 +102,12 @@ def alone(namespace: str, stop: threading.Event) -> Iterator[None]:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise JobError(several) from None
-        with GraphClient(namespace, stop, "up") as client:
-            # A graph that runs is seen within it
-            client.spin(1.5)
-            # The middleware counts a killed driver for 20 s
-            client.until(lambda: not drivers(client.node), 22.0, several)
+        if not others:
+            with GraphClient(namespace, stop, "up") as client:
+                # A graph that runs is seen within it
+                client.spin(1.5)
+                # The middleware counts a killed driver for 20 s
+                client.until(lambda: not drivers(client.node), 22.0, several)
         yield
 
 

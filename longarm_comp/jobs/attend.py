@@ -18,6 +18,7 @@ from longarm_comp.devices.stop_latch import kept_stops
 from longarm_comp.jobs.client import STOPPED
 from longarm_comp.jobs.graph_client import FOUND_S, GraphClient, Interrupted, Reports
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_state import UNACKNOWLEDGED
 from longarm_comp.nodes.health import INSTANCE, TIP_SAID
 from longarm_comp.nodes.interfaces import Service
 from longarm_comp.nodes.messages import driver_words
@@ -26,6 +27,8 @@ from longarm_interfaces.msg import DriverState
 DRIVER = "servo_driver"
 _LEVELS = ("ok", "warning", "error", "stale")
 
+_NONE = f"no {DRIVER} is on the graph"
+_OTHER = "another program drives the arm and does not say how it stands"
 _NEXT = {
     DriverState.UNCONFIGURED: "longarm servo scan",
     DriverState.INACTIVE: f"ros2 lifecycle set {DRIVER} activate",
@@ -73,12 +76,13 @@ class Attendant:
                 self._reports.nodes[name] = {"process": silent}
         driver, reports = self._driver, self._reports
         words = driver_words(driver.state) if driver else ""
-        step = _NEXT.get(driver.state, "") if driver else "longarm up ARM"
+        other = reports.said("kinematics", "driver") == UNACKNOWLEDGED
+        step = _NEXT.get(driver.state, "") if driver else "" if other else "longarm up ARM"
         if step == "longarm reset" and self._namespace:
             step += f" --namespace {self._namespace[1:]}"
         return {
             "driver": words,
-            "why": driver.message if driver else "; ".join((f"no {DRIVER} is on the graph", *kept)),
+            "why": driver.message if driver else "; ".join((_OTHER if other else _NONE, *kept)),
             "nodes": sorted(reports.nodes),
             "troubles": [
                 {"node": node, "part": part, "level": _LEVELS[min(ord(said.level), 3)],

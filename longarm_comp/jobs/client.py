@@ -47,6 +47,8 @@ class Pace:
             raise InputError("collect", "--sightings", self.sightings, "at least 1")
 
 
+GIVES_WAY = 0.05
+"""Share of its range that a joint may stand from its command because its servo gives way."""
 STOPPED = (DriverState.HOLDING, DriverState.FAULT, DriverState.ESTOP)
 
 
@@ -72,6 +74,7 @@ class ArmClient(GraphClient):
         self.joints: np.ndarray | None = None
         self.sightings: list[tuple[int, np.ndarray]] = []
         """(stamp ns, tip (3,) m or NaN), newest last."""
+        self.seen_in = ""  # the frame of the last one
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         self._tips = tips
@@ -91,6 +94,7 @@ class ArmClient(GraphClient):
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
         tip, _ = sighting_of(message)
         self.sightings.append((stamp_ns(message.header.stamp), tip))
+        self.seen_in = message.header.frame_id
         del self.sightings[:-200]
 
     def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
@@ -108,7 +112,7 @@ class ArmClient(GraphClient):
         self.until(self.driver_takes, within_s, "the driver is not ready (`longarm status`)")
         if tip:
             hint = ""
-            if self._tips is graph.TIP_MEASURED:
+            if self._tips is not graph.TIP_BY_READINGS:
                 hint = " (do the cameras publish left|right/image_raw and camera_info?)"
             self.until(lambda: self.sightings, within_s, f"no {self._tips.name}{hint}")
 
@@ -168,7 +172,7 @@ class ArmClient(GraphClient):
                 is called.
         """
         q, tolerance = path[-1], pace.tolerance
-        inside_since: list[float] = []
+        inside_since: list[tuple[float, np.ndarray]] = []
         stays = (np.abs(path - q) <= tolerance).all()  # no way-point leads away
         came = start is not None and (np.abs(start - q) > tolerance).any()
         away = [bool(stays or came)]
@@ -181,14 +185,31 @@ class ArmClient(GraphClient):
                 bool((np.abs(self.joints - q) <= tolerance).all()) or self._told_at(q)
             )
             away[0] |= not inside or self._reached  # a passage may be too short to be heard of
-            if not inside or not away[0]:
+            q_now = self.joints
+            if not inside or not away[0] or q_now is None:
                 inside_since.clear()
-            elif not inside_since:
-                inside_since.append(time.monotonic())
-            return bool(inside_since) and time.monotonic() - inside_since[0] >= pace.dwell_s
+            elif not inside_since or (np.abs(q_now - inside_since[0][1]) > JOINT_REST).any():
+                inside_since[:] = [(time.monotonic(), q_now)]  # it may move within a wide tolerance
+            return bool(inside_since) and time.monotonic() - inside_since[0][0] >= pace.dwell_s
 
-        self.until(there, pace.arrive_s, "the joints did not come to rest at their command")
+        self.until(there, pace.arrive_s, lambda: self._short_of(q, pace))
         return int(self.node.get_clock().now().nanoseconds)
+
+    def _short_of(self, q: np.ndarray, pace: Pace) -> str:
+        """Which joint did not come to its command (n,), by how much, and what helps."""
+        waited = f"the joints did not come to rest at their command within {pace.arrive_s:g} s"
+        if self.joints is None:
+            return f"{waited}: no joint_states"
+        arm, gap = self.arm, np.abs(self.joints - q)
+        k = int(np.argmax(gap / pace.tolerance))
+        allowed = float(np.broadcast_to(pace.tolerance, gap.shape)[k])
+        unit = "m" if arm.joints[arm.commanded[k] - 1].type == "prismatic" else "rad"
+        said = f"{waited}: {arm.joint_names[k]} is {gap[k]:.2g} {unit} off, allowed {allowed:.2g}"
+        if gap[k] <= allowed:
+            return f"{said}, but does not stay there"
+        if gap[k] > GIVES_WAY * (arm.upper - arm.lower)[k]:
+            return f"{said}: does its driver hear joint_trajectory?"
+        return f"{said}: servos that give way need --within {1.5 * gap[k]:.1g}"
 
     def _told_at(self, q: np.ndarray) -> bool:
         """Whether the driver's last word is that the arm rests where it was sent: at q (n,)."""

@@ -22,6 +22,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.loop import Loop, LoopSettings, Names
 from longarm_comp.jobs.targets import Say, Trial, Witness
+from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.simulated_arm import sizes
@@ -142,7 +143,7 @@ def demonstrate(
         watch.start()
         stack.callback(watch.join, 5.0)
         stack.callback(ended.set)
-        client = stack.enter_context(ArmClient(arm, NAMESPACE, stop, "demo"))
+        client = stack.enter_context(ArmClient(arm, NAMESPACE, stop, "demo", graph.TIP_SEEN))
         say("bring up", 0.0)
         witness = _true_tip(client)
         loop = Loop(client, settings.loop, lambda report: True, witness=witness, say=say)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.compensation.compensate import Method
-from longarm_comp.core.data.plan import Plan, random_targets, sobol
+from longarm_comp.core.data.plan import Plan, sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.model.declared_model import declared_model
@@ -22,7 +22,15 @@ from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.collect.run import collect
 from longarm_comp.jobs.collect.visits import visits
-from longarm_comp.jobs.targets import Say, TargetRunner, Trial, Witness, choose, method_at_work
+from longarm_comp.jobs.targets import (
+    Say,
+    TargetRunner,
+    Trial,
+    Witness,
+    at_random,
+    choose,
+    method_at_work,
+)
 from longarm_comp.report.pages import loop_page
 from longarm_comp.report.record import DiagnosisReport, read_report
 from longarm_comp.sessions.poses import FILE as NEXT_POSES
@@ -199,7 +207,7 @@ class Loop:
     def _choose(self, method: Method) -> dict[str, Any]:
         settings = self._settings
         rng = np.random.default_rng(settings.seed + 1)
-        draw = partial(random_targets, declared_model(self._client.arm), rng=rng)
+        draw = at_random(declared_model(self._client.arm), rng)
         kept, left = choose(self._runner, draw, settings.targets, (Method.NONE, method))
         refused = [{"target": xyz.tolist(), "why": why} for xyz, why in left]
         return {"xyz": kept.tolist(), "refused": refused}

@@ -15,11 +15,16 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 
 from longarm_comp.core.compensation.compensate import Method, Status
+from longarm_comp.core.compensation.target_frame import base_of_graph
+from longarm_comp.core.data.plan import random_targets
 from longarm_comp.core.errors import JobError
+from longarm_comp.core.model.model import Model
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.graph_client import GraphClient, Reports
+from longarm_comp.math.points import robust_kabsch
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import NO_JOINTS
+from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.messages import joints_of
 from longarm_comp.workflows.verification import Verification, verification
 from longarm_interfaces.srv import Compensate
@@ -32,6 +37,8 @@ Draw = Callable[[int], np.ndarray]
 Refused = tuple[np.ndarray, str]
 """A target (3,), m, that the graph refuses, and why."""
 
+PLACING = 6
+"""Fewer targets that were seen do not place an unknown frame and judge the tips besides."""
 WITHOUT, COMPENSATED = "without compensation", "with compensation"
 
 
@@ -78,12 +85,17 @@ class Trial:
 
 
 class TargetRunner:
-    """Drives targets on a graph; ``witness``: another instrument that sees the tip."""
+    """Drives targets on a graph; ``witness``: another instrument that sees the tip.
+
+    Attributes:
+        placed_in: frame of the sightings, where each run had to place it by them; else empty.
+    """
 
     def __init__(self, client: ArmClient, pace: Pace, witness: Witness | None = None) -> None:
         self._client, self._pace, self._witness = client, pace, witness
         self._compensate = graph.COMPENSATE.client(client.node)
         self._frame = "base"
+        self.placed_in = ""
 
     def ready(self, target: np.ndarray, within_s: float) -> None:
         """Wait until kinematics knows the joints, so that it can answer for a target (3,), m."""
@@ -131,7 +143,20 @@ class TargetRunner:
                 progress(f"{name}: {k} of {len(targets)} targets driven", k / len(targets))
                 rows.append(self._one(target))
         seen, true, status = (np.array(column) for column in zip(*rows, strict=True))
-        return Trial(name, targets, seen, true, status)
+        return Trial(name, targets, self._in_base(seen, targets), true, status)
+
+    def _in_base(self, seen: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """Sightings (N, 3), m, in the base; where nobody knows their frame, laid on the targets."""
+        frame = self._client.seen_in
+        if frame in ("", self._frame, prefix_of(self._client.node) + self._frame):
+            return seen
+        rows = np.isfinite(seen).all(axis=1)
+        if rows.sum() < PLACING:
+            why = f"nobody knows where the frame {frame!r} of the sightings lies"
+            raise JobError(f"{why}: calibrate first, or drive more targets", needed=PLACING)
+        rotation, offset = robust_kabsch(seen[rows], targets[rows])
+        self.placed_in = frame
+        return np.asarray(seen @ rotation.T + offset)
 
     def ask(self, target: np.ndarray, *, execute: bool) -> Compensate.Response:
         """The answer for a target (3,), m; asked again where the request came too late."""
@@ -182,6 +207,12 @@ def choose(
     return np.array(kept), refused
 
 
+def at_random(model: Model, rng: np.random.Generator) -> Draw:
+    """Draws where a model's tip is at random joints, in the base."""
+    stands = base_of_graph(model)
+    return lambda n: stands.asked(random_targets(model, n, rng))
+
+
 def one_by_one(targets: np.ndarray) -> Draw:
     """Hands out (N, 3) targets of a file, m, in their order."""
     left = iter(targets)
@@ -221,6 +252,7 @@ def verify(
         "method": method.value,
         "targets": len(xyz),
         "seen_in_both": result.rows[0]["n"],
+        "placed_by_each_run": runner.placed_in,
         "status": dict(Counter(str(Status(int(s))) for s in compensated.status)),
         "refused": [{"target": target, "why": why} for target, why in refused],
         "errors": [

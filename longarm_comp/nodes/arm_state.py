@@ -48,6 +48,8 @@ PARAMS = (
 """Parameters of every node that computes with the arm's state."""
 
 
+UNACKNOWLEDGED = "no acknowledgement is expected: what is sent counts as accepted"
+"""What it says of a driver that is not asked to report."""
 NO_JOINTS = "no joint_states yet"
 """What `kinematics` says of its targets on /diagnostics until it knows the joints."""
 
@@ -300,7 +302,7 @@ class DriverLink:
 
     def report(self) -> Report:
         if not self.acknowledged:
-            return Report(OK, "no acknowledgement is expected: what is sent counts as accepted")
+            return Report(OK, UNACKNOWLEDGED)
         why = self.refusal
         if why:
             return Report(ERROR if self._rival_s > self._heard_s - _SILENT_S else WARN, why)

@@ -107,6 +107,7 @@ class Supervisor:
 
 REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
+_EYES = ("stereo_bridge",)
 PATHS = "trajectory_compensator"
 """The node that is started where paths are asked for."""
 
@@ -128,6 +129,8 @@ class BringUp:
         port: serial port of the servos; empty for the one in the parameter file.
         speed: factor on all velocities in simulation.
         set: further parameters, by node and name. without: nodes that are not started.
+        driver: run `servo_driver`; else another program drives the arm, and a camera node runs only
+            where the arm's folder has a calibrated pair.
         paths: run `PATHS` too.
         shaping: `servo_driver` sends moves in parts that cancel the arm's ring.
     """
@@ -144,6 +147,7 @@ class BringUp:
     speed: float = 1.0
     set: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     without: tuple[str, ...] = ()
+    driver: bool = True
     paths: bool = False
     shaping: bool = False
 
@@ -151,6 +155,11 @@ class BringUp:
         for name in (*self.set, *self.without):
             if name not in (*SIMULATED, PATHS):
                 raise InputError("bring-up", "node", name, ", ".join((*SIMULATED, PATHS)))
+        if not self.driver:
+            for name in ("sim", "port", "shaping"):
+                if getattr(self, name):
+                    allowed = "none without the driver of this package"
+                    raise InputError("bring-up", name, getattr(self, name), allowed)
         if not 0.01 <= self.speed <= 100.0:
             raise InputError("bring-up", "speed", self.speed, "0.01 to 100")
 
@@ -158,7 +167,8 @@ class BringUp:
     def nodes(self) -> tuple[str, ...]:
         """Names of the nodes, in the order of starting."""
         every = (*(SIMULATED if self.sim else REAL), *((PATHS,) if self.paths else ()))
-        return tuple(n for n in every if n not in self.without)
+        unasked = () if self.driver else ("servo_driver", *(() if self.cameras else _EYES))
+        return tuple(n for n in every if n not in (*self.without, *unasked))
 
     def file(self, node: str) -> Path:
         """A node's parameter file: from ``config`` or the arm's folder, else the package's."""
@@ -181,6 +191,8 @@ class BringUp:
         for node in self.nodes:
             _refuse_code(self.file(node))
         file, arm = self.file("servo_driver"), Arm.load(self.arm)
+        if not self.driver:
+            return self
         if self.sim:
             read_arm(file)  # what cannot be emulated is said here, not by five processes
         joints = list(ros_parameters(read_yaml(file), file).get("joints", {}))
@@ -202,6 +214,8 @@ class BringUp:
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
         """Parameters that override the file; ``bus``: link to the simulated servo bus."""
         arm, model = _path("arm", self.arm), _path("model", self.model)
+        if not self.driver and node in ("kinematics", PATHS):
+            return arm | model | {"acknowledged": False} | dict(self.set.get(node, {}))
         file = self.file("servo_driver")
         servos = _path("servos", file)
         driver = {**read_parameters(file), **self.set.get("servo_driver", {})}

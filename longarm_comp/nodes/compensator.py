@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Hashable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -51,11 +52,11 @@ PARAMS = (
 class Compensator:
     """Answers requests, one at a time."""
 
-    def __init__(self, state: ArmState, twins: Twins) -> None:
-        self._node, self._files, self._state, p = state.node, state.files, state, state.p
+    def __init__(self, state: ArmState, twins: Twins, frames: FrameListener) -> None:
+        self._node, self._files, self._state = state.node, state.files, state
         self._twins = twins
         self._declared = declared_model(state.arm)
-        self._frames = FrameListener(state.node, p["frames.wait_s"], state.node.tally.count)
+        self._frames = frames
         self._base_frame = state.base_frame
 
     def kind(self) -> Hashable:
@@ -111,8 +112,9 @@ class Compensator:
         if request.execute and (why := self._state.worker.failing):
             raise Refusal(Status.NOT_READY, f"not sent: {why}")
         loaded = self._files.loaded
+        stands = loaded.stands
         compensate = partial(
-            compensate_move, loaded.model, target=target, start=start, seed=seed,
+            compensate_move, loaded.model, target=stands.carried(target), start=start, seed=seed,
             history=self._state.driver.history, position_only=request.position_only,
             context_after=partial(
                 self._state.readings.context, physics_of(loaded.model, options.method),
@@ -121,6 +123,7 @@ class Compensator:
             options=options,
         )  # fmt: skip
         arrival, used, why = self._state.predictor.tried(options.method, compensate)
+        arrival = replace(arrival, outcome=stands.told(arrival.outcome))
         outcome = arrival.outcome
         status, reason = outcome.status, outcome.reason
         if status is Status.NO_PREDICTOR:

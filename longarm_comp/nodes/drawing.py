@@ -34,7 +34,7 @@ _TIP_PREDICTED = "tip_predicted"
 
 
 class ArmFrames:
-    """Publishes where the links stand, and the arm's URDF once."""
+    """Publishes where the links and other frames stand, and the arm's URDF once."""
 
     def __init__(self, state: ArmState) -> None:
         self._state, node = state, state.node
@@ -44,10 +44,18 @@ class ArmFrames:
             self._description.publish(String(data=export_urdf(declared_model(state.arm))))
         except InputError as error:
             node.get_logger().warning(f"no robot_description: {error}")
-        if state.p["frames.period_s"] and graph.HAS_TF:
-            foot = Placed.at(state.base_frame, self._prefix + BASE_LINK, np.eye(4))
-            self._teller.tell_static([foot])
+        self._tells = bool(state.p["frames.period_s"] and graph.HAS_TF)
+        self.standing: set[str] = set()
+        self.tell_standing([])
+        if self._tells:
             node.every("frames.period_s", self._tell)
+
+    def tell_standing(self, frames: Sequence[Placed]) -> None:
+        """Say where frames are beside the arm's foot; `standing` are their names."""
+        self.standing = {frame.name for frame in frames}
+        foot = Placed.at(self._state.base_frame, self._prefix + BASE_LINK, np.eye(4))
+        if self._tells:
+            self._teller.tell_static([foot, *frames])
 
     def _tell(self) -> None:
         state, q = self._state, self._state.joints
@@ -56,7 +64,8 @@ class ArmFrames:
         placed = link_frames(state.files.rigid, q, self._prefix)
         others = self._teller.listeners > 1  # one is this node's own
         if others and (context := state.known()) is not None:
-            tip = state.files.loaded.model.pose(q, context)  # takes 10 times as long as the links
+            loaded = state.files.loaded
+            tip = loaded.stands.asked(loaded.model.pose(q, context))  # takes 10 times as long
             placed.append(Placed.at(state.base_frame, self._prefix + _TIP_PREDICTED, tip))
         self._teller.tell(placed, state.stamp)
 
@@ -87,7 +96,8 @@ class Markers:
 
     def on_tip(self, message: PoseWithCovarianceStamped) -> None:
         tip, _ = sighting_of(message)
-        self._tip = tip if np.isfinite(tip).all() else None
+        own = message.header.frame_id == self._state.base_frame
+        self._tip = tip if own and np.isfinite(tip).all() else None
 
     def _draw(self) -> None:
         """Draw the arm as it stands. Without a subscriber nothing is computed."""
@@ -98,7 +108,8 @@ class Markers:
             self._node.get_parameter(f"markers.{name}_factor").value for name in ("sag", "error")
         )
         straight = outline(self._state.files.rigid, q)
-        hanging = exaggerated(outline(model, q, context), straight, sag)
+        stands = self._state.files.loaded.stands
+        hanging = exaggerated(stands.asked(outline(model, q, context)), straight, sag)
         drawn = [
             self._marker(0, "declared", Marker.LINE_STRIP, DECLARED, 0.008, straight),
             self._marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),

@@ -98,6 +98,13 @@ class FrameListener:
                     if not self._told.wait(end - time.monotonic()):
                         raise
 
+    def know(self, frames: Sequence[Placed]) -> None:
+        """Take frames that stand, as if tf had told them."""
+        with self._told:
+            for each in frames:
+                self._tree.hear(each.parent, each.name, each.position, each.turn, 0, static=True)
+            self._told.notify_all()
+
     def _hear(self, message: Any, *, static: bool) -> None:
         with self._told:
             for said in message.transforms:

@@ -144,8 +144,10 @@ MOTION = Topic("motion", Motion, 2000, RELIABLE)
 WITHDRAWN = Topic("withdrawn", String, 10, RELIABLE)
 DRIVER_STATE = Topic("servo_driver/state", DriverState, 1, RELIABLE, latched=True)
 PREDICTED_ERROR = Topic("predicted_error", Vector3Stamped, 20, RELIABLE)
-# tip as the cameras see it, base frame; position NaN: marker lost
+# tip as cameras or tracker see it, in the frame of its header; position NaN: marker lost
 TIP_MEASURED = Topic("tip_measured", PoseWithCovarianceStamped, 20, RELIABLE)
+# the same in the base frame; as it came where nobody knows the place of its frame
+TIP_SEEN = Topic("tip_seen", PoseWithCovarianceStamped, 20, RELIABLE)
 # tip computed from the joints' readings, with its covariance, base frame
 TIP_BY_READINGS = Topic("tip_by_readings", PoseWithCovarianceStamped, 20, RELIABLE)
 LEFT_IMAGE = Topic("left/image_raw", Image, 5, BEST_EFFORT)

@@ -20,10 +20,12 @@ from longarm_comp.nodes import (
     monitoring,
     payload,
     reach,
+    sightings,
     targets,
 )
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.frames import FrameListener
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, RING_SAID, TIP_SAID, WARN, Report, Twins
 from longarm_comp.nodes.interfaces import BEST_EFFORT
 from longarm_comp.nodes.node import ArmNode, program
@@ -61,8 +63,9 @@ class Kinematics(ArmNode):
         self._learning = learning.Learning(state)
         self._markers = drawing.Markers(state)
         self._weigher = payload.Weigher(state)
-        compute = compensator.Compensator(state, twins)
-        drawing.ArmFrames(state)
+        frames = FrameListener(self, p["frames.wait_s"], self.tally.count)
+        self._sightings = sightings.TipSightings(state, frames, drawing.ArmFrames(state))
+        compute = compensator.Compensator(state, twins, frames)
         inlet = targets.TargetInlet(state, compute, self._monitor, self._markers)
         tips = monitoring.ReadingsTeller(state)
         self._ringing = monitoring.RingTeller(state, p["shaped"])
@@ -98,11 +101,14 @@ class Kinematics(ArmNode):
         done = self._arm.files.reload()
         self._learning.begin()
         self._monitor.reset()
+        self._sightings.tell()
         return done
 
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
-        self._markers.on_tip(message)
-        rest = self._monitor.on_tip(message)
+        told, of_model = self._sightings.take(message)
+        self._monitor.unplaced = self._sightings.unplaced
+        self._markers.on_tip(told)
+        rest = None if of_model is None else self._monitor.on_tip(of_model)
         context = None if rest is None else self._arm.known(rest.history)
         if rest is not None and context is not None:
             self._arm.worker.submit(partial(self._judge, rest, context))

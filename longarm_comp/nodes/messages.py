@@ -24,6 +24,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
+from longarm_comp.core.arm.frame_tree import carried, turned_covariance
 from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.compensate import Compensation as Outcome
 from longarm_comp.core.compensation.compensate import Status
@@ -250,6 +251,20 @@ def tip_message(
     message.pose.pose.position = Point(x=x, y=y, z=z)
     message.pose.covariance = covariance.ravel()
     return message
+
+
+def carried_tip(
+    message: PoseWithCovarianceStamped, place: np.ndarray, frame: str
+) -> PoseWithCovarianceStamped:
+    """A sighting in another frame, in which its own one has the pose ``place`` (4, 4)."""
+    tip, o = sighting_of(message)[0], message.pose.pose.orientation
+    turn = np.array([o.x, o.y, o.z, o.w])
+    seen = quaternion.pose(tip, turn) if quaternion.is_unit(turn) else tip
+    covariance = np.reshape(message.pose.covariance, (6, 6))
+    told = PoseWithCovarianceStamped(header=Header(stamp=message.header.stamp, frame_id=frame))
+    told.pose.pose = pose_message(carried(place, seen))
+    told.pose.covariance = turned_covariance(place, covariance).ravel()
+    return told
 
 
 @dataclass(frozen=True)

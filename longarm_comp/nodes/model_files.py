@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import NEVER_TOLD
+from longarm_comp.core.compensation.target_frame import Placement, base_of_graph
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.by_readings import by_readings
@@ -22,6 +24,11 @@ class _LoadedModel:
     model: Model
     file_hash: str = ""  # SHA-256; empty for the declared arm
     learned: int = 0  # models that were put in its place since
+
+    @cached_property
+    def stands(self) -> Placement:
+        """Where the graph's base lies for the model."""
+        return base_of_graph(self.model)
 
 
 class ModelFiles:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import shlex
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.frame_tree import turned_covariance
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor, Verdict
 from longarm_comp.core.compensation.expected import TipByReadings, tip_by_readings
@@ -61,10 +62,12 @@ class ReadingsTeller:
         now = self._state.standing
         if now is None:
             return None
-        found = self.last = tip_by_readings(*now)
+        state = self._state
+        stands, found = state.files.loaded.stands, tip_by_readings(*now)
+        found = self.last = replace(found, tip=stands.asked(found.tip))
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = np.nan_to_num(found.doubt.covariance)
-        state = self._state
+        covariance = turned_covariance(stands.asked(np.eye(4)), covariance)
         self._tips.publish(tip_message(found.tip, covariance, state.stamp, state.base_frame))
         return found
 
@@ -97,6 +100,8 @@ class Sighted:
 class TipMonitor:
     """Collects rest poses and tests their residuals; `sighted` is the last one at a target.
 
+    Sightings come in the frame of the model. `unplaced`: why none do.
+
     The ``on_...`` methods may be called from any thread; `judge` on the worker's.
     """
 
@@ -109,6 +114,7 @@ class TipMonitor:
         self._sent: np.ndarray | None = None
         self._aim: tuple[np.ndarray, np.ndarray] | None = None
         self.sighted: Sighted | None = None
+        self.unplaced = ""
         self._last = "no rest pose measured yet"
         self._last_miss = "no target measured yet"
         self._outside = 0
@@ -182,8 +188,9 @@ class TipMonitor:
         if self._aim is None or np.abs(rest.q - self._aim[0]).max() >= SAME_POSE:
             return None
         seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)
-        missed = rest.tip - seen_beside - self._aim[1]
-        self.sighted = Sighted(rest.q, rest.tip, missed)
+        stands = self._state.files.loaded.stands
+        missed = stands.asked(rest.tip - seen_beside) - self._aim[1]
+        self.sighted = Sighted(rest.q, stands.asked(rest.tip), missed)
         return missed
 
     def judge_servos(self, model: Model, read: np.ndarray, context: Context) -> None:
@@ -239,6 +246,8 @@ class TipMonitor:
         facts = _facts("rest poses", verdict) | outside
         if verdict.drifted:
             return Report(WARN, f"{verdict.finding}; run: {self._advice}", facts)
+        if self.unplaced:
+            return Report(OK, self.unplaced, facts)
         return Report(OK, "residuals are as expected", facts)
 
 

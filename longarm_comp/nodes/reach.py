@@ -129,6 +129,9 @@ class ReachServer:
         """Wait for the tip to be seen at rest, where anybody looks."""
         node = self._state.node
         seen_by = node.count_publishers(node.resolve_topic_name(graph.TIP_MEASURED.name))
+        if seen_by and self._monitor.unplaced:
+            result.message = self._monitor.unplaced
+            return
         for _ in range(math.ceil(self._look_s / self._period_s) if seen_by else 0):
             sighted = self._monitor.sighted
             if sighted is not None and sighted is not before:

@@ -25,6 +25,7 @@ from longarm_comp.core.compensation.compensate import Method, physics_of
 from longarm_comp.core.compensation.online import StaleContext
 from longarm_comp.core.compensation.path import (
     MAX_LONGER,
+    MAX_TURN_RAD,
     CompensatedPath,
     PathRefused,
     compensate_path,
@@ -57,6 +58,14 @@ PARAMS = (
         1e6,
     ),
     Param("max_correction_m", 0.05, "largest correction of a way-point", 1e-6, 1.0),
+    Param("position_only", False, "plans leave the orientation free"),
+    Param(
+        "max_turn_rad",
+        MAX_TURN_RAD,
+        "the orientation may be off by so much, where joints cannot hold it",
+        0.0,
+        4.0,
+    ),
     Param("turn_m", VISIBLE_M, "largest error of the tip where a joint with play turns", 0.0, 0.1),
     Param("max_longer", MAX_LONGER, "share of time that play may add to a path; 0: none", 0.0, 9.0),
     Param("order_max_age_s", 2.0, "goals older than this are refused", 0.01, 60.0),
@@ -162,6 +171,8 @@ class _TrajectoryCompensator(ArmNode):
         answer = ended.result()
         if answer.status == GoalStatus.STATUS_SUCCEEDED:
             self.tally.count("followed", "")
+            said = "; ".join(filter(None, (answer.result.error_string, *made.notes)))
+            answer.result.error_string = said
             goal.succeed()
         else:
             self._driver.lose()
@@ -179,10 +190,12 @@ class _TrajectoryCompensator(ArmNode):
         history = History.unknown(self._arm.n) if self._following else self._driver.history
         try:
             compensate = partial(
-                compensate_path, loaded.model, plan=self._plan(request.trajectory, start),
+                compensate_path, loaded.model,
+                plan=self._plan(request.trajectory, start).seen_from(loaded.stands.motion),
                 start=start, history=history, limits=self._limits,
                 context_at=partial(self._state.context, model=physics),
                 max_correction_m=self.p["max_correction_m"], turn_m=self.p["turn_m"],
+                position_only=self.p["position_only"], max_turn_rad=self.p["max_turn_rad"],
                 max_longer=self._longer(request), options=CompensationOptions(self._method),
             )  # fmt: skip
             found, *_ = self._state.predictor.tried(self._method, compensate)
@@ -224,14 +237,17 @@ class _TrajectoryCompensator(ArmNode):
 
         What the next path needs is compiled then.
         """
-        q, model = self._state.joints, physics_of(self._files.loaded.model, self._method)
+        q, loaded = self._state.joints, self._files.loaded
+        model = physics_of(loaded.model, self._method)
         if q is None or self._state.doubt:
             return
         stamp = self.get_clock().now().to_msg()
         with contextlib.suppress(StaleContext):
             context = self._state.context(model=model)
             ik.warm_up(model, context)
-            planned = as_planned(self._files.rigid, model, q, context)
+            free = self.p["position_only"]
+            real = loaded.stands.asked(model.pose(q, context))
+            planned = as_planned(self._files.rigid, real, q, free)
             self._planned.publish(joints_message(self._arm, planned, stamp))
             self._ready = True
 

@@ -41,9 +41,10 @@ class Listener:
 
     def __init__(self, client: GraphClient) -> None:
         self.state, self._namespace = PageState(), client.node.get_namespace()
+        self._base = ""  # frame of the pictures
         for topic, callback in (
             (graph.MARKERS, self._on_markers),
-            (graph.TIP_MEASURED, self._on_tip),
+            (graph.TIP_SEEN, self._on_tip),
             (graph.JOINT_STATES, self._on_joints),
             (graph.DRIVER_STATE, self._on_driver),
             (graph.COMPENSATION, self._on_answer),
@@ -57,6 +58,7 @@ class Listener:
 
     def _on_markers(self, message: MarkerArray) -> None:
         lines = {marker.ns: marker for marker in message.markers}
+        self._base = message.markers[0].header.frame_id if message.markers else self._base
         points = {
             name: np.array([[p.x, p.y, p.z] for p in marker.points]).reshape(-1, 3)
             for name, marker in lines.items()
@@ -73,7 +75,8 @@ class Listener:
         self._heard(picture=Picture(declared, hanging, target, pseudo, time.monotonic()))
 
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
-        self._heard(tip=sighting_of(message)[0], tip_at=time.monotonic())
+        if message.header.frame_id == self._base:  # else nobody knows where it lies
+            self._heard(tip=sighting_of(message)[0], tip_at=time.monotonic())
 
     def _on_joints(self, message: JointState) -> None:
         joints = dict(zip(message.name, message.position, strict=False))

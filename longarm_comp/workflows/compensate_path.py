@@ -13,7 +13,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.arm.moves import Move
 from longarm_comp.core.compensation.arrive import Arrival
-from longarm_comp.core.compensation.path import MAX_LONGER
+from longarm_comp.core.compensation.path import MAX_LONGER, MAX_TURN_RAD
 from longarm_comp.core.compensation.path import compensate_path as solve_path
 from longarm_comp.core.compensation.planned_path import CubicPath, MotionLimits, PlannedPath
 from longarm_comp.core.compensation.result import CompensationOptions, Method
@@ -64,6 +64,7 @@ def compensate_path(
     max_velocity: ArrayLike | None = None,
     max_acceleration: ArrayLike | None = None,
     max_correction_m: float = np.inf,
+    max_turn_rad: float = MAX_TURN_RAD,
     max_longer: float = MAX_LONGER,
     seed: ArrayLike | None = None,
     position_only: bool = False,
@@ -81,6 +82,7 @@ def compensate_path(
         max_velocity, max_acceleration: one for every joint, or (n,); rad/s and m/s, or rad/s^2 and
             m/s^2.
         max_correction_m: largest correction of a way-point, m.
+        max_turn_rad: most that the orientation may be off where the joints cannot hold it.
         max_longer: share of time that may be added, so that play is taken up smoothly where joints
             turn; 0: exact times.
         seed: (n,) joints to start the first search from.
@@ -107,11 +109,13 @@ def compensate_path(
     first = start if seed is None else np.asarray(seed, float)
     found = solve_path(
         model, predictor,
-        PlannedPath(carried, None if times is None else np.asarray(times, float)),
+        PlannedPath(
+            carried, None if times is None else np.asarray(times, float), base=placements[0].moved
+        ),
         start=start, history=came, seed=first,
         context_at=lambda arrived: points.after(told, arrived),
-        limits=limits, max_correction_m=max_correction_m, max_longer=max_longer,
-        position_only=position_only,
+        limits=limits, max_correction_m=max_correction_m, max_turn_rad=max_turn_rad,
+        max_longer=max_longer, position_only=position_only,
         options=CompensationOptions(chosen, locked, **settling),
     )  # fmt: skip
     joints = found.timed.joints

@@ -121,8 +121,14 @@ class FrameTree:
         return pose
 
 
+def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """The covariance (6, 6) of a place and turn in a frame, along the axes that its pose has."""
+    turn = np.kron(np.eye(2), pose[:3, :3])
+    return np.asarray(turn @ covariance @ turn.T)
+
+
 def carried(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """A target of a frame, (4, 4) or (3,), seen from where the frame's pose (4, 4) is given."""
-    if target.ndim == 1:
-        return np.asarray(pose[:3, :3] @ target + pose[:3, 3])
-    return np.asarray(pose @ target)
+    """Places of a frame, (..., 3) or (..., 4, 4), seen from where its pose (4, 4) is given."""
+    if target.shape[-2:] == (4, 4):
+        return np.asarray(pose @ target)
+    return np.asarray(target @ pose[:3, :3].T + pose[:3, 3])

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.frame_tree import carried
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.compensation.circle import check_no_turn, unwrapped
@@ -46,6 +47,7 @@ from longarm_comp.core.compensation.unknown import (
 )
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.ik.newton import REACHED
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import entered_at, reach
 from longarm_comp.core.model.model import Model
@@ -65,6 +67,7 @@ class CompensatedPath:
         error, sigma: (k, 3) m, as learned; NaN sigma where nothing is.
         context: circumstances at the way-points. passes: of the pseudo-targets.
         correction_m: (k,) m, by how much the declared arm's tip is moved.
+        turn_rad: (k,) by how much the orientation is off, because the joints allow no nearer.
         history: of the joints at the end.
         notes: doubts.
     """
@@ -76,6 +79,7 @@ class CompensatedPath:
     context: Context
     passes: int
     correction_m: np.ndarray
+    turn_rad: np.ndarray
     history: History
     notes: tuple[str, ...]
 
@@ -106,6 +110,9 @@ MAX_LONGER = 1.0
 """A path may take so much longer, as a share: in two halves, with the jerk of one way, it takes 1.6
 times as long, and its play at the start and in the middle a fifth each."""
 
+MAX_TURN_RAD = 0.1
+"""Most that the orientation may be off at a way-point, where the joints allow no nearer."""
+
 
 def compensate_path(
     model: Model,
@@ -118,6 +125,7 @@ def compensate_path(
     seed: np.ndarray | None = None,
     limits: MotionLimits | None = None,
     max_correction_m: float = np.inf,
+    max_turn_rad: float = MAX_TURN_RAD,
     turn_m: float = VISIBLE_M,
     max_longer: float = MAX_LONGER,
     position_only: bool = False,
@@ -134,6 +142,8 @@ def compensate_path(
         limits: None: the controller keeps them itself.
         seed: (n,) start of the first search, where no joints were planned; ``start`` by default.
         max_correction_m: most that the declared arm's tip may be moved, m.
+        max_turn_rad: most that the orientation may be off where the joints cannot hold it.
+        position_only: leave the orientation free.
         turn_m: how far the tip may leave the path where a joint turns, so that its play is taken
             up without a kick.
         max_longer: share by which the path may take longer for the same; 0: planned times stay,
@@ -156,13 +166,23 @@ def compensate_path(
         plan = replace(plan, joints=unwrapped(arm, plan.joints, start if begun else None))
     way = _Way(
         model, predictor, plan, start, history, context_at, begun, turn_m, max_longer,
-        limits or MotionLimits(*np.full((2, arm.n), np.inf)), max_correction_m, free, options,
+        limits or MotionLimits(*np.full((2, arm.n), np.inf)), max_correction_m, max_turn_rad, free,
+        options,
     )  # fmt: skip
     try:
         return way.solved(seed)
     except _Unanswered as unanswered:
         made = replace(way, predictor=None).solved(seed)
         return replace(made, notes=(str(unanswered), *made.notes))
+
+
+def _turned(turn: np.ndarray) -> tuple[str, ...]:
+    """Where the orientation is most off (k,), rad, in words; nothing where it is held."""
+    row = int(np.argmax(turn))
+    if turn[row] <= REACHED:
+        return ()
+    off = f"up to {np.degrees(turn[row]):.2g} deg, at way-point {row}"
+    return (f"the joints cannot hold the orientation: it is off by {off}",)
 
 
 class _Unanswered(Exception):  # noqa: N818
@@ -184,6 +204,7 @@ class _Way:
     max_longer: float
     limits: MotionLimits
     max_correction_m: float
+    max_turn_rad: float
     free: bool
     options: CompensationOptions
 
@@ -198,11 +219,11 @@ class _Way:
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
         context = self._context(self.history)  # as if no joint turned: so the way of each is known
         lag = take.lag(seeds, context)
-        q = self._reached(seeds + lag, error, context)
+        q, turn = self._reached(seeds + lag, error, context)
         bare = q - lag
         if learned:
             error, sigma = self._expected(q, context)
-            q = self._reached(q, error, context)
+            q, turn = self._reached(q, error, context)
         way, passes = q - lag, int(learned)
         while True:
             came = take.came(way, lag, self.history, self.start)
@@ -217,7 +238,7 @@ class _Way:
                 break
             if passes == options.max_passes:
                 raise PathRefused(Status.NOT_CONVERGED, int(np.argmax(changes)), options.unsettled)
-            q = self._reached(q - before[0] + lag, error, context)
+            q, turn = self._reached(q - before[0] + lag, error, context)
             passes += 1
         lag = before[0]  # that q was found with
         check_no_turn(self.model.arm, q)
@@ -227,8 +248,9 @@ class _Way:
         self._keep_out(timed)
         came = self.history.along(timed.joints, timed.joints[0] if self.begun else self.start)
         return CompensatedPath(
-            timed, ideal, *before[1:], sigma, context, passes, moved,
-            History(came.approach[-1], came.legs[-1]), self._doubts(timed.joints, context),
+            timed, ideal, *before[1:], sigma, context, passes, moved, turn,
+            History(came.approach[-1], came.legs[-1]),
+            (*_turned(turn), *self._doubts(timed.joints, context)),
         )  # fmt: skip
 
     def _doubts(self, command: np.ndarray, context: Context) -> tuple[str, ...]:
@@ -246,7 +268,8 @@ class _Way:
         """(k,) m: how far the declared arm's tip is moved; refused where that is too far."""
         wanted, first = ik.position_of(self.plan.targets), int(self.begun)
         rigid = Model(self.model.arm, elements_per_beam=1)
-        moved = np.linalg.norm(rigid.tip(joints) - wanted, axis=1)
+        meant = carried(self.plan.base, rigid.tip(joints))
+        moved = np.linalg.norm(meant - wanted, axis=1)
         row = first + int(np.argmax(moved[first:])) if first < len(moved) else 0
         if first < len(moved) and moved[row] > self.max_correction_m:
             why = f"{1e3 * moved[row]:.2f} mm, allowed {1e3 * self.max_correction_m:g} mm"
@@ -307,7 +330,7 @@ class _Way:
         for row, (target, context) in enumerate(zip(plan.targets, each, strict=True)):
             found = ik.solve(
                 physics, target, seed=made[-1] if made else first,
-                context=context, position_only=self.free, locked=self.options.locked,
+                context=context, position_only=self.free, near=True, locked=self.options.locked,
                 max_starts=1 if made else self.options.starts,
             )  # fmt: skip
             self._refuse(row, found)
@@ -320,21 +343,30 @@ class _Way:
             q[0] = self.start
         return q
 
-    def _reached(self, seeds: np.ndarray, error: np.ndarray, context: Context) -> np.ndarray:
+    def _reached(
+        self, seeds: np.ndarray, error: np.ndarray, context: Context
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Joints (k, n), and by how much the orientation is off there (k,), rad."""
         found = ik.solve_many(
             self.physics, shifted(self.plan.targets, error), seed=seeds, context=context,
-            position_only=self.free, locked=self.options.locked, max_starts=1,
+            position_only=self.free, near=True, locked=self.options.locked, max_starts=1,
         )  # fmt: skip
-        for row in np.flatnonzero(~found.ok):
+        turn = found.angle_residual_rad
+        turn[: int(self.begun)] = 0.0  # the arm stands there already
+        for row in np.flatnonzero(~found.ok | (turn > self.max_turn_rad)):
             if row or not self.begun:
                 self._refuse(int(row), found[int(row)])
-        return self._standing(found.q)
+        return self._standing(found.q), turn
 
     def _refuse(self, row: int, found: ik.Solution) -> None:
-        """If it did not reach its way-point."""
+        """If it did not reach its way-point, or in another orientation than may be."""
         if not found.ok:
             here = ik.position_of(self.plan.targets[row])
             why = other_unit(here, *reach(self.physics)) or missed("target", found)
+            raise PathRefused(Status.UNREACHABLE, row, why)
+        if found.angle_residual_rad > self.max_turn_rad:
+            off = f"its orientation would be off by {found.angle_residual_rad:.3g} rad"
+            why = f"{off}, allowed {self.max_turn_rad:g} rad; position_only leaves it free"
             raise PathRefused(Status.UNREACHABLE, row, why)
 
     def _expected(self, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:

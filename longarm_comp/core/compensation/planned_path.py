@@ -7,20 +7,18 @@ than the plan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.frame_tree import carried
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
 from longarm_comp.math.cubic_path import CubicPath, monotone_slopes, smooth_slopes
 
-_POSE_JOINTS = 6
-"""An arm of fewer joints cannot keep a planned orientation: its path is one of positions."""
 _LOOKED_AT = 16
 """Places between two way-points at which the way is looked at."""
 _ROUNDING = 1e-6
@@ -29,7 +27,7 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PlannedPath:
-    """Way-points of the tip, base frame, and how a planner would have the joints bring it there.
+    """Way-points of the tip, and how a planner would have the joints bring it there.
 
     Attributes:
         targets: (k, 3) m or (k, 4, 4).
@@ -37,6 +35,7 @@ class PlannedPath:
         joints: (k, n) as planned, to start each search from; None: none were planned.
         velocities: (k, n) as planned; None: none were.
         begun: the first way-point is where the planner believes the arm to stand.
+        base: (4, 4) of the declared arm's base frame in that of the targets.
     """
 
     targets: np.ndarray
@@ -44,6 +43,7 @@ class PlannedPath:
     joints: np.ndarray | None = None
     velocities: np.ndarray | None = None
     begun: bool = False
+    base: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     @classmethod
     def of_joints(
@@ -53,9 +53,11 @@ class PlannedPath:
 
         The first way-point is where it believes the arm to stand.
         """
-        poses = Model(arm).pose(joints)
-        targets = poses if arm.n >= _POSE_JOINTS else poses[:, :3, 3]
-        return cls(targets, times, joints, velocities, begun=True)
+        return cls(Model(arm).pose(joints), times, joints, velocities, begun=True)
+
+    def seen_from(self, base: np.ndarray) -> PlannedPath:
+        """The same in a frame in which the base frame has a pose (4, 4)."""
+        return replace(self, targets=carried(base, self.targets), base=base @ self.base)
 
     def check(self, n: int) -> None:
         """Refuse shapes and times that are not allowed, of an arm of n joints."""
@@ -77,14 +79,15 @@ class PlannedPath:
             raise InputError("path", f"time of way-point {row}", now, "0 s or later, rising")
 
 
-def as_planned(rigid: Model, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
-    """(n,) joints at which the declared, ``rigid`` arm has its tip where the model's is at q (n,).
+def as_planned(
+    rigid: Model, real: np.ndarray, q: np.ndarray, position_only: bool = False
+) -> np.ndarray:
+    """(n,) joints at which the declared, ``rigid`` arm has its tip at a real pose (4, 4), near q.
 
-    Where none inside the limits do, the nearest.
+    The orientation is as near as the joints allow. Where none inside the limits do, the nearest.
     """
-    real = model.pose(q, context)
-    target = real if model.arm.n >= _POSE_JOINTS else real[:3, 3]
-    return ik.solve(rigid, target, seed=q, max_starts=1).q
+    found = ik.solve(rigid, real, seed=q, max_starts=1, position_only=position_only, near=True)
+    return found.q
 
 
 @dataclass(frozen=True, eq=False)

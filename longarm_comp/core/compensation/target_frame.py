@@ -8,7 +8,7 @@ place, to within an ordinary error of setting up; else the targets are refused.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.frame_tree import carried
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.compensation.expected import geometry_of
+from longarm_comp.core.compensation.result import Compensation
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model, slots_of
 from longarm_comp.core.model.uncertainty import sizes
@@ -32,13 +33,20 @@ class Placement:
         frame: of the target, ``base`` or ``measured``.
         motion: (4, 4) from the frame of the target to that of the model.
         base: (4, 4) the base in the frame of the measurements.
+        moved: (4, 4) from the base that arm.yaml declares to that one.
         solved: whether a calibration found it there.
     """
 
     frame: str
     motion: np.ndarray
     base: np.ndarray
+    moved: np.ndarray
     solved: bool
+
+    @property
+    def apart(self) -> bool:
+        """Whether base and measurements have a frame of their own each."""
+        return self.frame == BASE and self.solved
 
     @property
     def text(self) -> str:
@@ -51,16 +59,25 @@ class Placement:
         )
 
     def carried(self, target: np.ndarray) -> np.ndarray:
-        """A target (3,) or (4, 4) in the frame of the model."""
+        """Targets (..., 3) or (..., 4, 4) in the frame of the model."""
         return carried(self.motion, target)
 
-    def asked(self, position: np.ndarray) -> np.ndarray:
-        """A position (3,) of the model in the frame of the target, m."""
-        return self.back(position - self.motion[:3, 3])
+    def asked(self, place: np.ndarray) -> np.ndarray:
+        """Places (..., 3) or (..., 4, 4) of the model in the frame of the target, m."""
+        return carried(np.linalg.inv(self.motion), place)
 
     def back(self, vector: np.ndarray) -> np.ndarray:
         """A vector (3,) of the model in the frame of the target."""
         return np.asarray(self.motion[:3, :3].T @ vector)
+
+    def told(self, outcome: Compensation) -> Compensation:
+        """What came of a target, with its places in the frame of the target."""
+        return replace(
+            outcome,
+            target=self.asked(outcome.target),
+            predicted_error=self.back(outcome.predicted_error),
+            pseudo_target=self.asked(outcome.pseudo_target),
+        )
 
 
 def placement(
@@ -75,12 +92,7 @@ def placement(
     """
     if frame not in ("", *FRAMES):
         raise InputError(where, "frame", frame, " or ".join(FRAMES))
-    declared = model.arm.base.frame().matrix()
-    found: dict[str, np.ndarray] = {}
-    for effect in model.effects:
-        stands = effect.base(model.arm)
-        if stands is not None:
-            found[str(effect.placement.get("group", ""))] = stands.matrix()
+    declared, found = model.arm.base.frame().matrix(), _bases(model)
     if len(found) > 1 and group not in found and frame != MEASURED:
         names = ", ".join(str(name) for name in found)
         raise InputError(where, "group", group or "missing", f"{names}: the base stood in several")
@@ -91,11 +103,10 @@ def placement(
         if not found and model.arm.tolerance.base is None:
             allowed = f"{BASE}, or a calibrated model, which says where the base stands"
             raise InputError(where, "frame", frame, allowed)
-        return Placement(MEASURED, still, base, bool(found))
+        return Placement(MEASURED, still, base, motion, bool(found))
     if frame == BASE:
-        return Placement(BASE, motion, base, bool(found))
-    shifts = points @ motion[:3, :3].T + motion[:3, 3] - points
-    away = float(np.linalg.norm(shifts, axis=1).max())
+        return Placement(BASE, motion, base, motion, bool(found))
+    away = _away(motion, points)
     if away > (usual := _usual(model.arm)):
         allowed = (
             f"{BASE} (the arm's own) or {MEASURED} (that of the measurements), by a column frame "
@@ -103,7 +114,38 @@ def placement(
             f"a target; up to {1e3 * usual:.3g} mm would count as an error of setup"
         )
         raise InputError(where, "frame", "not said", allowed)
-    return Placement(MEASURED if found else BASE, still, base, bool(found))
+    return Placement(MEASURED if found else BASE, still, base, np.eye(4), bool(found))
+
+
+def base_of_graph(model: Model) -> Placement:
+    """Where the graph's base lies for a model, at every target.
+
+    It is that of arm.yaml where the calibration found the measurements' frame farther from it than
+    an ordinary error of setting up; else both are one, and the model's own.
+    """
+    arm, still = model.arm, np.eye(4)
+    declared = arm.base.frame().matrix()
+    base = _bases(model).get("", declared)
+    motion = base @ np.linalg.inv(declared)
+    corners = Model(arm).tip(np.array([arm.mid, *np.clip(arm.bounds, -2 * np.pi, 2 * np.pi)]))
+    if _away(motion, corners) > _usual(arm):
+        return Placement(BASE, motion, base, motion, True)
+    return Placement(MEASURED, still, base, still, base is not declared)
+
+
+def _bases(model: Model) -> dict[str, np.ndarray]:
+    """Where the base stands in the frame of the measurements (4, 4), by group, as calibrated."""
+    found: dict[str, np.ndarray] = {}
+    for effect in model.effects:
+        stands = effect.base(model.arm)
+        if stands is not None:
+            found[str(effect.placement.get("group", ""))] = stands.matrix()
+    return found
+
+
+def _away(motion: np.ndarray, points: np.ndarray) -> float:
+    """The farthest, m, that a motion (4, 4) takes points (k, 3)."""
+    return float(np.linalg.norm(carried(motion, points) - points, axis=1).max())
 
 
 def _usual(arm: Arm) -> float:

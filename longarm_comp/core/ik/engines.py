@@ -16,7 +16,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context, Layout
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.ik import newton
-from longarm_comp.core.ik.kernel import Kernel, TwistRow, characteristic_length, kernel_of, works
+from longarm_comp.core.ik.kernel import Kernel, TwistRow, kernel_of, works
 from longarm_comp.core.model.model import Model, unstack
 
 _FEW = 6  # number of targets up to which floats are faster than arrays
@@ -61,6 +61,7 @@ def run(
     points: np.ndarray,
     tol: float,
     max_iterations: int,
+    radian_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """N searches: from the starts, then from the restarts for the targets that failed.
 
@@ -72,8 +73,9 @@ def run(
         points: restarts (S, n + 1): a point in the unit box and the share of the way to it.
         tol: tolerance on position (m) and angle (rad); what fails `REACHED` too is restarted.
         max_iterations: per start.
+        radian_m: what a radian of the tool's angle weighs, in metres.
     """
-    count, weights = len(targets), (1.0, characteristic_length(model))
+    count, weights = len(targets), (1.0, radian_m)
     q, report = np.empty_like(starts), np.zeros((count, 4))
     report[:, :2] = newton.UNKNOWN
     for first in range(0, count, _CHUNK):
@@ -95,6 +97,7 @@ def run(
                 "q": start,
                 "live": np.ones((ids.size, 1)),
                 "tol": np.array([tol]),
+                "length": np.array([radian_m]),
                 "permitted": np.array([max_iterations]),
             }
             found, left, used = (_compiled if compiled else _own)(model, here, m, given, ids.size)

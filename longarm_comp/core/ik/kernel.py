@@ -123,11 +123,10 @@ def works(
         "begin": lambda s: newton.begin(model.arm.n),
         "open": newton.opening,
     }
-    length = characteristic_length(model)
     for m in (3, 6):
         made[f"accept{m}"] = partial(newton.accept, m=m)
         for level in newton.LEVELS:
-            of_level = partial(newton.judge, span=span, length=length, m=m, level=level)
+            of_level = partial(newton.judge, span=span, m=m, level=level)
             made[f"judge{m}_{level.evaluate}"] = of_level
         made[f"round{m}"] = partial(newton.step_in_box, span=span, m=m)
     return made

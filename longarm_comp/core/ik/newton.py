@@ -143,7 +143,8 @@ def rows(n: int, context: int, twists: int) -> dict[str, range]:
     It holds inputs, then results, then work.  `live` is 0 in an unused column.
     """
     sizes = {
-        "given": 16, "seed": n, "live": 1, "tol": 1, "permitted": 1, "lower": n, "upper": n,
+        "given": 16, "seed": n, "live": 1, "tol": 1, "length": 1, "permitted": 1, "lower": n,
+        "upper": n,
         "c": context, "q": n, "size": 2, "used": 1, "fault": 1, "target": 12,
         "trial": n, "x": twists, "out": 12 + 6 * n, "e": 6, "J": 6 * n, "sag": 6 * n, "left": 6,
         "free": n, "energy": 1, "mu": 1, "marked": 1, "since": 1, "open": 1, "more": 1,
@@ -192,9 +193,9 @@ def opening(s: State) -> Outcome:
     }  # fmt: skip
 
 
-def judge(s: State, span: Sequence[float], length: float, m: int, level: Level) -> Outcome:
+def judge(s: State, span: Sequence[float], m: int, level: Level) -> Outcome:
     """Accept or reject the evaluated trial (Levenberg-Marquardt) and prepare the next."""
-    n, out, J, sag = len(span), s["out"], s["J"], s["sag"]
+    n, out, J, sag, length = len(span), s["out"], s["J"], s["sag"], s["length"][0]
     e: list[Any] = [s["target"][i] - out[i] for i in range(3)] + [0.0] * 3
     size: list[Any] = [sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]), 0.0]
     if m == 6:

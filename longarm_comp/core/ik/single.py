@@ -11,7 +11,8 @@ from longarm_comp.core.ik.engines import NOTHING, Engine, is_compiled
 from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.model.model import Model
 
-_Key = tuple[Layout | None, int, float, int]  # layout, equations, tolerance, iterations
+# layout, equations, tolerance, iterations, weight of a radian (m)
+_Key = tuple[Layout | None, int, float, int, float]
 # joints (n,); position (m) and angle (rad) residuals, iterations, fault
 _Found = tuple[np.ndarray, list[float]]
 
@@ -23,11 +24,12 @@ class _Workspace:
     """A block of columns, of which the first is used, and views of its inputs and results."""
 
     def __init__(self, kernel: Kernel, key: _Key) -> None:
-        _, m, tol, max_iterations = key
+        _, m, tol, max_iterations, length = key
         block = np.zeros((kernel.size, kernel.code.width))
         column = block[:, 0]
         column[kernel.slice("live")] = 1.0
         column[kernel.slice("tol")], column[kernel.slice("permitted")] = tol, max_iterations
+        column[kernel.slice("length")] = length
         for name, limits in zip(_BOX, kernel.arm.box_about(kernel.arm.mid), strict=True):
             block[kernel.slice(name)] = limits[:, None]
         self.box = [column[kernel.slice(name)] for name in _BOX]
@@ -80,10 +82,10 @@ def solve_compiled(
     target: np.ndarray,
     seed: np.ndarray | None,
     context: Context | None,
-    options: tuple[int, float, int],
+    options: tuple[int, float, int, float],
     engine: Engine,
 ) -> _Found | None:
-    """Search from a seed (default mid-range) in machine code; options: m, tolerance, iterations.
+    """Search from a seed (default mid-range) in machine code; options: as the rest of `_Key`.
 
     None if the request needs the general solver: the model is not compiled, the context has text
     columns, or the input is invalid and needs an error message.

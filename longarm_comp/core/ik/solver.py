@@ -17,8 +17,9 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik.engines import Engine, restart_points, run, warm_up
-from longarm_comp.core.ik.newton import REACHED, skewness
+from longarm_comp.core.ik.engines import Engine, restart_points, run, tip_poses, warm_up
+from longarm_comp.core.ik.kernel import characteristic_length
+from longarm_comp.core.ik.newton import REACHED, rotation_error, skewness
 from longarm_comp.core.ik.single import solve_compiled
 from longarm_comp.core.model.model import Model
 
@@ -28,6 +29,8 @@ TOLERANCE = 1e-9
 """Tolerance of the search, m and rad."""
 _MAX_ITERATIONS = 60
 MAX_STARTS = 16
+_NEAR = 1e-2
+"""What a radian weighs, as a share of what it weighs else, where orientations cannot be held."""
 
 
 class Reason(Enum):
@@ -42,7 +45,8 @@ class Solution(NamedTuple):
 
     Attributes:
         q: (n,), inside the limits; the best found when not `ok`.
-        ok: residuals are within `REACHED`, or within `tol` where that is wider.
+        ok: residuals are within `REACHED`, or within `tol` where that is wider; of an orientation
+            that is held as `near` as may be, that of the position alone.
         reason: why the search ended.
         position_residual_m, angle_residual_rad: residuals at q (0 rad for position tasks).
         iterations: total number over all starts.
@@ -87,6 +91,7 @@ def solve(
     seed: np.ndarray | None = None,
     context: Context | None = None,
     position_only: bool = False,
+    near: bool = False,
     locked: Sequence[int | str] = (),
     tol: float = TOLERANCE,
     max_starts: int = MAX_STARTS,
@@ -100,7 +105,8 @@ def solve(
         raise InputError("ik.solve", "target", f"shape {target.shape}", "shape (3,) or (4, 4)")
     if not locked and engine is not Engine.MODEL:
         m = 3 if position_only or target.size == 3 else 6
-        found = solve_compiled(model, target, seed, context, (m, tol, _MAX_ITERATIONS), engine)
+        options = m, tol, _MAX_ITERATIONS, characteristic_length(model)
+        found = solve_compiled(model, target, seed, context, options, engine)
         if found is not None:
             q, (position, angle, iterations, _) = found
             reached = max(tol, REACHED)
@@ -108,7 +114,7 @@ def solve(
                 return Solution(q, True, Reason.CONVERGED, position, angle, int(iterations), 1)
     return solve_many(
         model, target[None], seed=seed, context=context, position_only=position_only,
-        locked=locked, tol=tol, max_starts=max_starts, engine=engine,
+        near=near, locked=locked, tol=tol, max_starts=max_starts, engine=engine,
     )[0]  # fmt: skip
 
 
@@ -119,6 +125,7 @@ def solve_many(
     seed: np.ndarray | None = None,
     context: Context | None = None,
     position_only: bool = False,
+    near: bool = False,
     locked: Sequence[int | str] = (),
     tol: float = TOLERANCE,
     max_starts: int = MAX_STARTS,
@@ -132,6 +139,7 @@ def solve_many(
         seed: (n,) or (N, n) starts (rad, m), put inside the limits; default mid-range.
         context: circumstances of the targets, scalars or (N,) arrays.
         position_only: leave the orientation free (always so for (N, 3)).
+        near: hold the orientation of a pose as near as the joints allow at the position.
         locked: joints that stay at their seed: 0-based numbers in q, or names.
         tol: tolerance of the search on the position (m) and on the angle (rad).
         max_starts: number of starts including the seed; 1 never leaves the seed's branch.
@@ -145,13 +153,25 @@ def solve_many(
     lower, upper = arm.box_about(start)
     for k in locked_joints(model, locked):
         lower[:, k] = upper[:, k] = start[:, k]
+    context, length = context or Context(), characteristic_length(model)
     q, report = run(
-        model, context or Context(), engine, m, wanted, start, (lower, upper),
-        restart_points(arm.n, max(max_starts - 1, 0)), float(tol), _MAX_ITERATIONS,
+        model, context, engine, m, wanted, start, (lower, upper),
+        restart_points(arm.n, max(max_starts - 1, 0)), float(tol), _MAX_ITERATIONS, length,
     )  # fmt: skip
     position, angle = report[:, 0], report[:, 1]
     iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
     ok = np.maximum(position, angle) <= max(tol, REACHED)
+    if near and m == 6 and len(off := np.flatnonzero(~ok)):
+        here, box = context.take(off), (lower[off], upper[off])
+        for m_now, radian_m in ((6, _NEAR * length), (3, length)):
+            q[off], found = run(
+                model, here, engine, m_now, wanted[off], q[off], box, restart_points(arm.n, 0),
+                float(tol), _MAX_ITERATIONS, radian_m,
+            )  # fmt: skip
+            iterations[off] += found[:, 2].astype(int)
+        position[off] = found[:, 0]
+        ok[off] = position[off] <= max(tol, REACHED)
+        angle[off] = rotation_error(axes_of(tip_poses(model, q[off], here)).T, wanted[off, 3:].T)[1]
     reasons = [Reason.CONVERGED] * len(q)
     for i in np.flatnonzero(~ok):
         if iterations[i] >= starts[i] * _MAX_ITERATIONS:

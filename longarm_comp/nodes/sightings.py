@@ -1,0 +1,83 @@
+"""Sightings of the tip and the arm's base: the one place that carries between their frames.
+
+A tracker may stand anywhere. Once a model knows where its frame lies, sightings are told in the
+base on `tip_seen`, and tf tells its frame, so that targets may be given in it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+
+from longarm_comp.core.arm.frame_tree import UnknownPlace
+from longarm_comp.core.compensation.target_frame import MEASURED, Placement
+from longarm_comp.core.model.link_frames import Placed
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.drawing import ArmFrames
+from longarm_comp.nodes.frames import FrameListener, prefix_of
+from longarm_comp.nodes.messages import carried_tip
+
+
+class TipSightings:
+    """Takes what `tip_measured` says, and tells where its frame lies.
+
+    Attributes:
+        unplaced: why they are not compared, where nobody knows the place of their frame.
+    """
+
+    def __init__(self, state: ArmState, frames: FrameListener, drawn: ArmFrames) -> None:
+        self._state, self._frames, self._drawn = state, frames, drawn
+        self._measured = prefix_of(state.node) + MEASURED
+        self._own = ("", state.base_frame, state.p["base_frame"])
+        self._seen_in = self.unplaced = ""
+        self._told: Placement | None = None
+        self._tips = graph.TIP_SEEN.publisher(state.node)
+        self.tell()
+
+    def tell(self) -> None:
+        """Say where the measurements' frame lies, where a model knows it and it has changed."""
+        stands = self._state.files.loaded.stands
+        if stands is self._told or not stands.solved:
+            return
+        placed = [Placed.at(self._state.base_frame, self._measured, stands.asked(np.eye(4)))]
+        if self._seen_in and (self._seen_in in self._drawn.standing or self._is_unknown):
+            placed.append(Placed.at(self._measured, self._seen_in, np.eye(4)))
+        self._frames.know(placed)
+        self._drawn.tell_standing(placed)
+        self._told = stands
+
+    @property
+    def _is_unknown(self) -> bool:
+        """Whether nobody has said where the sightings' frame lies."""
+        try:
+            self._frames.place(self._seen_in, self._state.base_frame, 0)
+        except UnknownPlace:
+            return True
+        return False
+
+    def take(
+        self, message: PoseWithCovarianceStamped
+    ) -> tuple[PoseWithCovarianceStamped, PoseWithCovarianceStamped | None]:
+        """Tell a sighting on `tip_seen`.
+
+        Returns:
+            It as told, in the base, or as it came where its place is unknown; and in the frame of
+            the model, or None.
+        """
+        frame, base = message.header.frame_id.lstrip("/"), self._state.base_frame
+        if frame != self._seen_in and frame not in self._own:
+            self._seen_in, self._told = frame, None
+        self.tell()
+        stands, self.unplaced = self._state.files.loaded.stands, ""
+        if stands.solved or frame in self._own:
+            told, of_model = carried_tip(message, stands.asked(np.eye(4)), base), message
+        else:
+            try:
+                told = carried_tip(message, self._frames.place(frame, base, 0), base)
+            except UnknownPlace as error:
+                self.unplaced = f"tips are not compared before a calibration: {error}"
+                told = message
+            of_model = None if self.unplaced else told
+        self._tips.publish(told)
+        return told, of_model

@@ -1,0 +1,169 @@
+"""A tracker that stands anywhere, on a real graph: before its place is known, and after."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from cli_shell import Shell
+from geometry_msgs.msg import PoseStamped
+from nodes_bench import Bench, bench, own_graph
+from quick_arm import QuickArm, quick_arm
+from rclpy.action import ActionClient
+from small_arm import ARM as SMALL
+from test_target_frame import AWAY
+from visualization_msgs.msg import MarkerArray
+
+from longarm_comp.core.effects.drive_errors import GearEccentricity
+from longarm_comp.core.effects.geometry_errors import DhError
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import save_model, store
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import joints_of, pose_message, sighting_of
+from longarm_interfaces.action import Reach
+
+BENT = Model(SMALL, (DhError(row=2, alpha=0.01), GearEccentricity(2, cosine=0.01, sine=-0.01)))
+KNOWN = BENT.plus(AWAY)
+STANDS = AWAY.base(SMALL).matrix() @ np.linalg.inv(SMALL.base.frame().matrix())
+
+
+class Scene:
+    """The bent arm with its tracker, `kinematics` and `trajectory_compensator`, and a client."""
+
+    def __init__(self, stage: Bench, folder: Path, arm: QuickArm) -> None:
+        self.stage, self.true, self.file = stage, arm, folder / "arm.yaml"
+        self.model = folder / "model.yaml"
+        self.file.write_text(SMALL.model_dump_json(exclude_defaults=True))
+        given = {"arm": self.file, "model": self.model, "method": "deflection"}
+        stage.start("kinematics", given | {
+            "acknowledged": True, "monitor.settle_s": 0.1, "monitor.sightings": 2,
+            "diagnostics_period_s": 0.1, "readings.period_s": 0.2, "markers.period_s": 0.1,
+        })  # fmt: skip
+        stage.start("trajectory_compensator", given | {"planned_period_s": 0.05})
+        self.said = stage.collect(graph.DIAGNOSTICS)
+        self.seen, self.by_readings = (
+            stage.collect(topic) for topic in (graph.TIP_SEEN, graph.TIP_BY_READINGS)
+        )
+        self.planned, self.stories = (
+            stage.collect(topic) for topic in (graph.PLANNED_JOINTS, graph.COMPENSATION)
+        )
+        self.markers: list[MarkerArray] = []
+        stage.node.create_subscription(MarkerArray, "markers", self.markers.append, 1)
+        self.client = ActionClient(stage.node, Reach, graph.REACH.name)
+        stage.spin(self.client.server_is_ready)
+
+    def reach(self, target: np.ndarray, frame: str) -> Any:
+        """The result for a position (3,)."""
+        pose = PoseStamped(pose=pose_message(target))
+        pose.header.frame_id = frame
+        sent = self.client.send_goal_async(Reach.Goal(target=pose, position_only=True))
+        self.stage.spin(sent.done)
+        ended = sent.result().get_result_async()
+        self.stage.spin(ended.done)
+        return ended.result().result
+
+    def part(self, name: str) -> Any:
+        """What a node's part says now on /diagnostics."""
+        del self.said[:]
+        return self.stage.spin(lambda: next(
+            (s for m in self.said for s in m.status if s.name.endswith(name)), None
+        ))  # fmt: skip
+
+    def calibrated(self) -> None:
+        """Have both nodes read the model that knows the tracker's place."""
+        save_model(self.model, store(KNOWN))
+        for node in ("kinematics", "trajectory_compensator"):
+            self.stage.spin(lambda node=node: "loaded" in self.part(f"{node}: model").message)
+
+    def latest(self, messages: list[Any]) -> Any:
+        del messages[:]
+        return self.stage.spin(lambda: messages and messages[-1])
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
+    folder = tmp_path_factory.mktemp("tracker")
+    bent = lambda q, side: BENT.tip(q)  # noqa: E731
+    with (
+        own_graph(folder), quick_arm(SMALL, lambda q: True, bent, frame="tracker", stands=STANDS)
+        as arm, bench() as stage,
+    ):  # fmt: skip
+        yield Scene(stage, folder, arm)
+
+
+def targets(n: int) -> np.ndarray:
+    span = SMALL.upper - SMALL.lower
+    share = np.random.default_rng(5).uniform(0.25, 0.75, (n, SMALL.n))
+    return BENT.tip(SMALL.lower + share * span)
+
+
+def ready(scene: Scene) -> None:
+    scene.stage.spin(lambda: scene.reach(targets(1)[0], "base").success)
+
+
+def test_before_a_calibration_targets_are_in_the_base_and_no_sighting_is_believed(
+    scene: Scene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ready(scene)
+    for target in targets(4):
+        found = scene.reach(target, "base")
+        assert found.success and not found.seen, found.message
+        assert "frame 'tracker' is unknown" in found.message
+        assert 2e-3 < np.linalg.norm(scene.true.true - target) < 0.05  # not compensated
+    said = scene.part("kinematics: monitor")
+    assert "'tracker' is unknown" in said.message and said.level == b"\x00"
+    assert scene.latest(scene.seen).header.frame_id == "tracker"
+    away = scene.reach(targets(1)[0], "tracker")
+    assert not away.success and "frame 'tracker' is unknown" in away.message
+    shell = Shell(scene.file.parent, capsys)
+    output = scene.file.parent / "verified"
+    shell("verify", scene.file, "-n", 8, "--seed", 1, "-o", output)
+    assert "'tracker'" in shell.err
+    made = json.loads((output / "verify.json").read_text())
+    assert made["placed_by_each_run"] == "tracker" and made["seen_in_both"] == 8
+    assert max(row["max_mm"] for row in made["rows"]) < 20.0
+
+
+def test_after_it_all_is_told_in_the_base_and_targets_may_be_in_either_frame(
+    scene: Scene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene.calibrated()
+    ready(scene)
+    for k, target in enumerate(targets(6)):
+        frame = ("base", "tracker", "measured")[k % 3]
+        place = target if frame == "base" else STANDS[:3, :3] @ target + STANDS[:3, 3]
+        found = scene.reach(place, frame)
+        assert found.success and found.seen, found.message
+        np.testing.assert_allclose(scene.true.true, target, atol=1e-5)
+        np.testing.assert_allclose([found.tip.x, found.tip.y, found.tip.z], target, atol=1e-5)
+        miss = [found.miss.x, found.miss.y, found.miss.z]
+        np.testing.assert_allclose(miss, scene.true.true - target, atol=1e-6)
+        story = scene.stories[-1]
+        at = story.pseudo_target.pose.position
+        np.testing.assert_allclose([at.x, at.y, at.z], target, atol=1e-9)
+        assert story.target.header.frame_id == "base"
+    assert "as expected" in scene.part("kinematics: monitor").message
+    told = scene.latest(scene.seen)
+    assert told.header.frame_id == "base"
+    np.testing.assert_allclose(sighting_of(told)[0], scene.true.true, atol=1e-9)
+    by_readings = scene.latest(scene.by_readings)
+    np.testing.assert_allclose(sighting_of(by_readings)[0], scene.true.true, atol=1e-6)
+    drawn = {m.ns: m.points for m in scene.latest(scene.markers).markers}
+    for name in ("hanging", "target", "tip_measured"):
+        at = drawn[name][-1]
+        np.testing.assert_allclose([at.x, at.y, at.z], scene.true.true, atol=1e-5)
+    planned = joints_of(scene.latest(scene.planned), SMALL, "planned")
+    np.testing.assert_allclose(Model(SMALL).tip(planned), scene.true.true, atol=1e-5)
+    shell = Shell(scene.file.parent, capsys)
+    for more in ((), ("--model", scene.model)):
+        made = shell.json("verify", scene.file, "-n", 8, "--seed", 1, *more)
+        without, with_it = (row["mean_mm"] for row in made["rows"])
+        assert not made["placed_by_each_run"] and not made["refused"]
+        assert without > 1.0 and with_it < 0.05
