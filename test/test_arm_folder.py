@@ -149,6 +149,13 @@ def test_gearing_and_cameras_are_those_of_the_packages_own_files(shell: Shell) -
         assert simulated[key] == own_parameters("simulated_arm")[key]
 
 
+def test_a_payload_that_is_commented_out_fits_the_arm(shell: Shell) -> None:
+    file = made(shell, "mine", "--joint", "d=0.1 limits=-60..60") / "arm.yaml"
+    replaced(file, "# payload: {", "payload: {")
+    payload = Arm.load(file).payload
+    assert payload is not None and payload.frame == 1
+
+
 def test_servos_stand_at_the_steps_that_the_arm_declares(shell: Shell) -> None:
     folder = made(shell, "mine", *COLUMN)
     file = folder / "arm.yaml"

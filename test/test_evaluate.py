@@ -160,5 +160,7 @@ def test_training_that_does_not_help_ends_well_without_a_file(
     assert made["output"] is None and not Path("p.npz").exists()
     left = made["left_out_mean_mm"]
     assert shell(*words) == 0
-    assert "not written" in shell.err
+    better = left["after"] < left["before"]
+    why = "the gain may be chance" if better else "the physics alone is as good"
+    assert f"not written: {why}" in shell.err
     assert f"{left['before']:.3f} mm" in shell.err and f"{left['after']:.3f} mm" in shell.err

@@ -40,7 +40,7 @@ links:
      section: {{type: tube, od_m: 0.03, id_m: 0.026}}, E_pa: 6.9e+10, poisson: 0.33, mass_kg: 0.19,
      body_length_m: {length:.4g}}}"""
 _NO_PAYLOAD = """No payload is declared. With one:
-payload: {mass_kg: 0.25, frame: 6, position_m: [0, 0, 0.05]}"""
+payload: {{mass_kg: 0.25, frame: {frame}, position_m: [0, 0, 0.05]}}"""
 _NO_CAMERA = """What measures: tracker, total_station or touch; if absent, every error is tried.
 measuring: tracker"""
 
@@ -91,7 +91,8 @@ def arm_file(
     named = ", ".join(f"row {row} {role} {size:.4g} m" for row, role, size in places)
     row, role, size = places[0]
     no_links = _NO_LINKS.format(places=named, row=row, role=role, length=abs(size))
-    for key, text in (("links", no_links), ("payload", _NO_PAYLOAD), ("camera", _NO_CAMERA)):
+    no_payload = _NO_PAYLOAD.format(frame=arm.tip.frame)
+    for key, text in (("links", no_links), ("payload", no_payload), ("camera", _NO_CAMERA)):
         if not whole.get(key):
             lines += _commented(text)
     return "\n".join(lines) + "\n", arm

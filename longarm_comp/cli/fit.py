@@ -133,7 +133,9 @@ def train(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
     check_ending(output, how["network"] is not None)
     with progress("train") as show:
         trained = train(arm, session, note=note, progress=show, **how)
-    gain, done = trained.gain, "not written: the physics alone is as good"
+    gain = trained.gain
+    chance = gain.left < gain.without
+    done = f"not written: {'the gain may be chance' if chance else 'the physics alone is as good'}"
     if gain.helps:
         trained.save(output)
         done = f"predictor in {output}"
