@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from small_arm import ARM, measured
 
 import longarm_comp as la
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.frame_tree import carried
 from longarm_comp.core.arm.quaternion import from_rotation
 from longarm_comp.core.compensation.target_frame import base_of_graph, placement
 from longarm_comp.core.effects.compliances import JointCompliance
@@ -90,6 +92,18 @@ def test_the_base_of_a_graph_is_the_arms_own_wherever_the_tracker_stands() -> No
         np.testing.assert_array_equal(here.motion, np.eye(4))
     grouped = base_of_graph(Model(ARM, (BasePose(group="a", x=8.0),)))
     assert not grouped.solved and not grouped.apart
+
+
+@pytest.mark.parametrize("base", [AWAY, NEAR])
+def test_a_graph_and_files_carry_what_was_measured_alike(base: BasePose) -> None:
+    """The camera had moved all rows by some millimetres."""
+    model = dataclasses.replace(Model(ARM, (base,)), frame_shift=(3e-3, -2e-3, 1e-3))
+    point = moved(base, Model(ARM).tip(ARM.mid))
+    graph = base_of_graph(model)
+    in_base = carried(graph.measurements, point)
+    files = placement(model, point[None], "measured").carried(point)
+    np.testing.assert_allclose(graph.carried(in_base), files, atol=1e-12)
+    np.testing.assert_allclose(files, point - model.frame_shift, atol=1e-12)
 
 
 def test_a_path_is_corrected_by_what_the_arm_does_and_not_by_where_the_tracker_stands() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.frame_tree import turned_covariance
+from longarm_comp.core.arm.frame_tree import carried, turned_covariance
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor, Verdict
 from longarm_comp.core.compensation.expected import TipByReadings, tip_by_readings
@@ -190,7 +190,7 @@ class TipMonitor:
         seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)
         stands = self._state.files.loaded.stands
         missed = stands.asked(rest.tip - seen_beside) - self._aim[1]
-        self.sighted = Sighted(rest.q, stands.asked(rest.tip), missed)
+        self.sighted = Sighted(rest.q, carried(stands.measurements, rest.tip), missed)
         return missed
 
     def judge_servos(self, model: Model, read: np.ndarray, context: Context) -> None:

@@ -40,7 +40,7 @@ class TipSightings:
         stands = self._state.files.loaded.stands
         if stands is self._told or not stands.solved:
             return
-        placed = [Placed.at(self._state.base_frame, self._measured, stands.asked(np.eye(4)))]
+        placed = [Placed.at(self._state.base_frame, self._measured, stands.measurements)]
         if self._seen_in and (self._seen_in in self._drawn.standing or self._is_unknown):
             placed.append(Placed.at(self._measured, self._seen_in, np.eye(4)))
         self._frames.know(placed)
@@ -71,7 +71,7 @@ class TipSightings:
         self.tell()
         stands, self.unplaced = self._state.files.loaded.stands, ""
         if stands.solved or frame in self._own:
-            told, of_model = carried_tip(message, stands.asked(np.eye(4)), base), message
+            told, of_model = carried_tip(message, stands.measurements, base), message
         else:
             try:
                 told = carried_tip(message, self._frames.place(frame, base, 0), base)

@@ -34,6 +34,7 @@ class Placement:
         motion: (4, 4) from the frame of the target to that of the model.
         base: (4, 4) the base in the frame of the measurements.
         moved: (4, 4) from the base that arm.yaml declares to that one.
+        seen: (4, 4) from the frame of the measurements to that of the model.
         solved: whether a calibration found it there.
     """
 
@@ -41,6 +42,7 @@ class Placement:
     motion: np.ndarray
     base: np.ndarray
     moved: np.ndarray
+    seen: np.ndarray
     solved: bool
 
     @property
@@ -65,6 +67,11 @@ class Placement:
     def asked(self, place: np.ndarray) -> np.ndarray:
         """Places (..., 3) or (..., 4, 4) of the model in the frame of the target, m."""
         return carried(np.linalg.inv(self.motion), place)
+
+    @property
+    def measurements(self) -> np.ndarray:
+        """(4, 4) where the frame of the measurements lies in the frame of the target."""
+        return self.asked(self.seen)
 
     def back(self, vector: np.ndarray) -> np.ndarray:
         """A vector (3,) of the model in the frame of the target."""
@@ -97,15 +104,14 @@ def placement(
         names = ", ".join(str(name) for name in found)
         raise InputError(where, "group", group or "missing", f"{names}: the base stood in several")
     base = found.get(group, declared) if len(found) > 1 else next(iter(found.values()), declared)
-    motion, still = base @ np.linalg.inv(declared), np.eye(4)
-    still[:3, 3] = np.negative(model.frame_shift)
+    motion, seen = base @ np.linalg.inv(declared), _seen(model)
     if frame == MEASURED:
         if not found and model.arm.tolerance.base is None:
             allowed = f"{BASE}, or a calibrated model, which says where the base stands"
             raise InputError(where, "frame", frame, allowed)
-        return Placement(MEASURED, still, base, motion, bool(found))
+        return Placement(MEASURED, seen, base, motion, seen, bool(found))
     if frame == BASE:
-        return Placement(BASE, motion, base, motion, bool(found))
+        return Placement(BASE, motion, base, motion, seen, bool(found))
     away = _away(motion, points)
     if away > (usual := _usual(model.arm)):
         allowed = (
@@ -114,7 +120,7 @@ def placement(
             f"a target; up to {1e3 * usual:.3g} mm would count as an error of setup"
         )
         raise InputError(where, "frame", "not said", allowed)
-    return Placement(MEASURED if found else BASE, still, base, np.eye(4), bool(found))
+    return Placement(MEASURED if found else BASE, seen, base, np.eye(4), seen, bool(found))
 
 
 def base_of_graph(model: Model) -> Placement:
@@ -123,14 +129,21 @@ def base_of_graph(model: Model) -> Placement:
     It is that of arm.yaml where the calibration found the measurements' frame farther from it than
     an ordinary error of setting up; else both are one, and the model's own.
     """
-    arm, still = model.arm, np.eye(4)
+    arm, seen = model.arm, _seen(model)
     declared = arm.base.frame().matrix()
     base = _bases(model).get("", declared)
     motion = base @ np.linalg.inv(declared)
     corners = Model(arm).tip(np.array([arm.mid, *np.clip(arm.bounds, -2 * np.pi, 2 * np.pi)]))
     if _away(motion, corners) > _usual(arm):
-        return Placement(BASE, motion, base, motion, True)
-    return Placement(MEASURED, still, base, still, base is not declared)
+        return Placement(BASE, motion, base, motion, seen, True)
+    return Placement(MEASURED, seen, base, np.eye(4), seen, base is not declared)
+
+
+def _seen(model: Model) -> np.ndarray:
+    """(4, 4) from the frame of the measurements to that of the model: what moved all rows alike."""
+    made = np.eye(4)
+    made[:3, 3] = np.negative(model.frame_shift)
+    return made
 
 
 def _bases(model: Model) -> dict[str, np.ndarray]:
