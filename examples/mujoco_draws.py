@@ -22,7 +22,7 @@ SURE, TARGETS, SIGHTINGS = 0.95, 40, 3
 
 
 def main(arms: int, poses: int) -> None:
-    """Print a line for each arm, then the sums: arms, commands inside their promise, false names."""
+    """Print a line for each arm, then how many commands kept their promise, and false names."""
     arm = la.Arm.load(HERE / "mujoco_arm.yaml")
     sums = {"alone": np.zeros(4, int), "hose": np.zeros(4, int)}
     print("arm        declared mm  diagnosed mm  largest  its p90  inside  verdict  names")
