@@ -69,6 +69,7 @@ EXTRAS = {
         "example-robot-data",
         "hypothesis",
         "msgspec",
+        "mujoco>=3.2",  # examples/mujoco_arm.py
         "mypy",
         "packaging",
         "pin",

@@ -32,6 +32,7 @@ ROS_DOMAINS = range(1, 102)
 
 LONGEST = (
     *("test_readings_on_the_graph", "test_explain", "test_loop_graph", "test_hidden_effect"),
+    "test_mujoco_arm",
     *("test_nodes_servo_driver", "test_nodes_stops", "test_functions", "test_package"),
     *("test_diagnosed", "test_collect", "test_fuzz", "test_arm_folder_graph"),
     *("test_open_catalogue", "test_view", "test_python_api", "test_tip_on_the_graph"),

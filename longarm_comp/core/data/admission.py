@@ -171,15 +171,15 @@ def _order(case: _Case) -> None:
     markers = session.labels.get("marker", np.full(len(session), ""))
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
-        for name, values in (("t_s", session.t_s), ("index", session.index)):
-            if values is None:
-                continue
-            back = np.flatnonzero(np.diff(values[rows]) < 0)
-            if len(back):
-                at = rows[back[0] + 1]
-                said = f"{values[at]:g} after {values[rows[back[0]]]:g}"
-                allowed = "rows in the order of recording: what a joint did before is read from it"
-                raise case.refuse(f"{name} of row {at + 1}", said, allowed)
+        name, values = "index", session.index
+        if session.t_s is not None:
+            name, values = "t_s", session.t_s  # the index only names a row
+        back = np.flatnonzero(np.diff(values[rows]) < 0)
+        if len(back):
+            at = rows[back[0] + 1]
+            said = f"{values[at]:g} after {values[rows[back[0]]]:g}"
+            allowed = "rows in the order of recording: what a joint did before is read from it"
+            raise case.refuse(f"{name} of row {at + 1}", said, allowed)
         keys = list(zip(session.index[rows], markers[rows], strict=True))
         if len(set(keys)) < len(keys):
             twice = next(k for k, key in enumerate(keys) if key in keys[:k])

@@ -1,0 +1,85 @@
+"""An arm in another physics engine: what its example prints is what the real tip does."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed: run make setup")
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+sys.path.append(str(EXAMPLES))
+
+from mujoco_arm import JOINTS, RealArm
+
+SOFT = (2, 3)
+"""Shoulder and elbow: their drives carry enough that the rows tell how soft they are."""
+
+
+def ran(*words: object) -> str:
+    """What an example prints."""
+    command = [sys.executable, *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout
+
+
+def test_nothing_of_the_arm_is_ours() -> None:
+    code = "import sys, mujoco_arm; print([m for m in sys.modules if m.startswith('longarm')])"
+    found = subprocess.run(
+        [sys.executable, "-c", code], cwd=EXAMPLES, capture_output=True, text=True, check=True
+    )
+    assert found.stdout.strip() == "[]"
+
+
+def test_the_whole_way_over_the_graph(ros_domain: int, tmp_path: Path) -> None:
+    walk = tmp_path / "walk"
+    said = ran(EXAMPLES / "mujoco_walk.py", walk, "--poses", 60, "--targets", 10, "--speed", 100)
+    without, compensated, p90 = np.loadtxt(walk / "errors.csv", delimiter=",", skiprows=1).T[3:]
+    assert without.mean() > 5.0 and compensated.mean() < 0.15
+    assert (compensated <= p90).sum() >= 7 and p90.mean() < 0.3  # 90 of 100; 7 of 10 in 99 of 100
+    kept = int((compensated <= p90).sum())
+    assert f"{kept} of 10 inside their 90 % radius (mean {p90.mean():.2f} mm)" in said
+    told = json.loads((walk / "verified" / "verify.json").read_text())
+    seen = [np.linalg.norm(row["compensated_mm"]) for row in told["errors"]]
+    np.testing.assert_allclose(seen, compensated, atol=0.3)  # the tracker's noise: row for row
+
+    report = json.loads((walk / "diagnosis" / "report.json").read_text())
+    assert report["verdict"] in ("named", "set", "partly")
+    values = {
+        p["where"]: p["value"]
+        for finding in report["findings"]
+        if finding["effect"] == "joint_compliance"
+        for p in finding["parameters"]
+    }
+    model = RealArm(1).model
+    for number in SOFT:
+        hinge = model.joint(JOINTS[number - 1]).id + 1  # behind its motor
+        real = 1.0 / model.jnt_stiffness[hinge]  # rad/(N m)
+        assert values[f"joint {number}"] == pytest.approx(real, rel=0.4)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(2400)
+def test_arms_drawn_at_random() -> None:
+    said = ran(EXAMPLES / "mujoco_draws.py", "--arms", 20)
+    print(said)
+    sums = re.findall(r"(\w+): (\d+) arms, (\d+) of (\d+) inside.*, (\d+) false names", said)
+    assert [kind for kind, *_ in sums] == ["alone", "hose"]
+    for _, arms, kept, sent, _ in sums:
+        assert arms == "10" and int(sent) >= 390 and int(kept) >= 0.85 * int(sent)
+    assert sums[0][-1] == "0"  # of an arm that has what the library has
+    rows = re.findall(
+        r"^\d+ +(\w+) +([\d.]+) +([\d.]+) +([\d.]+) +[\d.]+ +\d+/\d+ +(\w+)", said, re.MULTILINE
+    )
+    assert len(rows) == 20
+    for kind, declared, mean, largest, verdict in rows:
+        assert float(mean) < 0.03 * float(declared) and float(largest) < 1.0
+        assert kind == "alone" or verdict in ("partly", "unknown")  # the hose has no name
