@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from read_arm import ARM as HEAVY
 from scipy.stats import f, multivariate_normal
 from small_arm import ARM as SMALL
 from telescope_arm import WEIGHTLESS, heavy
@@ -388,3 +389,20 @@ def test_a_link_laid_along_y_has_its_length_recovered(rng: np.random.Generator) 
     assert np.abs(found.tip(asked) - true.tip(asked)).max() < 5e-5
     along = {e.row: e.b for e in found.effects if isinstance(e, DhError)}
     assert along[2] + along[3] == pytest.approx(1e-3, abs=2e-5)
+
+
+def test_what_a_solver_rounds_beyond_a_bound_is_no_value(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such a file could not be read."""
+    exact = linear.solved
+
+    def rounded(*problem: Any) -> Any:
+        found = exact(*problem)
+        beyond = found.u - 1e-17 * (found.u == 0.0)
+        return dataclasses.replace(found, u=beyond)
+
+    yields = JointCompliance.for_arm(HEAVY)[1]
+    model = declared_model(HEAVY).plus(yields)
+    q = np.random.default_rng(1).uniform(HEAVY.lower, HEAVY.upper, (20, HEAVY.n))
+    lifted = model.with_values(np.array([-1e-3])).tip(q)  # against its load
+    monkeypatch.setattr(linear, "solved", rounded)
+    assert fit(model, Session.record(q, lifted)).model.values[0] == 0.0

@@ -122,8 +122,8 @@ def _fit_parts(
     scale = priors(tuple(chosen))
     now = np.array([s.value for s in chosen], dtype=float)
     centre = np.where([s.parameter.unknown for s in chosen], now, 0.0)
-    lower = (np.array([s.parameter.lower for s in chosen]) - centre) / scale
-    upper = (np.array([s.parameter.upper for s in chosen]) - centre) / scale
+    limits = np.array([[s.parameter.lower, s.parameter.upper] for s in chosen]).reshape(-1, 2).T
+    lower, upper = (limits - centre) / scale
     converged, step = False, 0
     adapting = any(part.sigma is None or part.fixed is None for part in parts)
     for part in parts:
@@ -144,7 +144,7 @@ def _fit_parts(
         said = square + posterior.u @ (gram @ posterior.u + posterior.u - 2.0 * moment)
         near = bool((step_size <= 1.0).all())
         equations = gram, moment, lower, upper
-        now, cost = _stepped(parts, now, goal, equations, centre, scale, near)
+        now, cost = _stepped(parts, now, goal, limits, equations, centre, scale, near)
         holds = near and cost <= said + AMISS
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
@@ -192,6 +192,7 @@ def _stepped(
     parts: list[SessionProblem],
     now: np.ndarray,
     goal: np.ndarray,
+    limits: np.ndarray,
     equations: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     centre: np.ndarray,
     scale: np.ndarray,
@@ -203,6 +204,7 @@ def _stepped(
     fewer load passes.  `JobError` where it is not finite however short the step.
 
     Args:
+        limits: (2, p) of the values. Rounding leaves them, and no file holds such a value.
         equations: products and bounds that the goal solves.
     """
 
@@ -217,6 +219,7 @@ def _stepped(
     share, aside = 1.0, None
     while share > SHORTEST:
         values = now + share * (goal - now) + (0.0 if aside is None else share**2 * aside)
+        values = np.clip(values, *limits)
         try:
             move(values)
             after = cost(values)
