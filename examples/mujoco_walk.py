@@ -34,7 +34,7 @@ def main(folder: Path, seed: int, poses: int, targets: int, speed: int) -> None:
     bag, found, verified = (folder / name for name in ("session", "diagnosis", "verified"))
     shutil.copyfile(HERE / "mujoco_arm.yaml", arm)
     shutil.copyfile(HERE / "mujoco_kinematics.yaml", folder / "kinematics.yaml")
-    quick = ("--sightings", 3, "--dwell", 0.1)
+    quick = ("--sightings", 3, "--dwell", 0.05)
     real = (HERE / "mujoco_arm.py", "--seed", seed, "--speed", speed, "--log", rests)
     with running(sys.executable, *real):
         longarm("plan", arm, "--kind", "sobol", "-n", poses, "--floor", 0.1, "-o", plan)
