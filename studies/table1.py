@@ -36,6 +36,7 @@ from longarm_comp.core.data.plan import grid, paper_grid, random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.learn.ensemble import train
+from longarm_comp.core.learn.predictor import LearnedGain
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim import context as sim_context
 from longarm_comp.sim.arm_truth import TrueArm
@@ -103,7 +104,8 @@ def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> 
     made = train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
     far = np.full_like(made.encoding.lower, np.inf)
     everywhere = replace(made.encoding, lower=-far, upper=far)
-    return replace(made, encoding=everywhere, variance_limit=np.inf, alone=np.full(3, np.inf))
+    alone, proven = np.full(3, np.inf), LearnedGain()
+    return replace(made, encoding=everywhere, variance_limit=np.inf, alone=alone, gain=proven)
 
 
 def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:

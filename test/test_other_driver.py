@@ -50,6 +50,7 @@ def test_the_graph_comes_up_without_a_driver_and_its_status_asks_for_none(
         s.name.endswith("kinematics: targets") and s.message in ready
         for m in said for s in m.status
     ))  # fmt: skip
+    stage.spin(lambda: "error_predictor" in stage.node.get_node_names())
     shell = Shell(tmp_path, capsys)
     found = shell.json("status")
     assert found["nodes"] == ["error_predictor", "kinematics"]
