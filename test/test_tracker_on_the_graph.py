@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped
 from nodes_bench import Bench, bench, own_graph
 from quick_arm import QuickArm, quick_arm
 from rclpy.action import ActionClient
@@ -167,3 +167,14 @@ def test_after_it_all_is_told_in_the_base_and_targets_may_be_in_either_frame(
         without, with_it = (row["mean_mm"] for row in made["rows"])
         assert not made["placed_by_each_run"] and not made["refused"]
         assert without > 1.0 and with_it < 0.05
+
+
+def test_a_sighting_in_any_frame_is_told(scene: Scene) -> None:
+    tips = graph.TIP_MEASURED.publisher(scene.stage.node)
+    scene.stage.connected(tips)
+    for number, frame in enumerate(("measured", "tip", "base_link", "a frame/", "", "tracker")):
+        message = PoseWithCovarianceStamped(pose=PoseWithCovariance(pose=pose_message(np.eye(4))))
+        message.header.frame_id, message.header.stamp.sec = frame, number + 1
+        tips.publish(message)
+        scene.stage.spin(lambda n=number + 1: n in {m.header.stamp.sec for m in scene.seen})
+    ready(scene)

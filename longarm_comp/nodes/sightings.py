@@ -66,7 +66,7 @@ class TipSightings:
             the model, or None.
         """
         frame, base = message.header.frame_id.lstrip("/"), self._state.base_frame
-        if frame != self._seen_in and frame not in self._own:
+        if frame not in (self._seen_in, self._measured, *self._own):
             self._seen_in, self._told = frame, None
         self.tell()
         stands, self.unplaced = self._state.files.loaded.stands, ""
