@@ -194,6 +194,16 @@ def test_rows_in_which_a_switch_is_undecided_get_no_name(seed: int) -> None:
     assert found.where == ("joint 6",)
 
 
+def test_a_threshold_between_those_that_are_tried_is_found() -> None:
+    rows = session_of(DEMO, 10, Backlash(6, gate=0.2, blend=0.05, width=0.03))
+    found = diagnose(DEMO, rows, kinds=(Backlash,)).search
+    tried = {t.gate for c in found.candidates for t in c.terms if isinstance(t, Backlash)}
+    (play,) = (t for t in found.fit.model.terms if isinstance(t, Backlash))
+    assert not any(abs(gate - 0.2) < 0.04 for gate in tried)
+    assert play.gate == pytest.approx(0.2, abs=0.02)
+    assert play.width == pytest.approx(0.03, rel=0.05)
+
+
 @pytest.mark.parametrize("instrument", [None, "camera", "tracker", "total_station", "touch"])
 def test_only_causes_of_what_measures_are_tried_and_said(instrument: str | None) -> None:
     camera = CameraPlacement(position_m=(0.5, -3.0, 1.0))

@@ -125,3 +125,14 @@ def test_it_ends_at_the_bound_and_says_so() -> None:
     assert interval.low == 0.0
     inside = of(fitted(gain(0.02), JointGain(2)), JointGain)
     assert not inside.at_bound
+
+
+def test_what_moves_an_estimate_widens_its_interval_on_both_sides() -> None:
+    """The rows, with all that could be otherwise, ask for another value than the model has."""
+    rows = fitted(gain(0.02, n=80), JointGain(2))
+    slot = next(k for k, s in enumerate(rows.slots) if isinstance(s.owner, JointGain))
+    off = 8.0 * rows.standard_errors[slot]
+    asked = dataclasses.replace(rows, residual=rows.residual + off * rows.columns[..., slot])
+    interval = of(asked, JointGain)
+    assert interval.low < interval.value < interval.value + off < interval.high
+    assert interval.low + interval.high == pytest.approx(2.0 * interval.value)
