@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from nodes_bench import ROOT, Bench, bench, own_graph
+from std_msgs.msg import String
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.share import folder
@@ -39,6 +40,25 @@ class Stuck(ArmNode):
 program(Stuck)()
 """
 
+TALKER = """
+from std_msgs.msg import String
+from longarm_comp.nodes.health import PERIOD
+from longarm_comp.nodes.node import ArmNode, program
+
+class Talker(ArmNode):
+    def __init__(self, executor):
+        super().__init__(executor, "talker", (PERIOD,))
+        self.voice = self.create_publisher(String, "last_words", LAST_WORDS)
+        self.create_timer(0.05, lambda: self.voice.publish(String(data="here")))
+
+    def close(self):
+        for number in range(LAST_WORDS):
+            self.voice.publish(String(data=str(number)))
+        return super().close()
+
+program(Talker)()
+"""
+
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
@@ -62,3 +82,20 @@ def test_a_job_that_does_not_end_does_not_end_its_node_by_a_crash(stage: Bench) 
     stage.spin(lambda: "begun" in stage.output(process))
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=300) == 0, stage.output(process)
+
+
+def test_what_a_node_says_as_it_ends_is_heard(stage: Bench) -> None:
+    heard, count = list[str](), 40
+    words = stage.node.create_subscription(
+        String, "last_words", lambda said: heard.append(said.data), count
+    )
+    program = TALKER.replace("LAST_WORDS", str(count))
+    for _ in range(4):  # of the publishers that do not wait, every fourth lost something
+        process = stage.program([sys.executable, "-c", program], ROOT, ROOT)
+        stage.spin(lambda: heard)
+        process.send_signal(signal.SIGINT)
+        stage.spin(lambda process=process: process.poll() is not None)
+        assert process.returncode == 0, stage.output(process)
+        stage.spin(lambda: words.get_publisher_count() == 0)
+        assert [said for said in heard if said != "here"] == [str(k) for k in range(count)]
+        heard.clear()

@@ -7,12 +7,14 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -31,6 +33,9 @@ WATCH = Param(
     "watch_period_s", 1.0, "time between two checks whether the file changed", 0.1, 3600.0
 )
 """A parameter of every node that reads files again."""
+
+_LAST_WORDS_S = 2.0
+"""Time that the subscribers of a node that ends have to take its last messages, s."""
 
 
 class ArmNode(Node):
@@ -70,6 +75,14 @@ class ArmNode(Node):
         """Stop what the node started, and say whether all of it has ended; must not raise."""
         ended = [worker.close() for worker in self._workers]
         return all(ended)
+
+    def told(self, within_s: float) -> bool:
+        """Wait until every subscriber has what was published: it is lost with its publisher."""
+        by = time.monotonic() + within_s
+        return all(
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, by - time.monotonic())))
+            for publisher in self.publishers
+        )
 
     def every(self, name: str, callback: Callable[[], Any]) -> None:
         """Call back every so many seconds, as a parameter says; never where it says 0."""
@@ -149,6 +162,7 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
             sys.stderr.flush()
             os._exit(code)
         if node is not None:
+            node.told(_LAST_WORDS_S)
             node.destroy_node()
         rclpy.try_shutdown()
     return code
