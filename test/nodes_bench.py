@@ -13,13 +13,17 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
+from uuid import uuid4
 
 import pytest
 import rclpy
 from conftest import claimed_domain
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from unique_identifier_msgs.msg import UUID
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -134,6 +138,10 @@ class Bench:
                 return future.result()
             assert time.monotonic() < end, f"no answer within {within:g} s\n{self.state()}"
 
+    def action(self, kind: Any, name: str) -> ActionClient:
+        """A client of an action that its server answers."""
+        return answered(ActionClient(self.node, kind, name), kind, self.spin)
+
     def output(self, process: subprocess.Popen[str]) -> str:
         """What a process has said so far."""
         self.said[process].seek(0)
@@ -163,6 +171,23 @@ class Bench:
         self.executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
         self.context.try_shutdown()
+
+
+def answered(client: ActionClient, kind: Any, spin: Callable[[Callable[[], Any]], Any]) -> Any:
+    """A client of an action, once its server answers it.
+
+    As of a service, answers to a client that is not matched yet are lost; so it asks of a goal that
+    there is not, until it is told so.
+    """
+    spin(client.server_is_ready)
+    answers: list[Any] = []
+    while not any(answer.done() for answer in answers):
+        none = UUID(uuid=list(uuid4().bytes))
+        handle = ClientGoalHandle(client, none, kind.Impl.SendGoalService.Response())
+        answers.append(handle.get_result_async())
+        patience = time.monotonic() + _MATCHED_S
+        spin(lambda by=patience: answers[-1].done() or time.monotonic() > by)
+    return client
 
 
 def children(process: subprocess.Popen[str]) -> list[int]:

@@ -13,7 +13,6 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from nodes_bench import Bench, bench
 from publishing import publishing
-from rclpy.action import ActionClient
 from rclpy.clock import ClockType, ROSClock
 from rclpy.time import Time
 from test_nodes_driver_link import ARM, Driver
@@ -94,9 +93,8 @@ def passes(stage: Bench, seconds: float) -> None:
 def test_what_its_clients_gave_up_meanwhile_moves_nothing(stage: Bench, arm: Arm) -> None:
     stand = Stand(stage, arm)
     targets = graph.TARGET_POSE.publisher(stage.node)
-    reach = ActionClient(stage.node, Reach, graph.REACH.name)
+    reach = stage.action(Reach, graph.REACH.name)
     stage.connected(targets)
-    stage.spin(reach.server_is_ready)
     stand.goes()
     stand.node.send_signal(signal.SIGSTOP)
     unstamped = pose(stand.target)

@@ -11,7 +11,6 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from driver_rig import Rig
-from rclpy.action import ActionClient
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -30,8 +29,7 @@ class Followed:
     def __init__(self, rig: Rig, times: float = 0.2, tolerances: dict[str, Any] | None = None,
                  **to: float) -> None:  # fmt: skip
         self.rig, self.feedback = rig, []
-        self.client = ActionClient(rig.stage.node, graph.FOLLOW.type, graph.FOLLOW.name)
-        rig.stage.spin(self.client.server_is_ready)
+        self.client = rig.stage.action(graph.FOLLOW.type, graph.FOLLOW.name)
         point = JointTrajectoryPoint(positions=list(to.values()))
         point.time_from_start = duration(times)
         goal = graph.FOLLOW.type.Goal(**(tolerances or {}))

@@ -18,7 +18,6 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
 from nodes_bench import Bench, bench, children, gone, own_graph
-from rclpy.action import ActionClient
 from visualization_msgs.msg import Marker
 
 from longarm_comp.cli.run import root
@@ -136,8 +135,7 @@ def test_two_arms_side_by_side_survive_killed_nodes(stage: Bench, arm: Arm) -> N
 def the_action_says_where_it_came_to_rest(stage: Bench, station: Station) -> None:
     """One goal is reached and measured, another one cancelled on its way."""
     arm, model = station.arm, station.model
-    client = ActionClient(stage.node, Reach, f"/{station.namespace}/reach")
-    stage.spin(client.server_is_ready)
+    client = stage.action(Reach, f"/{station.namespace}/reach")
     heard: list[Reach.Feedback] = []
 
     def goal(q: np.ndarray) -> Any:

@@ -19,7 +19,7 @@ from builtin_interfaces.msg import Time
 from control_msgs.msg import JointComponentTolerance
 from geometry_msgs.msg import PointStamped
 from nodes_bench import Bench, bench
-from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from small_arm import ARM as SMALL
 from test_circle import declared, through_pi, wrapped
@@ -96,8 +96,7 @@ class Planner:
 
     def __init__(self, stage: Bench) -> None:
         self.stage, self.fed, self.health = stage, [], stage.collect(graph.DIAGNOSTICS)
-        self.client = ActionClient(stage.node, TYPE, graph.FOLLOW_PLANNED.name)
-        stage.spin(self.client.server_is_ready)
+        self.client = stage.action(TYPE, graph.FOLLOW_PLANNED.name)
         stage.spin(self.ready)
 
     def ready(self) -> bool:

@@ -14,7 +14,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from cli_shell import Shell
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped
-from nodes_bench import PATIENCE_S
+from nodes_bench import PATIENCE_S, answered
 from rclpy.action import ActionClient
 
 from longarm_comp.core.arm.arm import Arm
@@ -96,7 +96,7 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
     pose.header.frame_id = "base"
     pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = want.tolist()
     reach = ActionClient(client.node, Reach, graph.REACH.name)
-    client.until(reach.server_is_ready, PATIENCE_S, "reach")
+    answered(reach, Reach, lambda until: client.until(until, PATIENCE_S, "reach"))
     for _ in range(2):  # the second starts from what the first one trimmed
         result = reached(client, reach, pose)
     assert "by the readings the tip is" in result.message and ", within " in result.message

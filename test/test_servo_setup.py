@@ -103,6 +103,17 @@ def test_setup_finds_the_true_zeros(shell: Shell, protocol: str) -> None:
     assert read_measured(mine)["servo_driver.yaml"].facts["zero"] == "pose"
 
 
+def test_setup_is_patient_with_the_servos_of_its_file(shell: Shell) -> None:
+    """A scan asks 253 ids and cannot wait long for each."""
+    mine = folder(shell, "sts3215")
+    with bus("feetech") as emulator:
+        emulator.faults.delays_s = {3: 0.06}
+        line = ("--port", emulator.port)
+        found = shell.json("servo", "scan", *line, "--ids", "1-3")
+        assert [servo["servo_id"] for servo in found["servos"]] == [1, 2]
+        assert shell("servo", "setup", mine, *line, *RIGHT, *POSE_FLAGS) == 0, shell.err
+
+
 def untouched(mine: Path, shell: Shell, *words: object, code: int = 3) -> str:
     """The error line of a setup that must leave the file as it was."""
     before = (mine / "servo_driver.yaml").read_bytes()

@@ -14,9 +14,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
 from geometry_msgs.msg import PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped
-from nodes_bench import PATIENCE_S, Bench, bench, own_graph
+from nodes_bench import Bench, bench, own_graph
 from quick_arm import QuickArm, quick_arm
-from rclpy.action import ActionClient
 from small_arm import ARM as SMALL
 from test_target_frame import AWAY
 from visualization_msgs.msg import MarkerArray
@@ -56,25 +55,17 @@ class Scene:
         )
         self.markers: list[MarkerArray] = []
         stage.node.create_subscription(MarkerArray, "markers", self.markers.append, 1)
-        self.client = ActionClient(stage.node, Reach, graph.REACH.name)
-        stage.spin(self.client.server_is_ready)
+        self.client = stage.action(Reach, graph.REACH.name)
 
-    def reach(self, target: np.ndarray, frame: str, within: float = PATIENCE_S) -> Any:
-        """The result for a position (3,). Fails where none comes within so many seconds."""
+    def reach(self, target: np.ndarray, frame: str) -> Any:
+        """The result for a position (3,)."""
         pose = PoseStamped(pose=pose_message(target))
         pose.header.frame_id = frame
         sent = self.client.send_goal_async(Reach.Goal(target=pose, position_only=True))
         self.stage.spin(sent.done)
         ended = sent.result().get_result_async()
-        self.stage.spin(ended.done, within)
+        self.stage.spin(ended.done)
         return ended.result().result
-
-    def reaches(self) -> bool:
-        """Whether a goal is reached; the result is lost where the client is not discovered yet."""
-        try:
-            return bool(self.reach(targets(1)[0], "base", within=10.0).success)
-        except AssertionError:
-            return False
 
     def part(self, name: str) -> Any:
         """What a node's part says now on /diagnostics."""
@@ -112,7 +103,7 @@ def targets(n: int) -> np.ndarray:
 
 
 def ready(scene: Scene) -> None:
-    scene.stage.spin(scene.reaches)
+    scene.stage.spin(lambda: scene.reach(targets(1)[0], "base").success)
 
 
 def test_before_a_calibration_targets_are_in_the_base_and_no_sighting_is_believed(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
@@ -66,8 +66,12 @@ def _scanned(
     ids: str,
     timeout: float = 0.02,
     known: str | None = None,
+    expected: Collection[int] = (),
 ) -> Scan:
-    """The servos that answer; a port that is not given is asked. `known`: the servo file has it."""
+    """The servos that answer; a port that is not given is asked.
+
+    A servo file says which port is `known` and which ids are `expected`.
+    """
     from longarm_comp.devices.servo_bus.registry import scan_line, usable_ports
 
     if port is None:
@@ -77,7 +81,7 @@ def _scanned(
         default = there[0][0] if len(there) == 1 else known
         port = str(ask(command, "--port", "serial port", "a serial port", default=default))
     with progress("scan") as tell:
-        found = scan_line(port, protocol, baud, _ids(ids), timeout, tell)
+        found = scan_line(port, protocol, baud, _ids(ids), timeout, tell, expected)
     if found is None:
         raise JobError(
             f"no servo answers on {port}: is the bus powered, are data and ground connected, is it "
@@ -238,7 +242,8 @@ def setup(
         raise InputError(file, "servo file", "missing", "`longarm init` makes it")
     config = ServoConfig.load(file)
     held, directions, bus = _held(config, pose), _given(config, direction), config.bus
-    found = _scanned(_COMMAND, port, known=bus.port, **line)
+    known = {joint.servo_id for joint in config.joints.values()}
+    found = _scanned(_COMMAND, port, known=bus.port, expected=known, **line)
     stops = Path(read_parameters(file).get("state") or state_folder())
     refuse_under_stop(stops, {found.port, bus.port}, folder / "arm.yaml")
     _show(found)

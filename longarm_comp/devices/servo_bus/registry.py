@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache
+from typing import NamedTuple
 
 from longarm_comp.core.entry_points import protocols_of_other_packages
 from longarm_comp.core.errors import InputError, JobError
@@ -84,6 +85,24 @@ class Scan:
         return tuple(servo.servo_id for servo in self.servos if servo.clash)
 
 
+class _Line(NamedTuple):
+    port: str
+    protocol: str
+    baudrate: int
+
+    def answering(
+        self, ids: Sequence[int], patience_s: float, tell: Callable[[int, float], None]
+    ) -> list[FoundServo]:
+        """Ask some ids one after the other, each so long; who answers."""
+        servos = []
+        with closing(SerialPort(self.port, self.baudrate, patience_s)) as line:
+            for n, servo_id in enumerate(ids):
+                tell(servo_id, n / len(ids))
+                servo = look(line, protocols()[self.protocol](), servo_id)
+                servos += [servo] if servo else []
+        return servos
+
+
 def scan_line(
     port: str,
     protocol: str | None,
@@ -91,12 +110,15 @@ def scan_line(
     ids: Sequence[int],
     reply_timeout_s: float,
     tell: Callable[[str, float], None],
+    expected: Collection[int] = (),
 ) -> Scan | None:
     """The first protocol and rate at which a servo answers, with all servos that answer then.
 
     Args:
         protocol, baudrate: only this one; None: all that are known, one after the other.
         tell: told what is being asked and the share done, 0 to 1.
+        expected: ids that should be there: on the line that is found, the silent ones are asked
+            once more, with ten times the patience.
 
     Returns:
         None where nothing answered.
@@ -112,14 +134,16 @@ def scan_line(
         for rate in ([baudrate] if baudrate else protocols()[name].baudrates)
     ]
     for k, (name, rate) in enumerate(tries):
-        with closing(SerialPort(port, rate, reply_timeout_s)) as line:
-            servos = []
-            for n, servo_id in enumerate(ids):
-                tell(f"{name}, {rate} bit/s, id {servo_id}", (k + n / len(ids)) / len(tries))
-                servo = look(line, protocols()[name](), servo_id)
-                servos += [servo] if servo else []
-        if servos:
-            return Scan(port, name, rate, tuple(servos))
+        line = _Line(port, name, rate)
+
+        def told(servo_id: int, share: float, k: int = k, line: _Line = line) -> None:
+            said = f"{line.protocol}, {line.baudrate} bit/s, id {servo_id}"
+            tell(said, (k + share) / len(tries))
+
+        if servos := line.answering(ids, reply_timeout_s, told):
+            silent = {*expected}.intersection(ids) - {servo.servo_id for servo in servos}
+            servos += line.answering(sorted(silent), 10.0 * reply_timeout_s, told)
+            return Scan(port, name, rate, tuple(sorted(servos, key=lambda s: s.servo_id)))
     return None
 
 
