@@ -44,11 +44,15 @@ def of_truth(
 
 @pytest.mark.parametrize(("gain", "named"), [(1.6e-3, True), (2e-4, False)])
 def test_a_tiny_effect_is_named_where_its_rows_tell_it(gain: float, named: bool) -> None:
-    """0.03 mm in 2000 rows of 0.35 mm of noise is four times the noise of their mean."""
+    """0.03 mm in 2000 rows of 0.35 mm of noise is four times the noise of their mean.
+
+    Some samples of these rows find a curve without a name in it.
+    """
     found = diagnose(ARM, session([drives.JointGain(at(2, gain))], n=2000), kinds=(JointGain,))
     assert [f.name for f in found.findings] == (["joint_gain"] if named else [])
-    assert found.verdict == ("named" if named else "noise")
+    assert (found.verdict != "noise") == named
     if named:
+        assert found.findings[0].chances[0][1] > 0.8
         low, high = next((i.low, i.high) for i in found.intervals_of(found.findings[0]).values())
         assert low < gain < high
 

@@ -172,6 +172,26 @@ def test_the_misfit_of_a_form_gets_no_name(seed: int) -> None:
     assert any(f.unnamed for f in found)
 
 
+@dataclass(frozen=True)
+class Hose(JointCompliance):
+    """A hose beside joint 2 turns it, and drags at it along another way."""
+
+    name: ClassVar[str] = "hose"
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        q = posture.q[posture.arm.commanded.index(self.joint)]
+        pull = self.compliance / (1.5 + q * q)
+        turned = self.motion(posture, pull * (1.0 + q))
+        return {at: (0.3 * pull * q, *twist[1:]) for at, twist in turned.items()}
+
+
+def test_a_curve_may_be_of_a_hose_as_well_as_of_a_gear() -> None:
+    """An eccentric gear bends into nearly any curve over the way of a joint."""
+    kinds = JointCompliance, JointGain, GearEccentricity
+    found = explained(session_of(DEMO, 1, Hose(2, compliance=5e-2)), *kinds).found
+    assert found and all("discovered" in f.credible for f in found)
+
+
 # ------------------------------------------------------------------ nothing beside what is hidden
 
 TURNING = np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 0.0])

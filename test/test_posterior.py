@@ -25,6 +25,7 @@ from longarm_comp.core.effects.shapes import Cosine, FunctionError
 from longarm_comp.core.identify.discover.inputs import arm_inputs
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
+from longarm_comp.core.identify.posterior.found import UNNAMED
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
 from longarm_comp.core.model.model import Model
 
@@ -135,6 +136,37 @@ def test_what_is_alike_has_one_size() -> None:
     assert (alone.tolist(), cost) == ([4.0, 1.0, 1.0], pytest.approx(math.log(0.2 * 0.8 * 0.8)))
     paired, cost = sized(mean, sizes, chances, np.array([0, 0, 2]))
     assert (paired.tolist(), cost) == ([4.0, 4.0, 1.0], pytest.approx(math.log(0.2 * 0.8)))
+
+
+def test_functions_at_one_place_are_one_cause(across: np.ndarray) -> None:
+    """The second needs no effect, cause or place of its own: half of the causes have one more."""
+    x, y = across[:, :3], across[:, :3] @ [0.5, 0.5, 0.5]
+    offers = [
+        single("no name", k, keys=(k,), site=site, log_prior=math.log(UNNAMED / 30))
+        for k, site in enumerate(("joint 1", "joint 1", "joint 2"))
+    ]
+    bounds = -UNBOUND[:3], UNBOUND[:3]
+    of = OfferBank(offers, x.T @ x, x.T @ y, *bounds, sites=3)
+    alone = of.evidence(offers[:1]) - (offers[0].log_prior - NONE)
+    elsewhere = of.evidence(offers[::2]) - of.evidence(offers[2:])
+    there = of.evidence(offers[:2]) - of.evidence(offers[1:2])
+    assert elsewhere == pytest.approx(alone + offers[0].log_prior - NONE + of.again)
+    assert there == pytest.approx(alone + math.log(0.5) - math.log(30 / 3))
+    names, sites = frozenset({"no name"}), frozenset({"joint 1"})
+    beside = of.single(x.T @ y, frozenset({2}), frozenset({1}), names, sites)
+    assert beside.q[0] / (1.0 - beside.there) == pytest.approx(math.exp(there))
+
+
+@pytest.mark.parametrize(("angle", "named"), [(0.02, True), (0.04, False)])
+def test_a_function_that_does_what_a_name_does_is_no_other_cause(
+    across: np.ndarray, angle: float, named: bool
+) -> None:
+    ways = np.linalg.qr(across[:, :2])[0]
+    x = np.column_stack([3.0 * ways[:, 0], ways @ [math.cos(angle), math.sin(angle)]])
+    function = single("no name", 1, site="joint 1")
+    of = bank(x[:, 0], x, [single("gain", 0), function], UNBOUND[:2])
+    assert of.has_a_name(function) == named
+    assert not of.has_a_name(of.offers[0])
 
 
 def test_what_is_there_whole_is_taken_off_before_the_rest(across: np.ndarray) -> None:

@@ -214,6 +214,12 @@ class Bank:
         at = ([(self._axes[j], f) for j, f in joints] for joints in every)
         seen = ([(k, f) for k, f in joints if np.isfinite(worth[k, f])] for joints in at)
         yield [self._hypothesis(joints, None) for joints in seen if len(joints) > 1]
+        own = self.functions.own_joint if self._axes else {}
+        yield [
+            self._hypothesis([(self._axes[j], f) for f in group.functions], group)
+            for j, group in own.items()
+            if np.isfinite(worth[self._axes[j], list(group.functions)]).any()
+        ]
 
     def _hypothesis(
         self, members: Sequence[tuple[int, int]], group: FunctionGroup | None
@@ -228,6 +234,8 @@ class Bank:
 
     def _prior(self, group: FunctionGroup) -> float:
         """Log prior of a group of functions at one component; half is for components alone."""
+        if group.family is FunctionFamily.OWN_JOINT:
+            return -math.log(len(FunctionFamily) * len(self.functions.own_joint))
         alike = 2.0 * self.functions.counts[group.family] * len(self.places)
         return -math.log(len(FunctionFamily) * alike) - NONE * group.rare
 
@@ -270,16 +278,21 @@ def flattened(design: np.ndarray) -> np.ndarray:
     return design.reshape(design.shape[0] * design.shape[1], design.shape[2])
 
 
-def marginal_of(fit: ModelFit, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
+def marginal_of(fit: ModelFit, kept: np.ndarray, beside: np.ndarray) -> tuple[Marginal, np.ndarray]:
     """Evidence on top of some of a model's columns, without regard to correlated noise.
 
     And (N, d) what these leave, whitened.
+
+    Args:
+        kept: which of the model's columns.
+        beside: (m, k) further columns, whitened without that regard.
     """
     inside = fit.weights > 0
     weights = weight(fit)
     design = whitened_design(fit)[inside]
     data = (fit.residual + fit.columns @ fit.model.values) * weights
-    marginal = Marginal(flattened(design)[:, kept], data[inside].ravel())
+    columns = np.concatenate([flattened(design)[:, kept], beside], axis=1)
+    marginal = Marginal(columns, data[inside].ravel())
     left = np.zeros(data.shape)
     left[inside] = marginal.py.reshape(-1, data.shape[1])
     return marginal, left

@@ -30,6 +30,9 @@ from longarm_comp.core.effects.shapes import (
 )
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments
 
+ANALYTIC = 0.25
+"""By how much the Legendre coefficients of a physical function of one joint fall from one order to
+the next: of cos q over two radians by this, over four by the half."""
 ORDERS = 5
 """Legendre orders of a smooth function of one input."""
 TOTAL = 3
@@ -55,6 +58,7 @@ class FunctionFamily(Enum):
     SWITCH = "switch"
     CONTACT = "contact"
     EACH_JOINT = "the same at each joint"
+    OWN_JOINT = "smooth in a joint, along its axis"
 
     @property
     def sharp(self) -> bool:
@@ -96,6 +100,8 @@ class Functions:
         groups: those that are fitted together at one component.
         each_joint: those that are fitted together, each (commanded joint, function) of it along
             that joint's own axis.
+        own_joint: by commanded joint, the smooth function of its position that moves it along its
+            own axis: what a hose, a spring or a gear without a form of its own does.
     """
 
     def __init__(self, inputs: Arguments, of: type[Quantity] | None = None) -> None:
@@ -103,6 +109,7 @@ class Functions:
         self.listed: list[Function] = []
         self.groups: list[FunctionGroup] = []
         self.each_joint: list[tuple[tuple[int, int], ...]] = []
+        self.own_joint: dict[int, FunctionGroup] = {}
         self._values: list[np.ndarray] = []
         self._shapes: dict[Shape, np.ndarray] = {}
         self._numbers: dict[Function, int] = {}
@@ -150,6 +157,7 @@ class Functions:
 
     def _make(self) -> None:
         inputs = self.inputs.all
+        own = {f"q{j + 1}": j for j in range(self.inputs.joints)}
         self._group(FunctionFamily.CONSTANT, self.number())
         for one in inputs:
             self._group(FunctionFamily.LINEAR, self.number(_linear(one)))
@@ -167,6 +175,11 @@ class Functions:
                 some = [self.number(Legendre(*one.domain, n)) for n in range(1, top + 1)]
                 decay = [1.0 / n for n in range(1, top + 1)]
                 self._group(FunctionFamily.SMOOTH, *some, decay=decay)
+                if one.name in own:
+                    falls = tuple(ANALYTIC ** (n - 1) for n in range(1, top + 1))
+                    self.own_joint[own[one.name]] = FunctionGroup(
+                        FunctionFamily.OWN_JOINT, tuple(some), falls
+                    )
             for threshold in thresholds(one):
                 self._group(FunctionFamily.SWITCH, self.number(switch(one, threshold)))
                 for side in (Above, Below):

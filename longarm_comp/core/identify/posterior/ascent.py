@@ -119,7 +119,11 @@ def _ascended(
             names = frozenset(
                 bank.offers[e.best].name for n, e in enumerate(effects) if n != k and e.there > 0.5
             )
-            now = bank.single(bank.along - bank.gram @ rest, closed, held, names)
+            sites = frozenset(
+                site for n, e in enumerate(effects)
+                if n != k and e.there > 0.5 and (site := bank.offers[e.best].site)
+            )  # fmt: skip
+            now = bank.single(bank.along - bank.gram @ rest, closed, held, names, sites)
             moved = max(moved, float(np.abs(now.q - was.q).max(initial=0.0)))
             effects[k], taken = now, rest + now.mean
         if moved < STILL:

@@ -180,7 +180,8 @@ class _Search:
         for _ in range(ROUNDS):
             self._scan(state)
             if functions:
-                self.propositions = propositions(state.fit, state.found)
+                tolerance = self._standing(state.fit, state.found)[1]
+                self.propositions = propositions(state.fit, state.found, self.candidates, tolerance)
             explained = self._explained(state)
             if explained is None:
                 break
@@ -375,7 +376,7 @@ def _loose(found: FoundEffect) -> FoundEffect:
         replace(t, scale=max(t.scale, LOOSE * abs(t.amount)))  # type: ignore
         for t in found.terms
     )
-    return replace(found, terms=terms)
+    return replace(found, terms=terms, loose=True)
 
 
 def _with(base: Model, now: Model, found: Sequence[FoundEffect]) -> Model:

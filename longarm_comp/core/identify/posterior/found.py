@@ -42,6 +42,7 @@ class Rival:
         judged: the name whose evidence it has. Of names that no measurement distinguishes one is
             judged, and all share its probability.
         log_prior: of it, given that there is an effect, the choice of its places paid.
+        loose: as of `FoundEffect`.
     """
 
     candidate: Candidate
@@ -49,6 +50,7 @@ class Rival:
     probability: float
     judged: str = ""
     log_prior: float | None = None
+    loose: bool = False
 
     @property
     def name(self) -> str:
@@ -73,6 +75,7 @@ class FoundEffect:
         rivals: all other names that may stand in its place, the most probable first.
         where: places that explain it nearly alike; its own first.
         log_prior: as of `Rival`; None: that of any candidate of its name.
+        loose: whether it is a function whose prior was made to fit its amount, once it was there.
     """
 
     terms: tuple[Term, ...]
@@ -82,6 +85,7 @@ class FoundEffect:
     rivals: tuple[Rival, ...] = ()
     where: tuple[tuple[str, ...], ...] = ()
     log_prior: float | None = None
+    loose: bool = False
 
     @property
     def name(self) -> str:
@@ -131,7 +135,7 @@ class FoundEffect:
         chances = dict(zip(worth, goes, strict=True))
         mine = Rival(
             Candidate(self.name, self.terms), self.log_bayes_factor, self.chance, self.name,
-            self.log_prior,
+            self.log_prior, self.loose,
         )  # fmt: skip
         every = [mine, *self.rivals]
         told = sum(r.probability for r in every if r.judged not in worth) or 1.0
@@ -157,6 +161,7 @@ class FoundEffect:
             log_bayes_factor=first.log_bayes_factor,
             chance=first.probability,
             log_prior=first.log_prior,
+            loose=first.loose,
             rivals=tuple(sorted(others, key=lambda r: -r.probability)),
         )
 

@@ -190,7 +190,8 @@ class OfferedEffects:
             for candidate in alike
         )
         where = dict(sorted(where.items(), key=lambda w: -w[1]))
-        return dataclasses.replace(found.led_by(leader, others), where=smallest_set(where))
+        led = found.led_by(dataclasses.replace(leader, loose=found.loose), others)
+        return dataclasses.replace(led, where=smallest_set(where))
 
     def _may_stand(
         self, offers: list[Offer], k: int, least: float
@@ -247,7 +248,10 @@ class OfferedEffects:
         price = math.log(max(len(offers[k].keys), 1))
         here = self.bank.evidence(offers) if len(offers[k].keys) > 1 else 0.0
         while len(offers[k].keys) > 1:
-            fewer = [offers[k].without({key}) for key in offers[k].keys]
+            less = (offers[k].without({key}) for key in offers[k].keys)
+            fewer = [offer for offer in less if not self.bank.has_a_name(offer)]
+            if not fewer:
+                break
             tried = self.bank.evidences([[*offers[:k], o, *offers[k + 1 :]] for o in fewer])
             least = int(np.argmax(tried))
             if here - tried[least] >= price:

@@ -70,8 +70,11 @@ def offered(
         marginal = Marginal(root[:, None] * marginal.a, root * marginal.y)
         columns = root[:, None] * columns
     gram, along = marginal.normal(columns)
-    squares = np.diag(gram)[beside.shape[1] :]
-    moving, plain = _priced(fitted.model.arm, squares, raw, listed)
+    own = gram[beside.shape[1] :, beside.shape[1] :]
+    moving, plain = _priced(fitted.model.arm, np.diag(own), raw, listed)
+    every = OfferBank(plain, own, along[beside.shape[1] :], raw.lower, raw.upper)
+    free = [n for n, offer in enumerate(plain) if not every.has_a_name(offer)]
+    moving, plain = [moving[n] for n in free], [plain[n] for n in free]
     things = [listed[n][0] for n in moving]
     at = {_variant(c.terms): n for n, c in enumerate(things)}
     known = tuple(at[_variant(f.terms)] for f in found if _variant(f.terms) in at)
@@ -79,7 +82,7 @@ def offered(
     for tolerance, size in zip(tolerances, sizes, strict=True):
         evidence, s, t = marginalised(gram, along, size)
         offers = [_as_stiff(o, c, tolerance) for o, c in zip(plain, things, strict=True)]
-        bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like)
+        bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like, fitted.model.arm.n)
         base = marginal.evidence + evidence + tolerance.log_prior
         banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, tolerance))
     return banks
@@ -112,8 +115,15 @@ def _listed(
         if _variant(f.terms) not in offered_now:
             prior = share - math.log(forms[f.name]) if f.name in forms else math.log(UNNAMED)
             prior = prior if f.log_prior is None else f.log_prior
-            listed.append((Candidate(f.name, f.terms), prior, SIZES, CHANCES))
+            sizes = (AMPLITUDES, even) if f.unnamed and not f.loose else (SIZES, CHANCES)
+            listed.append((Candidate(f.name, f.terms), prior, *sizes))
     return listed
+
+
+def _site(candidate: Candidate) -> str:
+    """Where a cause without a name acts; empty of what has a name, or acts at several places."""
+    sites = {"" if t.searched else t.where.partition(",")[0] for t in candidate.terms}
+    return sites.pop() if len(sites) == 1 else ""
 
 
 def _as_stiff(offer: Offer, candidate: Candidate, tolerance: ModelTolerance) -> Offer:
@@ -141,7 +151,9 @@ def _priced(
         keys = tuple(t.key for t in candidate.terms)
         if fixed:
             sizes, chances = (1.0,), (0.0,)
-        offers.append(Offer(candidate.name, keys, own, prior, sizes, chances, fixed))
+        offers.append(
+            Offer(candidate.name, keys, own, prior, sizes, chances, fixed, _site(candidate))
+        )
         kept.append(n)
     return kept, offers
 

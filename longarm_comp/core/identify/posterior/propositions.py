@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.discovered import COMPONENTS, Move, Turn
@@ -23,38 +25,80 @@ from longarm_comp.core.identify.discover.bank import (
     term_of,
 )
 from longarm_comp.core.identify.discover.functions import DENSE, nearby
+from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.offers import tolerance_columns
 
 REFINED = 4
 """Candidates of a bank that are tried with other thresholds and frequencies; each of these pays for
 the choice among as many."""
 
 
-def propositions(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Proposition, ...]:
-    """The functions that explain most, on top of everything and in the place of what was found.
+def propositions(
+    fit: ModelFit,
+    found: Sequence[FoundEffect],
+    library: Sequence[Candidate] = (),
+    tolerance: ModelTolerance = RIGID,
+) -> tuple[Proposition, ...]:
+    """The functions that explain most, on top of all that was found and in the place of each.
+
+    The best of every kind is among them: what bends into any curve is the same function for more
+    than one name.
 
     Args:
         fit: geometry and what was found so far.
         found: these effects.
+        library, tolerance: what may move the rows besides.
     """
-    held = {t.key for f in found for t in f.terms}
-    kept = np.array([s.owner.key not in held for s in fit.slots], dtype=bool)
-    tops = [marginal_of(fit, some) for some in (kept, np.ones_like(kept))[: 2 if held else 1]]
-    best: dict[Hypothesis, tuple[Bank, float]] = {}
+    plain = dataclasses.replace(fit, rho=0.0)
+    tops = []
+    for taken in ((), *((f,) for f in found)):
+        rest = [f for f in found if f not in taken]
+        beside = tolerance_columns(plain, library, rest, tolerance)
+        tops.append(marginal_of(fit, _beside(fit, taken), beside))
+    listed: list[list[_Listed]] = [[] for _ in tops]
     for bank in banks(fit):
-        listed = bank.shortlisted(kept, [left for _, left in tops])
-        for (marginal, _), kinds in zip(tops, listed, strict=True):
-            weighed, each = [], SHORTLIST // len(kinds)  # or what is nearly alike crowds out others
-            for few in kinds:
-                tried = [h for h in few if not _geometric(h)]
-                weighed += _weighed(bank, marginal, tried)[:each]
-            weighed.sort(key=lambda one: -one[0])
-            for worth, h in [*weighed, *_refined(bank, marginal, weighed[:REFINED])]:
-                known = best.get(h)
-                if known is None or worth > known[1]:
-                    best[h] = bank, worth
-    ordered = sorted(best.items(), key=lambda item: -item[1][1])[:SHORTLIST]
-    return tuple(_proposed(bank, h) for h, (bank, worth) in ordered if worth > 0)
+        kept = _beside(fit, found)
+        looked = bank.shortlisted(kept, [left for _, left in tops])
+        for (marginal, _), kinds, mine in zip(tops, looked, listed, strict=True):
+            mine += _of_bank(bank, marginal, kinds)
+    few = SHORTLIST // 2 if found else SHORTLIST
+    made: dict[Hypothesis, Bank] = {}
+    for mine in listed:
+        ordered = sorted((one for one in mine if one.worth > 0), key=lambda one: -one.worth)
+        made |= {h.hypothesis: h.bank for h in ordered[:few]}
+        made |= {h.hypothesis: h.bank for h in ordered if h.first}
+        few = SHORTLIST // (2 * max(len(found), 1))  # of what may take the place of each
+    return tuple(_proposed(bank, h) for h, bank in made.items())
+
+
+class _Listed(NamedTuple):
+    """A candidate, its log odds, and whether it is the best of its kind."""
+
+    worth: float
+    hypothesis: Hypothesis
+    bank: Bank
+    first: bool = False
+
+
+def _of_bank(
+    bank: Bank, marginal: Marginal, kinds: Sequence[Sequence[Hypothesis]]
+) -> list[_Listed]:
+    """The best candidates of a bank on top of a marginal, and these with other thresholds."""
+    made, each = [], SHORTLIST // len(kinds)  # or what is nearly alike crowds out others
+    for some in kinds:
+        weighed = _weighed(bank, marginal, [h for h in some if not _geometric(h)])[:each]
+        made += [_Listed(worth, h, bank, n == 0) for n, (worth, h) in enumerate(weighed)]
+    made.sort(key=lambda one: -one.worth)
+    best = [(one.worth, one.hypothesis) for one in made[:REFINED]]
+    refined = (_Listed(worth, h, bank) for worth, h in _refined(bank, marginal, best))
+    return [*made, *refined]
+
+
+def _beside(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
+    """(p,) which columns of a fit are not of some effects."""
+    of = {t.key for f in found for t in f.terms}
+    return np.array([s.owner.key not in of for s in fit.slots], dtype=bool)
 
 
 def _weighed(

@@ -22,10 +22,14 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, root_of, sized
-from longarm_comp.core.identify.posterior.found import CREDIBLE
+from longarm_comp.core.identify.posterior.found import CREDIBLE, UNNAMED
 
 NONE = -math.log(1.0 - CREDIBLE)
 """Log odds for no further effect, before the data: one finding in twenty may be wrong."""
+
+NAMESAKE = 0.03
+"""Sine of the angle between what a function without a name does and what an effect does, below
+which it is that effect: the form of real joints is known no better (`FORMS`)."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,7 @@ class Offer:
         sizes: prior standard deviations of its coefficients, in units of the columns.
         chances: log probability of each size.
         fixed: whether its coefficients are 1: it is there, whole, or it is not.
+        site: where a cause without a name acts. Whatever is there of it is one cause.
     """
 
     name: str
@@ -49,6 +54,7 @@ class Offer:
     sizes: tuple[float, ...] = (1.0,)
     chances: tuple[float, ...] = (0.0,)
     fixed: bool = False
+    site: str = ""
 
     @property
     def places(self) -> tuple[int, ...]:
@@ -106,10 +112,14 @@ class OfferBank:
         along: (K,) products of the projected columns with the data.
         lower, upper: (K,) bounds of the coefficients.
         like: (K,) numbers that coefficients share that are like each other; all alone where None.
+        sites: number of places at which a cause without a name may act.
 
     Attributes:
         again: log odds, beforehand, of a further place of a name that is there already against a
             new name: what ails one joint ails others, so each has half of the probability.
+        together: log odds, beforehand, of a further function of a cause without a name, where that
+            cause is there, against another cause: a hose is no function of the library, and seldom
+            only one of the bank. It needs neither an effect, a cause nor a place of its own.
     """
 
     def __init__(
@@ -120,6 +130,7 @@ class OfferBank:
         lower: np.ndarray,
         upper: np.ndarray,
         like: np.ndarray | None = None,
+        sites: int = 1,
     ) -> None:
         self.offers = tuple(offers)
         self.like = np.arange(len(along)) if like is None else like
@@ -127,6 +138,11 @@ class OfferBank:
         names = np.array([offer.name for offer in offers])
         self._of_name = {name: names == name for name in dict.fromkeys(names.tolist())}
         self.again = math.log(max(0.5 * len(self._of_name), 1.0))
+        self.together = NONE + math.log(0.5 / UNNAMED) + math.log(sites)
+        self._at_site = {
+            site: np.array([offer.site == site for offer in offers])
+            for site in {offer.site for offer in offers if offer.site}
+        }
         # what is left of the offers where others hold some places: which they take from, and how
         self._beside: dict[
             frozenset[Hashable], tuple[list[int], dict[int, Offer], list[_Whole | _Free]]
@@ -136,12 +152,31 @@ class OfferBank:
     def _scorers(self) -> list[_Whole | _Free]:
         return _scorers(self, dict(enumerate(self.offers)))
 
+    def has_a_name(self, offer: Offer) -> bool:
+        """Whether a function of a cause without a name moves the rows as an effect with one does.
+
+        Then it is that effect, described anew.
+        """
+        if not offer.site or len(offer.places) > 1:
+            return False
+        (k,) = offer.places
+        squares = np.diag(self.gram)
+        product = squares[k] * squares[self._named] * (1.0 - NAMESAKE**2)
+        return bool((self.gram[k, self._named] ** 2 > np.maximum(product, 0.0)).any())
+
+    @cached_property
+    def _named(self) -> np.ndarray:
+        """Columns of effects that have a name and no other column."""
+        alone = (o.places for o in self.offers if not o.site and len(o.places) == 1)
+        return np.array([k for (k,) in alone], dtype=int)
+
     def single(
         self,
         along: np.ndarray,
         closed: frozenset[int],
         held: frozenset[Hashable],
         names: frozenset[str] = frozenset(),
+        sites: frozenset[str] = frozenset(),
     ) -> SingleEffect:
         """The effect that explains what the others leave.
 
@@ -150,6 +185,7 @@ class OfferBank:
             closed: offers that are shut.
             held: places that other effects hold.
             names: names of other effects.
+            sites: of those that are functions of a cause without a name.
         """
         if held not in self._beside:
             gone = [n for n, o in enumerate(self.offers) if not held.isdisjoint(o.keys)]
@@ -167,6 +203,8 @@ class OfferBank:
         scores[list(closed)] = -np.inf
         for name in names:
             scores[self._of_name[name]] += self.again
+        for site in sites:  # whose name is among the names
+            scores[self._at_site[site]] += self.together - self.again
         top = max(float(scores.max(initial=-np.inf)), 0.0)
         weights = np.exp(scores - top)
         q = weights / (weights.sum() + math.exp(-top))
@@ -215,6 +253,13 @@ class OfferBank:
             part if count else ones for part, count, ones in zip(parts, free, fixed, strict=False)
         ]
 
+    def _alike(self, chosen: Sequence[Offer]) -> float:
+        """Log odds that offers gain beside others of their name, or of their cause."""
+        sites = [offer.site for offer in chosen if offer.site]
+        together = len(sites) - len(set(sites))
+        again = len(chosen) - len({offer.name for offer in chosen}) - together
+        return self.again * again + self.together * together
+
     def _joint(self, sets: Sequence[Sequence[Offer]]) -> tuple[np.ndarray, list[np.ndarray]]:
         """(C,) evidence of sets of offers, and the free coefficients of each, offer by offer."""
         totals, means = np.zeros(len(sets)), [np.zeros(0) for _ in sets]
@@ -223,7 +268,7 @@ class OfferBank:
         along = self.along[None].repeat(len(sets), axis=0)
         for n, chosen in enumerate(sets):
             totals[n] = sum(offer.log_prior - NONE for offer in chosen)
-            totals[n] += self.again * (len(chosen) - len({offer.name for offer in chosen}))
+            totals[n] += self._alike(chosen)
             whole = [k for offer in chosen if offer.fixed for k in offer.places]
             if whole:
                 shared = self.gram[whole].sum(0)
