@@ -32,18 +32,24 @@ def files_of(model: Model) -> SimpleNamespace:
     return SimpleNamespace(loaded=SimpleNamespace(file_hash="", stands=base_of_graph(model)))
 
 
-def monitor_of(settle_s: float = 0.0, model: Model = Model(ARM)) -> TipMonitor:  # noqa: B008
+def monitor_of(
+    settle_s: float = 0.0,
+    model: Model = Model(ARM),  # noqa: B008
+    sigma_m: float = 1e-3,
+) -> TipMonitor:
     """A monitor of an arm without a predictor, warned by one sighting a pose."""
-    p = {"settle_s": settle_s, "sightings": 1, "sigma_m": 1e-3, "run_length": 1e4}
+    p = {"settle_s": settle_s, "sightings": 1, "sigma_m": sigma_m, "run_length": 1e4}
     given = {"arm": "arm.yaml", "model": "", **{f"monitor.{k}": v for k, v in p.items()}}
     files = files_of(model)
     node, nobody = SimpleNamespace(get_namespace=lambda: "/"), SimpleNamespace(present=False)
     return TipMonitor(SimpleNamespace(p=given, files=files, node=node, predictor=nobody))
 
 
-def watched(model: Model, off_prediction: float, off_target: float) -> TipMonitor:
+def watched(
+    model: Model, off_prediction: float, off_target: float, sigma_m: float = 1e-3
+) -> TipMonitor:
     """Forty rest poses: the tip is off its prediction, and its prediction off the target."""
-    monitor, stands = monitor_of(model=model), base_of_graph(model)
+    monitor, stands = monitor_of(model=model, sigma_m=sigma_m), base_of_graph(model)
     rng = np.random.default_rng(1)
     for _ in range(40):
         q = ARM.mid + 0.2 * (ARM.upper - ARM.lower) * (rng.random(ARM.n) - 0.5)
@@ -78,6 +84,13 @@ def test_a_drifted_arm_is_off_both(model: Model) -> None:
     assert monitor.report().level == WARN
     assert monitor.target_report().level == WARN
     assert "misses target and prediction" in monitor.target_report().message
+
+
+@pytest.mark.parametrize(("off", "drifted"), [(4e-3, False), (0.1, True)])
+def test_an_arm_that_does_what_its_model_promises_is_not_off(off: float, drifted: bool) -> None:
+    """The declared arm promises to come to rest within some 10 mm of its target."""
+    monitor = watched(Model(ARM), off, 0.0, sigma_m=0.0)
+    assert (monitor.report().level == WARN) == drifted
 
 
 def test_commands_for_other_circumstances_show_at_the_target_alone(model: Model) -> None:

@@ -15,7 +15,11 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.frame_tree import carried, turned_covariance
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor, Verdict
-from longarm_comp.core.compensation.expected import TipByReadings, tip_by_readings
+from longarm_comp.core.compensation.expected import (
+    TipByReadings,
+    expected_miss,
+    tip_by_readings,
+)
 from longarm_comp.core.data.rest import JOINT_REST, RestPose, RestWatch
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -33,7 +37,13 @@ PARAMS = (
     Param("readings.period_s", 1.0, "time between two tip_by_readings; 0: none", 0.0, 60.0),
     Param("monitor.settle_s", 0.5, "time at rest before the tip is measured", 0.0, 60.0),
     Param("monitor.sightings", 3, "sightings averaged at a rest pose", 1, 1000),
-    Param("monitor.sigma_m", 1e-3, "expected error per axis if there is no predictor", 1e-6, 1.0),
+    Param(
+        "monitor.sigma_m",
+        0.0,
+        "expected error per axis without a predictor; 0: as the model promises, 1 mm at least",
+        0.0,
+        1.0,
+    ),
     Param("monitor.run_length", 10000.0, "at most one false alarm in so many rest poses", 2.0, 1e9),
 )
 
@@ -74,6 +84,9 @@ class ReadingsTeller:
     def report(self) -> Report:
         return Report(OK, "not known yet" if self.last is None else self.last.said())
 
+
+_LEAST_M = 1e-3
+"""Expected error per axis, m, below which nobody needs a warning who did not say so."""
 
 EVIDENCE = "evidence (1 warns)"
 """Name of the fact on /diagnostics that says how near to a warning the test is."""
@@ -163,7 +176,7 @@ class TipMonitor:
         Returns the learned error (3,) m that was expected there; None where no predictor speaks.
         """
         missed = self._missed(rest, model, context)
-        learned, sigma = None, np.full(3, self._sigma_m)
+        learned, sigma = None, self._promised(model, rest.q, context)
         with contextlib.suppress(NoAnswer):
             if self._state.predictor.present:
                 found = self._state.predictor.ask(rest.q, context)
@@ -182,6 +195,14 @@ class TipMonitor:
             self._at_target = self._at_target.seen(missed, sigma)
             self._last_miss = f"tip - target {_mm(missed)}"
         return learned
+
+    def _promised(self, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
+        """(3,) m, standard deviation that the parameter or the model's promise says at joints."""
+        if self._sigma_m:
+            return np.full(3, self._sigma_m)
+        promised = expected_miss(model, q, context, model.tip(q, context)).covariance
+        each = np.sqrt(np.trace(np.nan_to_num(promised)) / 3.0)  # in the frame of any tracker
+        return np.full(3, max(float(each), _LEAST_M))
 
     def _missed(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
         """tip - target (3,) m where the arm rests at a target, without the measuring side."""
@@ -202,7 +223,7 @@ class TipMonitor:
             return
         promised = model.tip(self._sent, context)
         off = tip_by_readings(model, read, context).tip - promised
-        self._servos = self._servos.seen(off, np.full(3, self._sigma_m))
+        self._servos = self._servos.seen(off, np.full(3, self._sigma_m or _LEAST_M))
 
     def servo_report(self) -> Report:
         """Whether joints stand where they were sent, for diagnostics."""
