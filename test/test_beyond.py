@@ -11,7 +11,7 @@ import pytest
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.uncertainty import FRAME, with_uncertainty
+from longarm_comp.core.calibration.uncertainty import FRAME, NINETY, with_uncertainty
 from longarm_comp.core.compensation.beyond import KNOWN_TO, beyond_session
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.data.plan import sobol
@@ -20,6 +20,7 @@ from longarm_comp.core.effects.camera_errors import CameraDrift
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.effects.slow_changes import BaseSettling
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store
@@ -140,3 +141,16 @@ def test_a_camera_that_drifts_leaves_the_frame_of_targets_in_doubt(tmp_path: Pat
         assert (sigma[1:] < 0.1 * sigma[0]).all()
         assert compensate(each, None, true.tip(ARM.mid[None])[0]).p90_m > sigma[0]
     assert not learned(SOFT).uncertainty.frame.any()  # type: ignore[union-attr]
+
+
+def test_a_base_that_settled_may_as_well_be_a_camera_that_rose() -> None:
+    """Commands take the base as it is now; where targets are of the start, it is 0.9 mm away."""
+    true = declared_model(ARM).plus(BaseSettling(sink=9e-4))
+    q, t = sobol(ARM, 60, 1).q, np.linspace(0.0, 3600.0, 60)
+    seen = true.measured(q, Context(columns={"t_s": t}))
+    rows = Session.record(q, seen, columns={"t_s": t})
+    model = with_uncertainty(fit(true.plus(*JointZero.for_arm(ARM)), rows))
+    assert model.uncertainty is not None
+    along = model.uncertainty.frame[2, 2]
+    assert NINETY * np.sqrt(along) == pytest.approx(9e-4, rel=0.05)
+    assert np.trace(model.uncertainty.frame) == pytest.approx(along, rel=1e-3)

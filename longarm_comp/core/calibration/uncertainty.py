@@ -27,7 +27,7 @@ from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.calibration.linear import whiten
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.calibration.noise import repeat_scatter
-from longarm_comp.core.data.commanded import moved_by_measuring
+from longarm_comp.core.data.commanded import moved_by_measuring, moved_with_time
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, factor_of, sizes
@@ -35,6 +35,8 @@ from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, factor_
 FRAME = 2.0
 """Standard deviations of what the measuring side did, that a frame may be off by: the ends of a
 steady drift lie 1.7 from its mean, those of one that dies away farther."""
+NINETY = 1.645
+"""Standard deviations along one line that hold 90 of 100."""
 PARTS, SMALL = 4, 20
 """Parts of a joint's range, and random parts, that are left out one at a time; a 90 % radius takes
 as many rows at least."""
@@ -75,11 +77,16 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
 
 
 def _frame(fit: ModelFit) -> np.ndarray:
-    """(3, 3) m^2 of the frame in which targets are taken: the mean of what the measuring side moved
-    the rows by, where that of the session's start or end may be meant."""
-    moved = moved_by_measuring(fit.model, fit.session.take(fit.weights > 0))
+    """(3, 3) m^2 of the frame in which targets are taken.
+
+    It is the mean of what the measuring side moved the rows by, where that of the session's start
+    or end may be meant; and that of the end, where the base moved, or seemed to.
+    """
+    rows = fit.session.take(fit.weights > 0)
+    moved, since = moved_by_measuring(fit.model, rows), moved_with_time(fit.model, rows)
     off = FRAME * (moved - moved.mean(axis=0)) if len(moved) else np.zeros((1, 3))
-    return np.asarray(off.T @ off / len(off))
+    farthest = max(since, key=np.linalg.norm, default=np.zeros(3)) / NINETY
+    return np.asarray(off.T @ off / len(off) + np.outer(farthest, farthest))
 
 
 def _circumstances(fit: ModelFit) -> dict[str, tuple[float, float]]:

@@ -11,7 +11,7 @@ import dataclasses
 
 import numpy as np
 
-from longarm_comp.core.arm.context import NEVER_TOLD
+from longarm_comp.core.arm.context import CLOCK, NEVER_TOLD, ORDER
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
@@ -43,12 +43,29 @@ def with_frame_shift(model: Model, session: Session) -> Model:
 def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
     """(M, 3) m, what the measuring side moves the rows by that say where the tip is; none where
     the model has nothing there."""
-    told, rows = as_commanded(model), own_way(session)
-    if told.biases == model.biases:
+    told = as_commanded(model)
+    return _moved(told, dataclasses.replace(told, biases=model.biases), session)
+
+
+def moved_with_time(model: Model, session: Session) -> np.ndarray:
+    """(M, 3) m, what changes with time, and at no joint, moves the same rows by since their end.
+
+    Commands take the arm as the session left it. No measurement tells a base that moved, or a
+    marker, from a camera that did.
+    """
+    told = as_commanded(model)
+    still = tuple(e for e in told.effects if e.joints or not {CLOCK, ORDER} & set(e.inputs))
+    moved = _moved(dataclasses.replace(told, effects=still), told, session)
+    return moved - moved[-1:]
+
+
+def _moved(less: Model, more: Model, session: Session) -> np.ndarray:
+    """(M, 3) m, by how much a model moves more rows than one that lacks some of its terms."""
+    if less.terms == more.terms:
         return np.zeros((0, 3))
+    rows = own_way(session)
     placed = rows.take(rows.placed)
-    seen = dataclasses.replace(told, biases=model.biases)
-    return np.asarray(errors(told, placed) - errors(seen, placed))
+    return np.asarray(errors(less, placed) - errors(more, placed))
 
 
 def as_commanded(model: Model) -> Model:
