@@ -34,6 +34,7 @@ from longarm_comp.core.effects.joint_term import joint_load, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.masses import GravityDirection
 from longarm_comp.core.effects.plays import Backlash
+from longarm_comp.core.identify.discover.functions import FunctionFamily
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, instead
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
@@ -311,6 +312,25 @@ def test_functions_are_on_offer_in_the_place_of_what_was_found() -> None:
     made = [propositions(whole, found) for found in ((), (named,))]
     same = [any(t.place == "joint 2, turn z, linear(q2)" for p in m for t in p.terms) for m in made]
     assert same == [False, True]
+
+
+def test_the_curve_of_a_joint_is_on_offer_in_the_place_of_a_gear() -> None:
+    """Beside much that explains more in the place of what is larger, and at its own price."""
+    gear = drives.GearEccentricity(np.stack([at(2, 2e-2), 0.0 * at(2, 1.0)]), np.full((2, 4), 0.7))
+    rows = measured(SMALL, (drives.JointGain(at(1, 0.05)), gear), ROWS, 3)
+    bare = calibrated(SMALL, rows)
+    whole = fit(bare.model.plus(JointGain(1), GearEccentricity(2)), rows)
+    known = {t.name: t for t in whole.model.effects}
+    found = [Candidate(n, (known[n],)) for n in ("joint_gain", "gear_eccentricity")]
+    curves = {
+        p.log_prior: p.terms
+        for p in propositions(whole, found)
+        if {t.where for t in p.terms} == {"joint 2, turn z"} and len(p.terms) == 5
+    }
+    own = curves[-math.log(len(FunctionFamily) * SMALL.n)]
+    scales = [t.scale for t in own]  # type: ignore[union-attr]
+    assert [t.function for t in own] == [f"legendre(q2, {n}.0)" for n in range(1, 6)]  # type: ignore[union-attr]
+    assert scales == sorted(scales, reverse=True)
 
 
 def test_a_unit_of_a_functions_prior_moves_the_rows_by_one_noise() -> None:
