@@ -23,7 +23,6 @@ from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from unique_identifier_msgs.msg import UUID
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -182,7 +181,8 @@ def answered(client: ActionClient, kind: Any, spin: Callable[[Callable[[], Any]]
     spin(client.server_is_ready)
     answers: list[Any] = []
     while not any(answer.done() for answer in answers):
-        none = UUID(uuid=list(uuid4().bytes))
+        none = kind.Impl.SendGoalService.Request().goal_id
+        none.uuid = list(uuid4().bytes)
         handle = ClientGoalHandle(client, none, kind.Impl.SendGoalService.Response())
         answers.append(handle.get_result_async())
         patience = time.monotonic() + _MATCHED_S
