@@ -50,29 +50,37 @@ def propositions(
         found: these effects.
         library, tolerance: what may move the rows besides.
     """
-    plain = dataclasses.replace(fit, rho=0.0)
-    tops = []
-    for taken in ((), *((f,) for f in found)):
-        rest = [f for f in found if f not in taken]
-        beside = tolerance_columns(plain, library, rest, tolerance)
-        tops.append(marginal_of(fit, _beside(fit, taken), beside))
-    listed: list[list[_Listed]] = [[] for _ in tops]
+    gone: list[Sequence[FoundEffect]] = [(), *([f] for f in found)]
+    marginals = [_without(fit, found, some, library, tolerance) for some in gone]
+    ranked: list[list[_Ranked]] = [[] for _ in gone]
     for bank in banks(fit):
-        kept = _beside(fit, found)
-        looked = bank.shortlisted(kept, [left for _, left in tops])
-        for (marginal, _), kinds, mine in zip(tops, looked, listed, strict=True):
+        looked = bank.shortlisted(_columns_beside(fit, found), [left for _, left in marginals])
+        for (marginal, _), kinds, mine in zip(marginals, looked, ranked, strict=True):
             mine += _of_bank(bank, marginal, kinds)
     few = SHORTLIST // 2 if found else SHORTLIST
-    made: dict[Hypothesis, Bank] = {}
-    for mine in listed:
-        ordered = sorted((one for one in mine if one.worth > 0), key=lambda one: -one.worth)
-        made |= {h.hypothesis: h.bank for h in ordered[:few]}
-        made |= {h.hypothesis: h.bank for h in ordered if h.first}
+    offered: dict[Hypothesis, Bank] = {}
+    for mine in ranked:
+        better = sorted((one for one in mine if one.worth > 0), key=lambda one: -one.worth)
+        offered |= {one.hypothesis: one.bank for one in better[:few]}
+        offered |= {one.hypothesis: one.bank for one in better if one.first}
         few = SHORTLIST // (2 * max(len(found), 1))  # of what may take the place of each
-    return tuple(_proposed(bank, h) for h, bank in made.items())
+    return tuple(_proposed(bank, h) for h, bank in offered.items())
 
 
-class _Listed(NamedTuple):
+def _without(
+    fit: ModelFit,
+    found: Sequence[FoundEffect],
+    gone: Sequence[FoundEffect],
+    library: Sequence[Candidate],
+    tolerance: ModelTolerance,
+) -> tuple[Marginal, np.ndarray]:
+    """As `marginal_of`: all that was found but what is gone, and what may move the rows besides."""
+    rest = [f for f in found if f not in gone]
+    besides = tolerance_columns(dataclasses.replace(fit, rho=0.0), library, rest, tolerance)
+    return marginal_of(fit, _columns_beside(fit, gone), besides)
+
+
+class _Ranked(NamedTuple):
     """A candidate, its log odds, and whether it is the best of its kind."""
 
     worth: float
@@ -83,19 +91,19 @@ class _Listed(NamedTuple):
 
 def _of_bank(
     bank: Bank, marginal: Marginal, kinds: Sequence[Sequence[Hypothesis]]
-) -> list[_Listed]:
+) -> list[_Ranked]:
     """The best candidates of a bank on top of a marginal, and these with other thresholds."""
     made, each = [], SHORTLIST // len(kinds)  # or what is nearly alike crowds out others
     for some in kinds:
         weighed = _weighed(bank, marginal, [h for h in some if not _geometric(h)])[:each]
-        made += [_Listed(worth, h, bank, n == 0) for n, (worth, h) in enumerate(weighed)]
+        made += [_Ranked(worth, h, bank, n == 0) for n, (worth, h) in enumerate(weighed)]
     made.sort(key=lambda one: -one.worth)
     best = [(one.worth, one.hypothesis) for one in made[:REFINED]]
-    refined = (_Listed(worth, h, bank) for worth, h in _refined(bank, marginal, best))
+    refined = (_Ranked(worth, h, bank) for worth, h in _refined(bank, marginal, best))
     return [*made, *refined]
 
 
-def _beside(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
+def _columns_beside(fit: ModelFit, found: Sequence[FoundEffect]) -> np.ndarray:
     """(p,) which columns of a fit are not of some effects."""
     of = {t.key for f in found for t in f.terms}
     return np.array([s.owner.key not in of for s in fit.slots], dtype=bool)
