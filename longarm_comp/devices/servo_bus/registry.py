@@ -117,8 +117,8 @@ def scan_line(
     Args:
         protocol, baudrate: only this one; None: all that are known, one after the other.
         tell: told what is being asked and the share done, 0 to 1.
-        expected: ids that should be there: on the line that is found, the silent ones are asked
-            once more, with ten times the patience.
+        expected: ids that should be there: on the line that is found, those that are silent or
+            not clear are asked once more, with ten times the patience.
 
     Returns:
         None where nothing answered.
@@ -141,9 +141,12 @@ def scan_line(
             tell(said, (k + share) / len(tries))
 
         if servos := line.answering(ids, reply_timeout_s, told):
-            silent = {*expected}.intersection(ids) - {servo.servo_id for servo in servos}
-            servos += line.answering(sorted(silent), 10.0 * reply_timeout_s, told)
-            return Scan(port, name, rate, tuple(sorted(servos, key=lambda s: s.servo_id)))
+            heard = {servo.servo_id: servo for servo in servos}
+            clear = {servo.servo_id for servo in servos if not servo.clash}
+            unclear = {*expected}.intersection(ids) - clear
+            again = line.answering(sorted(unclear), 10.0 * reply_timeout_s, told)
+            heard |= {servo.servo_id: servo for servo in again}
+            return Scan(port, name, rate, tuple(heard[i] for i in sorted(heard)))
     return None
 
 
