@@ -11,7 +11,7 @@ import pytest
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.uncertainty import FRAME, NINETY, with_uncertainty
+from longarm_comp.core.calibration.uncertainty import FRAME, with_uncertainty
 from longarm_comp.core.compensation.beyond import KNOWN_TO, beyond_session
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.data.plan import sobol
@@ -72,19 +72,21 @@ def test_a_session_that_tells_no_payload_had_the_declared_one() -> None:
 
 
 def test_causes_without_a_name_that_feel_the_load_make_the_physics_less_sure() -> None:
-    """One of the joints alone does not."""
+    """One of the joints alone may, where no row had another load."""
     load, joints = (
         Discovered("joint 3", "turn z", f"linear({of})", f"{of} {low}..{high}", amount=amount)
         for of, low, high, amount in (("sum_loads", 0.0, 60.0, 8e-3), ("q2", -1.0, 1.0, 1e-3))
     )
+    some = {"payload_kg": np.linspace(0.0, OWN_KG, 60)}
     known = []
-    for effect in (load, joints):
-        model = learned(SOFT, effect)
+    for effect, columns in ((load, {}), (load, some), (joints, {}), (joints, some)):
+        model = learned(SOFT, effect, **columns)
         moved = model.tip(Q, at(2.0)) - model.tip(Q, at(OWN_KG))
         spread = beyond_session(model, Q, at(2.0))[0]
         known.append(np.linalg.norm(spread, axis=1) / np.linalg.norm(moved, axis=1))
-    assert (known[0] > KNOWN_TO).all() and known[0].mean() > 2.0 * KNOWN_TO
-    np.testing.assert_allclose(known[1], KNOWN_TO, rtol=1e-6)
+    assert all((each > KNOWN_TO).all() and each.mean() > 2.0 * KNOWN_TO for each in known[:2])
+    assert (known[2] >= KNOWN_TO).all() and known[2].max() > 1.0001 * KNOWN_TO
+    np.testing.assert_allclose(known[3], KNOWN_TO, rtol=1e-6)
 
 
 def test_an_arm_calibrated_as_stiff_may_yield_under_more_load() -> None:
@@ -152,5 +154,5 @@ def test_a_base_that_settled_may_as_well_be_a_camera_that_rose() -> None:
     model = with_uncertainty(fit(true.plus(*JointZero.for_arm(ARM)), rows))
     assert model.uncertainty is not None
     along = model.uncertainty.frame[2, 2]
-    assert NINETY * np.sqrt(along) == pytest.approx(9e-4, rel=0.05)
+    assert np.sqrt(along) == pytest.approx(9e-4 * FRAME / np.sqrt(3.0), rel=0.05)
     assert np.trace(model.uncertainty.frame) == pytest.approx(along, rel=1e-3)

@@ -35,8 +35,6 @@ from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, factor_
 FRAME = 2.0
 """Standard deviations of what the measuring side did, that a frame may be off by: the ends of a
 steady drift lie 1.7 from its mean, those of one that dies away farther."""
-NINETY = 1.645
-"""Standard deviations along one line that hold 90 of 100."""
 PARTS, SMALL = 4, 20
 """Parts of a joint's range, and random parts, that are left out one at a time; a 90 % radius takes
 as many rows at least."""
@@ -84,9 +82,9 @@ def _frame(fit: ModelFit) -> np.ndarray:
     """
     rows = fit.session.take(fit.weights > 0)
     moved, since = moved_by_measuring(fit.model, rows), moved_with_time(fit.model, rows)
-    off = FRAME * (moved - moved.mean(axis=0)) if len(moved) else np.zeros((1, 3))
-    farthest = max(since, key=np.linalg.norm, default=np.zeros(3)) / NINETY
-    return np.asarray(off.T @ off / len(off) + np.outer(farthest, farthest))
+    moved = moved - moved.mean(axis=0) if len(moved) else moved
+    frames = (FRAME * each for each in (moved, since) if len(each))
+    return np.sum([np.zeros((3, 3)), *(off.T @ off / len(off) for off in frames)], axis=0)
 
 
 def _circumstances(fit: ModelFit) -> dict[str, tuple[float, float]]:

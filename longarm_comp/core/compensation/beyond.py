@@ -49,7 +49,8 @@ def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.nd
             continue
         columns = {**context.columns, name: np.clip(values, low, high)}
         edge = dataclasses.replace(context, columns=columns)
-        sd = np.where(beyond[:, None], _not_known(model, q, context, edge), 0.0)
+        one_load = name == "payload_kg" and high - low <= slack
+        sd = np.where(beyond[:, None], _not_known(model, q, context, edge, one_load), 0.0)
         variance += sd**2
         for row in np.flatnonzero(beyond):
             size = 1e3 * float(np.linalg.norm(sd[row]))
@@ -58,7 +59,9 @@ def beyond_session(model: Model, q: np.ndarray, context: Context) -> tuple[np.nd
     return np.sqrt(variance), said
 
 
-def _not_known(model: Model, q: np.ndarray, context: Context, edge: Context) -> np.ndarray:
+def _not_known(
+    model: Model, q: np.ndarray, context: Context, edge: Context, one_load: bool
+) -> np.ndarray:
     """(M, 3) m, sd of what the tip does from the edge of the session to the circumstances asked.
 
     What the model says of it is known to `KNOWN_TO`, and no better than it explains what it saw:
@@ -67,7 +70,7 @@ def _not_known(model: Model, q: np.ndarray, context: Context, edge: Context) -> 
     """
     there, here = (model.posture(unstack(q), c) for c in (context, edge))
     nameless = [e for e in model.effects if isinstance(e, Discovered)]
-    felt = {e.key for e in nameless if _feels(e, there, here)}
+    felt = {e.key for e in nameless if one_load or _feels(e, there, here)}
     whole, named, bare = (
         _tip_without(model, gone, q, edge)
         for gone in ((), felt, {e.key for e in model.effects if not e.geometry})

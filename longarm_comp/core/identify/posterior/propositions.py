@@ -43,14 +43,15 @@ def propositions(
     """The functions that explain most, on top of all that was found and in the place of each.
 
     The best of every kind is among them: what bends into any curve is the same function for more
-    than one name.
+    than one name.  In the place of what gives way is none: every arm gives way, and under another
+    load a function does not know by how much.
 
     Args:
         fit: geometry and what was found so far.
         found: these effects.
         library, tolerance: what may move the rows besides.
     """
-    gone: list[Sequence[FoundEffect]] = [(), *([f] for f in found)]
+    gone: list[Sequence[FoundEffect]] = [(), *([f] for f in found if not f.terms[0].elastic)]
     marginals = [_without(fit, found, some, library, tolerance) for some in gone]
     ranked: list[list[_Ranked]] = [[] for _ in gone]
     for bank in banks(fit):
@@ -63,7 +64,7 @@ def propositions(
         better = sorted((one for one in mine if one.worth > 0), key=lambda one: -one.worth)
         offered |= {one.hypothesis: one.bank for one in better[:few]}
         offered |= {one.hypothesis: one.bank for one in better if one.first}
-        few = SHORTLIST // (2 * max(len(found), 1))  # of what may take the place of each
+        few = SHORTLIST // (2 * max(len(gone) - 1, 1))  # of what may take the place of each
     return tuple(_proposed(bank, h) for h, bank in offered.items())
 
 
