@@ -74,8 +74,8 @@ def test_a_session_that_tells_no_payload_had_the_declared_one() -> None:
 def test_causes_without_a_name_that_feel_the_load_make_the_physics_less_sure() -> None:
     """One of the joints alone may, where no row had another load."""
     load, joints = (
-        Discovered("joint 3", "turn z", f"linear({of})", f"{of} {low}..{high}", amount=amount)
-        for of, low, high, amount in (("sum_loads", 0.0, 60.0, 8e-3), ("q2", -1.0, 1.0, 1e-3))
+        Discovered("joint 3", "turn z", f"linear({of})", f"{of} {low}..{high}", 0.1, amount)
+        for of, low, high, amount in (("sum_loads", 0.0, 60.0, 8e-3), ("q2", -1.0, 1.0, 0.2))
     )
     some = {"payload_kg": np.linspace(0.0, OWN_KG, 60)}
     known = []
@@ -84,8 +84,8 @@ def test_causes_without_a_name_that_feel_the_load_make_the_physics_less_sure() -
         moved = model.tip(Q, at(2.0)) - model.tip(Q, at(OWN_KG))
         spread = beyond_session(model, Q, at(2.0))[0]
         known.append(np.linalg.norm(spread, axis=1) / np.linalg.norm(moved, axis=1))
-    assert all((each > KNOWN_TO).all() and each.mean() > 2.0 * KNOWN_TO for each in known[:2])
-    assert (known[2] >= KNOWN_TO).all() and known[2].max() > 1.0001 * KNOWN_TO
+    assert all((each >= KNOWN_TO).all() and each.mean() > 2.0 * KNOWN_TO for each in known[:3])
+    assert known[2].max() > 1.1  # more than all that the model says of it: more may yield
     np.testing.assert_allclose(known[3], KNOWN_TO, rtol=1e-6)
 
 

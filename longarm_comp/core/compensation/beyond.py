@@ -81,7 +81,26 @@ def _not_known(
     share = np.hypot(KNOWN_TO, np.minimum(ratio, 1.0))
     slots, sizes = not_held(model, context)
     columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
-    return np.sqrt((share[:, None] * moved) ** 2 + ((columns * sizes) ** 2).sum(axis=-1))
+    variance = (share[:, None] * moved) ** 2 + ((columns * sizes) ** 2).sum(axis=-1)
+    if one_load and nameless:
+        variance += np.minimum(ratio, 1.0)[:, None] ** 2 * _may_yield(model, there, here)
+    return np.sqrt(variance)
+
+
+def _may_yield(model: Model, there: Posture, here: Posture) -> np.ndarray:
+    """(M, 3) m^2, by which the tip may move between two postures as all that yields may yield.
+
+    What a cause without a name does under one load may be the work of any of these.
+    """
+    slots = slots_of(model.arm, [t for t in _library(model) if t.elastic])
+    sizes = np.array([YIELDS * s.parameter.width for s in slots])
+    columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
+    return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
+
+
+def _library(model: Model) -> list[Effect]:
+    """Every effect that is searched for, at each of its places in the arm."""
+    return [t for kind in searched() if issubclass(kind, Effect) for t in kind.for_arm(model.arm)]
 
 
 def _feels(effect: Discovered, there: Posture, here: Posture) -> bool:
@@ -108,10 +127,9 @@ def not_held(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.ndarr
     """
     held = {effect.key for effect in model.effects}
     stiff = not any(effect.elastic for effect in model.effects)
-    terms = [t for kind in searched() if issubclass(kind, Effect) for t in kind.for_arm(model.arm)]
     wanted = [
         t
-        for t in terms
+        for t in _library(model)
         if t.key not in held and not t.missing(context)
         if (stiff and t.elastic) or any(is_told(name) for name in (*t.needs, *t.inputs))
     ]
