@@ -60,11 +60,18 @@ def spread(
         except TimeoutError as error:
             raise JobError(f"{asked}: the scheduler {address} has no worker") from error
         begun = {client.submit(work, *task, pure=False): task for task in tasks}
-        for future in as_completed(list(begun)):
-            task = begun.pop(future)  # and with the last of its futures the cluster drops a result
-            try:
-                yield task, future.result()
-            except KilledWorker as error:
-                yield task, JobError(f"every worker died that was given it ({error})")
-            except CancelledError as error:
-                raise JobError(f"{asked}: the scheduler {address} was lost: call again") from error
+        suspects: list[Task] = []
+        try:
+            for future in as_completed(list(begun)):
+                task = begun.pop(future)  # with the last of its futures the cluster drops a result
+                try:
+                    yield task, future.result()
+                except KilledWorker:
+                    suspects.append(task)
+            for task in suspects:  # some died of another that was beside them: alone they do not
+                try:
+                    yield task, client.submit(work, *task, pure=False).result()
+                except KilledWorker as error:
+                    yield task, JobError(f"every worker died that was given it ({error})")
+        except CancelledError as error:
+            raise JobError(f"{asked}: the scheduler {address} was lost: call again") from error
