@@ -25,8 +25,9 @@ from longarm_comp.core.effects.shapes import Cosine, FunctionError
 from longarm_comp.core.identify.discover.inputs import arm_inputs
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
-from longarm_comp.core.identify.posterior.found import UNNAMED
-from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
+from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
+from longarm_comp.core.identify.posterior.offer import Offer
+from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 
 UNBOUND = np.full(9, np.inf)

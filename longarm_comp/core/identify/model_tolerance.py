@@ -22,8 +22,7 @@ from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.fit_columns import FitColumns, shift_of
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.identify.posterior.found import UNNAMED
-from longarm_comp.core.identify.posterior.single_effects import NONE
+from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.model.model import slots_of
 
 BACKGROUND_COMPLIANCE = 0.03

@@ -23,7 +23,7 @@ from longarm_comp.core.calibration.noise import from_residual
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.posterior.single_effects import NONE
+from longarm_comp.core.identify.posterior.found import NONE
 from longarm_comp.core.model.model import Model, slots_of
 
 RUN_UPS = (0.02, 0.035, 0.05, 0.07, 0.1)

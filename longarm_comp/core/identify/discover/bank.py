@@ -34,8 +34,8 @@ from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
 from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.identify.discover.functions import FunctionFamily, FunctionGroup, Functions
 from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
+from longarm_comp.core.identify.posterior.found import NONE
 from longarm_comp.core.identify.posterior.offers import AMPLITUDES
-from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.model.model import slots_of
 
 MOST_ROWS = 350

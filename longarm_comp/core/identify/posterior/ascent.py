@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.identify.posterior.single_effects import Offer, OfferBank, SingleEffect
+from longarm_comp.core.identify.posterior.offer import Offer, SingleEffect
+from longarm_comp.core.identify.posterior.single_effects import OfferBank
 
 STILL = 0.01
 """The ascent ends when no probability moves by as much."""

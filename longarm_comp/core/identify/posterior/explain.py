@@ -33,6 +33,7 @@ from longarm_comp.core.identify.posterior.ascent import BETTER
 from longarm_comp.core.identify.posterior.forms import agreement, refined
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
+    NONE,
     FoundEffect,
     Proposition,
     instead,
@@ -41,7 +42,6 @@ from longarm_comp.core.identify.posterior.offered_effects import Explained, Offe
 from longarm_comp.core.identify.posterior.offers import offered
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.resampled import Resampling
-from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.identify.step_scan import scan
 from longarm_comp.core.model.model import Model
 

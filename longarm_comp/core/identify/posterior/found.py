@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +17,9 @@ CREDIBLE = 0.95
 """Probability that a credible set holds."""
 UNNAMED = 1.0 - CREDIBLE
 """Probability, beforehand, of a cause that the library does not hold: what a set may leave out."""
+
+NONE = -math.log(UNNAMED)
+"""Log odds for no further effect, before the data: one finding in twenty may be wrong."""
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,13 @@ from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
+    NONE,
     FoundEffect,
     Rival,
     smallest_set,
 )
-from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank, SingleEffect
+from longarm_comp.core.identify.posterior.offer import Offer, SingleEffect
+from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
 

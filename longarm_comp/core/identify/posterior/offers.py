@@ -22,9 +22,10 @@ from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, margi
 from longarm_comp.core.calibration.model_fit import ModelFit, priors
 from longarm_comp.core.calibration.plausible import INCREDIBLE
 from longarm_comp.core.identify.model_tolerance import ModelTolerance, background_columns
-from longarm_comp.core.identify.posterior.found import UNNAMED, FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.found import NONE, UNNAMED, FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.offer import Offer
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
-from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
+from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.identify.structure import smooth_in
 from longarm_comp.core.model.model import slots_of
 

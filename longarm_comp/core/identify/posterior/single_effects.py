@@ -12,95 +12,17 @@ turn, until none moves.  Offers that explain the same share a q: that is the cre
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Container, Hashable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Sequence
 from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, root_of, sized
-from longarm_comp.core.identify.posterior.found import CREDIBLE, UNNAMED
-
-NONE = -math.log(1.0 - CREDIBLE)
-"""Log odds for no further effect, before the data: one finding in twenty may be wrong."""
-
-NAMESAKE = 0.03
-"""Sine of the angle between what a function without a name does and what an effect does, below
-which it is that effect: the form of real joints is known no better (`FORMS`)."""
-
-
-@dataclass(frozen=True)
-class Offer:
-    """One thing that a single effect may be.
-
-    Attributes:
-        name: what it is called; offers of one name share a name's probability.
-        keys: the places that it would take. One form only may be at each.
-        columns: positions of its columns in the bank, by key.
-        log_prior: log probability of it, given that there is an effect.
-        sizes: prior standard deviations of its coefficients, in units of the columns.
-        chances: log probability of each size.
-        fixed: whether its coefficients are 1: it is there, whole, or it is not.
-        site: where a cause without a name acts. Whatever is there of it is one cause.
-    """
-
-    name: str
-    keys: tuple[Hashable, ...]
-    columns: tuple[tuple[int, ...], ...]
-    log_prior: float
-    sizes: tuple[float, ...] = (1.0,)
-    chances: tuple[float, ...] = (0.0,)
-    fixed: bool = False
-    site: str = ""
-
-    @property
-    def places(self) -> tuple[int, ...]:
-        """All of its columns."""
-        return tuple(k for own in self.columns for k in own)
-
-    def beside(self, held: frozenset[Hashable]) -> Offer | None:
-        """What is left of it where others hold some of its places; None where that is nothing.
-
-        One place of several is an offer of its own already.
-        """
-        left = sum(key not in held for key in self.keys)
-        if left == len(self.keys):
-            return self
-        return None if left < 2 else self.without(held)
-
-    def without(self, held: Container[Hashable]) -> Offer:
-        """It at its other places."""
-        left = [(k, c) for k, c in zip(self.keys, self.columns, strict=True) if k not in held]
-        keys, columns = zip(*left, strict=True)
-        return dataclasses.replace(self, keys=keys, columns=columns)
-
-
-@dataclass(frozen=True)
-class SingleEffect:
-    """One effect of the sum.
-
-    Attributes:
-        q: (C,) probability of every offer of the bank; what is missing to 1 is none.
-        mean: (K,) coefficients of the bank's columns on average.
-        offers: what offers became beside the places that other effects hold.
-    """
-
-    q: np.ndarray
-    mean: np.ndarray
-    offers: dict[int, Offer] = field(default_factory=dict)
-
-    @cached_property
-    def there(self) -> float:
-        """Probability that it is there at all."""
-        return min(float(self.q.sum()), 1.0)
-
-    @cached_property
-    def best(self) -> int:
-        """The most probable offer."""
-        return int(np.argmax(self.q))
+from longarm_comp.core.identify.model_tolerance import FORMS
+from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
+from longarm_comp.core.identify.posterior.offer import Offer, SingleEffect
 
 
 class OfferBank:
@@ -155,13 +77,14 @@ class OfferBank:
     def has_a_name(self, offer: Offer) -> bool:
         """Whether a function of a cause without a name moves the rows as an effect with one does.
 
-        Then it is that effect, described anew.
+        Then it is that effect, described anew: within the middle one of `FORMS`, which no form of a
+        real joint is known better than.
         """
         if not offer.site or len(offer.places) > 1:
             return False
         (k,) = offer.places
         squares = np.diag(self.gram)
-        product = squares[k] * squares[self._named] * (1.0 - NAMESAKE**2)
+        product = squares[k] * squares[self._named] * (1.0 - FORMS[1] ** 2)
         return bool((self.gram[k, self._named] ** 2 > np.maximum(product, 0.0)).any())
 
     @cached_property
