@@ -66,7 +66,8 @@ def _not_known(
 
     What the model says of it is known to `KNOWN_TO`, and no better than it explains what it saw:
     where causes without a name that feel the change move the tip by half of what the named ones
-    do, to a half.  What the library holds and no row could show is as large as it may be.
+    do, to a half.  Rows of one payload (``one_load``) do not tell which of these causes feel it, so
+    all count.  What the library holds and no row could show is as large as it may be.
     """
     there, here = (model.posture(unstack(q), c) for c in (context, edge))
     nameless = [e for e in model.effects if isinstance(e, Discovered)]
