@@ -314,6 +314,14 @@ def test_functions_are_on_offer_in_the_place_of_what_was_found() -> None:
     assert same == [False, True]
 
 
+def test_no_function_is_on_offer_in_the_place_of_what_gives_way() -> None:
+    """Under another load a function does not know by how much."""
+    rows = session_of(DEMO, 1, JointCompliance(2, compliance=2e-2))
+    whole = fit(calibrated(DEMO, rows).model.plus(JointCompliance(2)), rows)
+    found = [Candidate("joint_compliance", (JointCompliance(2),))]
+    assert JointCompliance.elastic and not propositions(whole, found)
+
+
 def test_the_curve_of_a_joint_is_on_offer_in_the_place_of_a_gear() -> None:
     """Beside much that explains more in the place of what is larger, and at its own price."""
     gear = drives.GearEccentricity(np.stack([at(2, 2e-2), 0.0 * at(2, 1.0)]), np.full((2, 4), 0.7))
