@@ -75,6 +75,7 @@ EXTRAS = {
         "pin",
         "playwright",
         "pytest",
+        "pytest-rerunfailures",
         "pytest-timeout",
         "pytest-xdist",
         "ruff",

@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 _ASK_AGAIN_S, _MATCHED_S, _TOLD_S = 8.0, 0.1, 2.0
 
-PATIENCE_S = 300.0
+PATIENCE_S = 180.0
 """With what will come: far above what it takes, so that no busy machine fails a test."""
 
 
