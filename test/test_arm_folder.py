@@ -20,7 +20,7 @@ from longarm_comp.arm_folder.check import check_folder
 from longarm_comp.arm_folder.marker_sheet import PAPERS, sheet
 from longarm_comp.arm_folder.parameter_file import own_parameters, parameters_of, read_parameters
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.effects.joint_term import reach
+from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo.target import TagBoard

@@ -18,7 +18,7 @@ from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import DhError, JointZero
-from longarm_comp.core.effects.joint_term import reach
+from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import (

@@ -21,8 +21,9 @@ from longarm_comp.core.arm.moves import plan_move, run_up_lengths, wanted_sides
 from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.compensation.expected import expected_miss
-from longarm_comp.core.effects.joint_term import joint_load, typical_loads
+from longarm_comp.core.effects.joint_term import joint_load
 from longarm_comp.core.effects.plays import Backlash
+from longarm_comp.core.effects.typical_loads import typical_loads
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.compensate import compensate
 
@@ -136,7 +137,7 @@ def test_a_joint_arrives_against_its_load_so_that_the_threshold_does_not_matter(
     loose, believed = Model(HEAVY, (true,)), Model(HEAVY, (replace(true, gate=share * 0.2),))
     goals = HEAVY.mid + 0.8 * (HEAVY.upper - HEAVY.lower) * (rng.random((20, 4)) - 0.5)
     loads = joint_load(loose.unsagged(tuple(goals.T), Context()), 4)
-    torque = typical_loads(HEAVY)[1]
+    torque = typical_loads(HEAVY).torque
     assert (np.abs(loads) > 0.2 * torque).any() and (np.abs(loads) < 0.2 * torque).any()
     for goal, way in itertools.product(goals, (-0.3, 0.3)):
         target = Model(HEAVY).tip(goal)

@@ -30,10 +30,11 @@ from longarm_comp.core.effects.drive_errors import (
     ServoQuantisation,
 )
 from longarm_comp.core.effects.effect import Effect, parameter
-from longarm_comp.core.effects.joint_term import joint_load, typical_loads
+from longarm_comp.core.effects.joint_term import joint_load
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.masses import GravityDirection
 from longarm_comp.core.effects.plays import Backlash
+from longarm_comp.core.effects.typical_loads import typical_loads
 from longarm_comp.core.identify.discover.functions import FunctionFamily
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition, instead
@@ -275,7 +276,7 @@ def test_a_row_at_a_threshold_says_nothing_of_its_side() -> None:
     every = tolerance_columns(fitted, (), found, ModelTolerance(0.05, False))
     touched = (every.reshape(len(rows), 3, -1) != 0).any(axis=1)
     free = touched[:, touched.sum(axis=0) == 1]
-    load = np.abs(joint_load(fitted.posture, 4)) / typical_loads(DEMO)[1]
+    load = np.abs(joint_load(fitted.posture, 4)) / typical_loads(DEMO).torque
     off = np.abs(load / 0.1 - 1.0)
     assert free.any(axis=1)[off < 0.04].sum() >= 3
     assert not free.any(axis=1)[off > 0.07].any()

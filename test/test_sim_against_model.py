@@ -32,7 +32,6 @@ from longarm_comp.core.effects.drive_errors import (
     ServoQuantisation,
 )
 from longarm_comp.core.effects.geometry_errors import JointZero
-from longarm_comp.core.effects.joint_term import typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.masses import GravityDirection, LinkMass, TipPayload
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
@@ -49,6 +48,7 @@ from longarm_comp.core.effects.slow_changes import (
     ThermalGrowth,
     ThermalSoftening,
 )
+from longarm_comp.core.effects.typical_loads import typical_loads
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State
@@ -78,7 +78,7 @@ def _eccentric(e: Any) -> list[Any]:
 
 
 # name: (the model's terms for a hidden effect, rms difference allowed in mm at 3 mm of effect)
-TORQUE = typical_loads(Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml"))[1]
+TORQUE = typical_loads(Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")).torque
 
 SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
     "joint_zero": (lambda e: _each(ALL, JointZero, offset=e.offset), 0.06),

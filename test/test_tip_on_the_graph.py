@@ -24,8 +24,8 @@ from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.joint_term import typical_loads
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis, ServoDeadband
+from longarm_comp.core.effects.typical_loads import typical_loads
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient, Pace
@@ -148,7 +148,7 @@ class Stage:
 
 def known(arm: Arm, hidden: tuple[HiddenEffect, ...]) -> Model:
     """The declared arm with what it hides, in the words of the library."""
-    torque = typical_loads(arm)[1]
+    torque = typical_loads(arm).torque
     reach = MotorSpec().wind_up_ticks * 2 * np.pi / 40960  # geared 10 to 1
     sharp = 0.01  # the simulated gates are sharp
     terms: list[Effect] = []

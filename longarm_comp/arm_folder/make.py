@@ -16,7 +16,7 @@ from longarm_comp.arm_folder.parameter_file import one_line, own_text, with_valu
 from longarm_comp.arm_folder.servos import DEFAULT_MODEL, servo_section
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import link_places
-from longarm_comp.core.effects.joint_term import reach
+from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_bus.registry import models

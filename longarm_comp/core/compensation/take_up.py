@@ -28,7 +28,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.unknown import history_joints
-from longarm_comp.core.effects.joint_term import reach
+from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 

@@ -21,7 +21,7 @@ from longarm_comp.core.data.belonging import MOST_STRAYS, believe, mistakes
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import check_touches
-from longarm_comp.core.effects.joint_term import reach
+from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model

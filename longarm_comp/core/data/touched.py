@@ -18,8 +18,8 @@ from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.lifted_base import EXACT
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias
-from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.effects.touched_places import PlanePlace, TouchBeside, TouchPlace
+from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack

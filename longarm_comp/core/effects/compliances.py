@@ -14,9 +14,10 @@ from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.effect import Effect, Parameter, Sites, form, parameter, place
-from longarm_comp.core.effects.joint_term import JointTerm, reach, typical_loads
+from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.effects.link_deflection import extra_sag
 from longarm_comp.core.effects.sites import beams, rows
+from longarm_comp.core.effects.typical_loads import reach, typical_loads
 
 
 @dataclass(frozen=True)
@@ -57,14 +58,16 @@ class JointCompliance(JointTerm):
         return super().moved_rows(posture) if self.follows else ((self.joint, 1.0),)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 20 mrad (2 % of the reach) under the arm's typical load.
+        """Prior: 20 mrad (2 % of the reach) under what its place is built for (`typical_loads`).
+
+        Gears, shafts and servos of a kind are as stiff as they are strong, by their catalogues.
 
         Fitted to real arms with all seats: Justin 43 to 75 mrad, WAM 18 and 24, Pandas up to 11.
         """
-        force, torque = typical_loads(arm)
+        loads = typical_loads(arm)
         if self.slides(arm):
-            return self.with_prior(0.002 * reach(arm) / force, unit="m/N")
-        return self.with_prior(0.02 / torque)
+            return self.with_prior(0.002 * reach(arm) / loads.force, unit="m/N")
+        return self.with_prior(0.02 / loads.at(self.joint))
 
     def twists(self, posture: Posture) -> Twists:
         return self.motion(posture, self.compliance * self.load(posture))
@@ -116,11 +119,11 @@ class BearingTilt(JointTerm):
     )
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 10 mrad under the arm's typical torque.
+        """Prior: 10 mrad under what its place is built for.
 
         First seats of real arms, fitted: Justin 11 to 18 mrad, UR5 1, Pandas 0.2 to 4.
         """
-        return self.with_prior(0.01 / typical_loads(arm)[1])
+        return self.with_prior(0.01 / typical_loads(arm).at(self.joint))
 
     def twists(self, posture: Posture) -> Twists:
         """Rotation about the seat's lateral axes, seen in the bearing's."""
@@ -169,11 +172,11 @@ class LinkBending(Effect):
         return math.log(every / len(self.sites(arm)))
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 10 mrad over a quarter of the reach under the arm's typical torque.
+        """Prior: 10 mrad over a quarter of the reach under what its start is built for.
 
         A short bracket of that section turns by little, as the arm's own beams would.
         """
-        return self.with_prior(0.01 / (typical_loads(arm)[1] * reach(arm) / 4))
+        return self.with_prior(0.01 / (typical_loads(arm).at(self.row - 1) * reach(arm) / 4))
 
     def twists(self, posture: Posture) -> Twists:
         start, station = posture.frame(self.row - 1), posture.frame(self.row)
@@ -213,7 +216,7 @@ class BaseCompliance(Effect):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: 10 mrad under the arm's typical torque."""
-        return self.with_prior(0.01 / typical_loads(arm)[1])
+        return self.with_prior(0.01 / typical_loads(arm).torque)
 
     def twists(self, posture: Posture) -> Twists:
         x, y, _ = posture.moment(0)

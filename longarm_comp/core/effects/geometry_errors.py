@@ -13,8 +13,9 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, Sites, form, parameter, place
-from longarm_comp.core.effects.joint_term import JointTerm, reach
+from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.effects.sites import moving_joints, rows
+from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.errors import InputError
 
 

@@ -6,19 +6,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import PER_JOINT, Context
+from longarm_comp.core.arm.context import PER_JOINT
 from longarm_comp.core.arm.history import play
-from longarm_comp.core.arm.posture import Chain, Posture, Twists
+from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Drive, Effect, Sites, form, place
 from longarm_comp.core.effects.sites import moving_joints
+from longarm_comp.core.effects.typical_loads import typical_loads
 
-_POSES = 64
-"""Poses over which a typical load is taken."""
 _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 
 
@@ -138,8 +135,9 @@ class RestingTerm(JointTerm):
 
         def found() -> Scalar:
             load = self.load(posture)
-            force, torque = typical_loads(posture.arm)
-            threshold = self.gate * (force / 4 if self.slides(posture.arm) else torque)
+            usual = typical_loads(posture.arm)
+            load_there = usual.force / 4 if self.slides(posture.arm) else usual.torque
+            threshold = self.gate * load_there
             settled = (abs(load) - threshold - _RESTING) / (self.blend * threshold + 0.1 * _RESTING)
             share = 0.5 + 0.5 * spatial.tanh(settled)
             return share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
@@ -169,49 +167,3 @@ def row_loads(posture: Posture, rows: Iterable[tuple[int, float]]) -> Scalar:
         share = posture.force(station)[2] if sliding else posture.moment(station)[2]
         total = total + (share if weight == 1.0 else weight * share)
     return total
-
-
-_loads_of: dict[str, tuple[float, float]] = {}
-
-
-def typical_loads(arm: Arm) -> tuple[float, float]:
-    """Size of an arm's loads: its weight (N) and a torque (N m).
-
-    The torque is a quarter of weight times reach, or the RMS moment about the bearing that carries
-    most, over poses between the limits, where that is less: a heavy base loads no joint. Where
-    the place of a mass is recorded (`position_columns`), it is the quarter. An arm that declares
-    no weight is taken to weigh a kilogram a metre.
-    """
-    if arm.hash not in _loads_of:
-        mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
-        mass += arm.payload.mass_kg if arm.payload else 0.0
-        force = (mass if arm.weighed else reach(arm)) * float(np.linalg.norm(arm.gravity_mps2))
-        torque = force * reach(arm) / 4
-        if arm.weighed and not any(m.position_columns for m in arm.point_masses):
-            torque = min(torque, _largest_moment(arm))
-        _loads_of[arm.hash] = max(force, 1e-9), max(torque, 1e-9)
-    return _loads_of[arm.hash]
-
-
-def _largest_moment(arm: Arm) -> float:
-    """RMS over poses of the moment about the most loaded bearing, N m."""
-    poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSES, arm.n))
-    chain = Chain(arm, elements_per_beam=1)
-    q = tuple(np.ascontiguousarray(poses.T))
-    frames, lengths = chain.place(q, {})
-    posture = Posture(chain, q, Context(), frames, lengths, arm.gravity_mps2)
-    moments = [posture.moment(posture.bearing(row)) for row in arm.commanded]
-    each = np.array([[np.broadcast_to(part, _POSES) for part in moment] for moment in moments])
-    return float(np.sqrt((each**2).sum(axis=1).mean(axis=1).max()))
-
-
-def reach(arm: Arm) -> float:
-    """Sum of the rows' lengths (m)."""
-    total = 0.0
-    for joint in arm.joints:
-        if joint.pose is not None:
-            total += float(np.linalg.norm(joint.pose.xyz_m))
-        total += abs(joint.a_m) + abs(joint.d_m)
-        if joint.type == "prismatic" and joint.commanded:
-            total += max(abs(v) for v in joint.limits)
-    return max(total + float(np.linalg.norm(arm.tip.position_m)), 1e-3)

@@ -8,8 +8,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Vec, add, cross
 from longarm_comp.core.effects.effect import Effect, Parameter, Sites, parameter, place
-from longarm_comp.core.effects.joint_term import typical_loads
 from longarm_comp.core.effects.sites import moving_joints, rows
+from longarm_comp.core.effects.typical_loads import typical_loads
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class TipPayload(_Weight):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: a tenth of the arm's weight; the carried mass cannot become negative."""
-        weight = typical_loads(arm)[0] / 9.81
+        weight = typical_loads(arm).force / 9.81
         held = arm.payload.mass_kg if arm.payload else 0.0
         return self.with_prior(max(0.1 * weight, 1e-6), lower=-held)
 
@@ -70,7 +70,7 @@ class LinkMass(_Weight):
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: a tenth of the arm's weight."""
-        return self.with_prior(max(0.1 * typical_loads(arm)[0] / 9.81, 1e-6))
+        return self.with_prior(max(0.1 * typical_loads(arm).force / 9.81, 1e-6))
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         return (Lumped(posture.frame(self.frame), self.mass, ZERO),)
@@ -105,7 +105,7 @@ class UndeclaredWeight(_Weight):
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Priors: a quarter of the arm's weight at the tip, and another shared by the joints; a
         guide weighs as much as its slide."""
-        quarter = typical_loads(arm)[0] / 9.81 / 4
+        quarter = typical_loads(arm).force / 9.81 / 4
         shares = self.with_prior(quarter, quarter / len(moving_joints(arm)), 1.0)
         return shares if _guided(arm) else shares[:2]
 

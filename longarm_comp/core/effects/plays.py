@@ -12,7 +12,8 @@ from longarm_comp.core.arm.history import SLIDE
 from longarm_comp.core.arm.parts import Beam
 from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.effects.effect import Parameter, form, parameter
-from longarm_comp.core.effects.joint_term import JointTerm, RestingTerm, typical_loads
+from longarm_comp.core.effects.joint_term import JointTerm, RestingTerm
+from longarm_comp.core.effects.typical_loads import typical_loads
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ class TelescopeClearance(JointTerm):
         slider = _slider(arm, self.joint)
         body = slider.body_length_m if slider and slider.body_length_m else 1.0
         clearance, give = self.declared()
-        prior = 3e-3 * (body / 2) ** 2 / typical_loads(arm)[1]
+        prior = 3e-3 * (body / 2) ** 2 / typical_loads(arm).torque
         return clearance, dataclasses.replace(give, prior=prior)
 
     def twists(self, posture: Posture) -> Twists:

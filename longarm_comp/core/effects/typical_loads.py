@@ -1,0 +1,98 @@
+"""How much an arm carries, in all and at each place: what priors of effects scale with."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Chain, Posture
+
+_POSES = 64
+"""Poses over which a typical load is taken."""
+_PAYLOAD = 0.1
+"""Share of its weight that an arm is built to carry at its tip; robots carry 0.1 to 0.3."""
+
+_LEAST = 0.01
+"""Of the largest moment: no place is built for less."""
+
+
+class TypicalLoads(NamedTuple):
+    """Size of an arm's loads.
+
+    Attributes:
+        force: its weight, N.
+        torque: a quarter of weight times reach, or the RMS moment about the bearing that carries
+            most, over poses between the limits, where that is less: a heavy base loads no joint.
+            Where the place of a mass is recorded (`position_columns`), it is the quarter. N m.
+        shares: of the moment that the most loaded place is built for, by what carries each row:
+            RMS of the arm's own and of a payload of a tenth of its weight.
+    """
+
+    force: float
+    torque: float
+    shares: tuple[float, ...]
+
+    def at(self, row: int) -> float:
+        """The typical torque of what carries a row, N m: as much less as its place is built for."""
+        return self.torque * self.shares[max(row - 1, 0)]
+
+
+_loads_of: dict[str, TypicalLoads] = {}
+
+
+def typical_loads(arm: Arm) -> TypicalLoads:
+    """Size of an arm's loads. One that declares no weight is taken to weigh a kilogram a metre."""
+    if arm.hash not in _loads_of:
+        mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
+        mass += arm.payload.mass_kg if arm.payload else 0.0
+        force = (mass if arm.weighed else reach(arm)) * float(np.linalg.norm(arm.gravity_mps2))
+        torque = force * reach(arm) / 4
+        own, levers = _carried(arm)
+        if arm.weighed and not any(m.position_columns for m in arm.point_masses):
+            torque = min(torque, max(own[row - 1] for row in arm.commanded))
+            built = own + _PAYLOAD * force * levers
+        else:
+            built = levers
+        shares = np.maximum(built / max(built.max(), 1e-12), _LEAST)
+        loads = TypicalLoads(max(force, 1e-9), max(torque, 1e-9), tuple(shares.tolist()))
+        _loads_of[arm.hash] = loads
+    return _loads_of[arm.hash]
+
+
+def _carried(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+    """By row, RMS over poses: its bearing's moment, N m, and its distance from the tip, m."""
+    poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSES, arm.n))
+    chain = Chain(arm, elements_per_beam=1)
+    q = tuple(np.ascontiguousarray(poses.T))
+    frames, lengths = chain.place(q, {})
+    posture = Posture(chain, q, Context(), frames, lengths, arm.gravity_mps2)
+    tip = posture.frames[posture.chain.spots[""]].p
+    own, levers = [], []
+    for row in arm.joints:
+        station = posture.bearing(row.id)
+        own.append(_rms(posture.moment(station)))
+        at = posture.frames[station].p
+        levers.append(_rms([a - b for a, b in zip(tip, at, strict=True)]))
+    return np.array(own), np.array(levers)
+
+
+def _rms(vector: object) -> float:
+    """Of the length of vectors, (3,) of numbers or (N,)."""
+    each = np.array([np.broadcast_to(part, _POSES) for part in vector])  # type: ignore[attr-defined]
+    return math.sqrt((each**2).sum(axis=0).mean())
+
+
+def reach(arm: Arm) -> float:
+    """Sum of the rows' lengths (m)."""
+    total = 0.0
+    for joint in arm.joints:
+        if joint.pose is not None:
+            total += float(np.linalg.norm(joint.pose.xyz_m))
+        total += abs(joint.a_m) + abs(joint.d_m)
+        if joint.type == "prismatic" and joint.commanded:
+            total += max(abs(v) for v in joint.limits)
+    return max(total + float(np.linalg.norm(arm.tip.position_m)), 1e-3)
