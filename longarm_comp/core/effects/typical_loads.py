@@ -13,8 +13,8 @@ from longarm_comp.core.arm.posture import Chain, Posture
 
 _POSES = 64
 """Poses over which a typical load is taken."""
-_PAYLOAD = 0.1
-"""Share of its weight that an arm is built to carry at its tip; robots carry 0.1 to 0.3."""
+_PAYLOAD = 0.3
+"""Share of its weight that an arm is built to carry at its tip: WAM and Panda 0.15, iiwa and Gen3 0.5."""
 
 _LEAST = 0.01
 """Of the largest moment: no place is built for less."""
@@ -29,7 +29,7 @@ class TypicalLoads(NamedTuple):
             most, over poses between the limits, where that is less: a heavy base loads no joint.
             Where the place of a mass is recorded (`position_columns`), it is the quarter. N m.
         shares: of the moment that the most loaded place is built for, by what carries each row:
-            RMS of the arm's own and of a payload of a tenth of its weight.
+            RMS of the arm's own and of a payload (`_PAYLOAD`).
     """
 
     force: float
