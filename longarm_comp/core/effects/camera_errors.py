@@ -11,6 +11,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.spatial import Vec, add, dot, scale, sub
 from longarm_comp.core.effects.effect import Bias, parameter
+from longarm_comp.core.effects.settling import settled_hours, settling_time
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class CameraRadial(Bias):
 
 @dataclass(frozen=True)
 class CameraDrift(Bias):
-    """Seen points drift linearly in time."""
+    """Seen points drift: ever slower, as from what warms up, or at a constant rate."""
 
     name = "camera_drift"
     title = "drift of the measurements"
@@ -65,10 +66,11 @@ class CameraDrift(Bias):
     }
     needs = ("t_s",)
 
-    x: float = parameter("m/h", "drift of the seen points", prior=2e-3)
-    y: float = parameter("m/h", "drift of the seen points", prior=2e-3)
-    z: float = parameter("m/h", "drift of the seen points", prior=2e-3)
+    time: float = settling_time()
+    x: float = parameter("m/h", "drift of the seen points at the start", prior=2e-3)
+    y: float = parameter("m/h", "drift of the seen points at the start", prior=2e-3)
+    z: float = parameter("m/h", "drift of the seen points at the start", prior=2e-3)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        hours = context.column("t_s", 0.0) / 3600.0
+        hours = settled_hours(context, self.time)
         return (point[0] + self.x * hours, point[1] + self.y * hours, point[2] + self.z * hours)

@@ -10,6 +10,7 @@ from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Twist, summed
 from longarm_comp.core.effects.effect import Effect, form, parameter
 from longarm_comp.core.effects.link_deflection import extra_sag
+from longarm_comp.core.effects.settling import settled_hours, settling_time
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class ThermalGrowth(Effect):
 
 @dataclass(frozen=True)
 class BaseSettling(Effect):
-    """The base sinks and leans at a constant rate.
+    """The base sinks and leans: ever slower, as ground does, or at a constant rate.
 
     It moves the arm, so it is compensated.  A camera that drifts only seems to move it
     (`CameraDrift`): sinking alone cannot be told from that, leaning can.
@@ -51,12 +52,13 @@ class BaseSettling(Effect):
     action = "Brace the stand; measure again after it has settled."
     needs = ("t_s",)
 
-    sink: float = parameter("m/h", "motion along z of the base frame", prior=1e-3)
-    about_x: float = parameter("rad/h", "lean about x of the base frame", prior=2e-3)
-    about_y: float = parameter("rad/h", "lean about y of the base frame", prior=2e-3)
+    time: float = settling_time()
+    sink: float = parameter("m/h", "motion along z of the base frame at the start", prior=1e-3)
+    about_x: float = parameter("rad/h", "lean about x of the base frame at the start", prior=2e-3)
+    about_y: float = parameter("rad/h", "lean about y of the base frame at the start", prior=2e-3)
 
     def twists(self, posture: Posture) -> Twists:
-        hours = posture.context.column("t_s", 0.0) / 3600.0
+        hours = settled_hours(posture.context, self.time)
         sunk, x, y = self.sink * hours, self.about_x * hours, self.about_y * hours
         return {0: (0.0, 0.0, sunk, x, y, 0.0)}
 

@@ -14,7 +14,7 @@ from longarm_comp.core.arm.posture import Chain, Posture
 _POSES = 64
 """Poses over which a typical load is taken."""
 _PAYLOAD = 0.3
-"""Share of its weight that an arm is built to carry at its tip: WAM and Panda 0.15, iiwa and Gen3 0.5."""
+"""Share of its weight that an arm is built to carry: WAM and Panda 0.15, iiwa and Gen3 0.5."""
 
 _LEAST = 0.01
 """Of the largest moment: no place is built for less."""
