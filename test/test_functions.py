@@ -266,7 +266,6 @@ def test_the_square_of_the_warmth_is_no_list_of_thermal_names() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.xfail(raises=AssertionError, reason="a give of the base, alike about both axes (8.5)")
 def test_a_soft_base_and_a_soft_bearing_above_it_are_a_set() -> None:
     """They move the tip alike; the repair is another.  Functions do not hide the set."""
     rows = measured(DEMO, (loads.BaseCompliance(np.array([6e-3, 6e-3])),), ROWS, 3)

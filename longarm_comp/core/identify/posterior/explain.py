@@ -163,11 +163,8 @@ class _Search:
             linear, state = replace(linear, fit=fewer.fit, found=fewer.found), fewer
         else:
             state = replace(state, found=found)
-        fitted = _plain(
-            with_background(state.fit, self.candidates, tolerance.compliance)
-            if tolerance.compliance
-            else state.fit
-        )
+        rest = self._rest(state)
+        fitted = _plain(with_background(state.fit, self.candidates, rest) if rest else state.fit)
         known = {t.variant: t for t in fitted.model.terms}
         held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
         left = (f for f in doubtful if f.in_doubt)
@@ -223,6 +220,16 @@ class _Search:
         """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
         every = self._offered(fitted, found, others=False)
         return max((bank.pruned, bank.tolerance) for bank in every)
+
+    def _rest(self, state: ExplainedSession) -> float:
+        """How much every other part yields (`ModelTolerance.compliance`), the names being decided.
+
+        Where one is soft by a name, that the others are as soft is no cause of its own.
+        """
+        soft = any(t.elastic for f in state.found for t in f.terms)
+        every = self._offered(state.fit, state.found, others=False)
+        best = max(every, key=lambda b: b.pruned - b.tolerance.log_prior * soft)
+        return best.tolerance.compliance
 
     def _whole(self, fitted: ModelFit, found: Sequence[FoundEffect], **near: ModelFit) -> float:
         """Log evidence of all effects of an explanation that is fitted.
