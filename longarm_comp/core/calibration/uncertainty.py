@@ -77,12 +77,12 @@ def uncertainty(fit: ModelFit) -> ModelUncertainty:
 def _frame(fit: ModelFit) -> np.ndarray:
     """(3, 3) m^2 of the frame in which targets are taken.
 
-    It is the mean of what the measuring side moved the rows by, where that of the session's start
-    or end may be meant; and that of the end, where the base moved, or seemed to.
+    It is the mean of what the measuring side moved the rows by, or that of the session's start,
+    where that of any row may be meant; and that of the end, where the base moved, or seemed to.
     """
     rows = fit.session.take(fit.weights > 0)
     moved, since = moved_by_measuring(fit.model, rows), moved_with_time(fit.model, rows)
-    moved = moved - moved.mean(axis=0) if len(moved) else moved
+    moved = moved - fit.model.frame_shift if len(moved) else moved
     frames = (FRAME * each for each in (moved, since) if len(each))
     return np.sum([np.zeros((3, 3)), *(off.T @ off / len(off) for off in frames)], axis=0)
 

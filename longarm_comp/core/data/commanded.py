@@ -40,6 +40,16 @@ def with_frame_shift(model: Model, session: Session) -> Model:
     return dataclasses.replace(model, frame_shift=(x, y, z))
 
 
+def in_frame_of_start(model: Model, session: Session) -> Model:
+    """The model with targets in the frame of the session's start, where it drifts for sure.
+
+    The tip does not move with what measures it, and points are marked before a session.
+    """
+    still = tuple(b for b in model.biases if not b.moves_frame)
+    shift = with_frame_shift(dataclasses.replace(model, biases=still), session).frame_shift
+    return dataclasses.replace(model, frame_shift=shift)
+
+
 def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
     """(M, 3) m, what the measuring side moves the rows by that say where the tip is; none where
     the model has nothing there."""

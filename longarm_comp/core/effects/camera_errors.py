@@ -54,7 +54,10 @@ class CameraRadial(Bias):
 
 @dataclass(frozen=True)
 class CameraDrift(Bias):
-    """Seen points drift: ever slower, as from what warms up, or at a constant rate."""
+    """Seen points drift: ever slower, as from what warms up, or at a constant rate.
+
+    Targets are taken in the frame of the session's start, as a surveyor marks points.
+    """
 
     name = "camera_drift"
     title = "drift of the measurements"
@@ -64,6 +67,7 @@ class CameraDrift(Bias):
         "tracker": "Let the tracker warm up; check its stand; measure its home point again.",
         "total_station": "Check tripod and level; sight a fixed prism first and last.",
     }
+    moves_frame = True
     needs = ("t_s",)
 
     time: float = settling_time()

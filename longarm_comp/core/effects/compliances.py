@@ -58,7 +58,7 @@ class JointCompliance(JointTerm):
         return super().moved_rows(posture) if self.follows else ((self.joint, 1.0),)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 20 mrad (2 % of the reach) under what its place is built for (`typical_loads`).
+        """Prior: 20 mrad (2 % of the reach) under the torque of its place (`typical_loads`).
 
         Gears, shafts and servos of a kind are as stiff as they are strong, by their catalogues.
 
@@ -119,7 +119,7 @@ class BearingTilt(JointTerm):
     )
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 10 mrad under what its place is built for.
+        """Prior: 10 mrad under the torque of its place.
 
         First seats of real arms, fitted: Justin 11 to 18 mrad, UR5 1, Pandas 0.2 to 4.
         """
@@ -172,7 +172,7 @@ class LinkBending(Effect):
         return math.log(every / len(self.sites(arm)))
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Prior: 10 mrad over a quarter of the reach under what its start is built for.
+        """Prior: 10 mrad over a quarter of the reach under the torque of its start.
 
         A short bracket of that section turns by little, as the arm's own beams would.
         """

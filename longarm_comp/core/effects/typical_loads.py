@@ -37,8 +37,14 @@ class TypicalLoads(NamedTuple):
     shares: tuple[float, ...]
 
     def at(self, row: int) -> float:
-        """The typical torque of what carries a row, N m: as much less as its place is built for."""
-        return self.torque * self.shares[max(row - 1, 0)]
+        """The torque by which the stiffness of what carries a row goes, N m.
+
+        It lies halfway, by ratio, between the arm's and that of the place: parts of a kind are as
+        stiff as they are strong, and an arm has few kinds. Real arms (`longarm study real`) err
+        least there: WAM 2.15 mm (2.28 by the place alone), iiwa 14 0.147 (0.156), a palletiser
+        0.207 (0.231).
+        """
+        return self.torque * math.sqrt(self.shares[max(row - 1, 0)])
 
 
 _loads_of: dict[str, TypicalLoads] = {}

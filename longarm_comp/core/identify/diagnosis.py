@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.data.commanded import in_frame_of_start
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
+from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import EffectFinding, improvement, left_in_words, sentence
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
+from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import CALIBRATED, NETWORK, Fold, Proof
 from longarm_comp.core.identify.structure import Structure
@@ -79,10 +82,16 @@ class Diagnosis:
     held_out: Session
     seed: int
 
-    @property
+    @cached_property
     def fit(self) -> ModelFit:
-        """The fit of the model to use."""
-        return self.fits[self.written]
+        """The fit of the model to use. Targets are in the frame of the session's start, where the
+        frame of the measurements drifts for sure."""
+        fitted = self.fits[self.written]
+        seen = [f for f in self.search.found if isinstance(f.terms[0], Bias)]
+        sure = all(f.there * f.chance >= CREDIBLE for f in seen)
+        if not sure or not any(b.moves_frame for b in fitted.model.biases):
+            return fitted
+        return replace(fitted, model=in_frame_of_start(fitted.model, fitted.session))
 
     @property
     def model(self) -> Model:
