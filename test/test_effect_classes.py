@@ -111,6 +111,8 @@ def test_the_library_is_what_its_classes_say() -> None:
         "cylinder_play": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
         "servo_deadband": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
         "creep": {"time": (100.0, 1e5)},
+        "camera_drift": {"slowing": (0.0, 36.0)},
+        "base_settling": {"slowing": (0.0, 36.0)},
         "friction_hysteresis": {"near": (0.01, 0.6), "far": (0.01, 0.6)},
     }
     assert [n for n, k in BUILT_IN.items() if k.displaces_joint] == ["joint_zero"]

@@ -11,7 +11,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.spatial import Vec, add, dot, scale, sub
 from longarm_comp.core.effects.effect import Bias, parameter
-from longarm_comp.core.effects.settling import settled_hours, settling_time
+from longarm_comp.core.effects.settling import settled_hours, slowing
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class CameraDrift(Bias):
     moves_frame = True
     needs = ("t_s",)
 
-    time: float = settling_time()
+    slowing: float = slowing()
     x: float = parameter("m/h", "drift of the seen points at the start", prior=2e-3)
     y: float = parameter("m/h", "drift of the seen points at the start", prior=2e-3)
     z: float = parameter("m/h", "drift of the seen points at the start", prior=2e-3)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        hours = settled_hours(context, self.time)
+        hours = settled_hours(context, self.slowing)
         return (point[0] + self.x * hours, point[1] + self.y * hours, point[2] + self.z * hours)

@@ -1,4 +1,4 @@
-"""Changes that slow down: what warms up, settles or creeps, with one time constant."""
+"""Changes that slow down: what warms up or settles."""
 
 from __future__ import annotations
 
@@ -8,20 +8,17 @@ from longarm_comp.core.arm.context import CLOCK, Context
 from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.effect import form
 
-CONSTANT_RATE = 1e6
-"""Time constant, s, of what goes on at the same rate for all of a session."""
 
-
-def settling_time() -> float:
-    """A field of an effect: its time constant, s.
+def slowing() -> float:
+    """A field of an effect: one over its time constant, 1/h; 0: it goes on at a constant rate.
 
     An instrument warms up in a quarter of an hour or more, ground settles in hours.
     """
-    tried = (900.0, 3600.0, 14400.0, CONSTANT_RATE)
-    return form(CONSTANT_RATE, lower=100.0, upper=CONSTANT_RATE, tried=tried)
+    return form(0.0, lower=0.0, upper=36.0, tried=(0.0, 0.25, 1.0, 4.0))
 
 
-def settled_hours(context: Context, time: float) -> Scalar:
-    """Hours at the rate of the session's start that make the change until now, ``time`` in s:
-    ``time (1 - exp(-t / time))``."""
-    return -time * np.expm1(-context.column(CLOCK, 0.0) / time) / 3600.0  # type: ignore[operator]
+def settled_hours(context: Context, slowing: float) -> Scalar:
+    """Hours at the rate of the session's start that change as much as the time until now did:
+    ``(1 - exp(-slowing t)) / slowing``."""
+    hours: Scalar = context.column(CLOCK, 0.0) / 3600.0
+    return (1.0 - np.exp(-slowing * hours)) / slowing if slowing else hours

@@ -7,9 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Chain, Posture
+from longarm_comp.core.arm.spatial import Vec
 
 _POSES = 64
 """Poses over which a typical load is taken."""
@@ -57,38 +59,43 @@ def typical_loads(arm: Arm) -> TypicalLoads:
         mass += arm.payload.mass_kg if arm.payload else 0.0
         force = (mass if arm.weighed else reach(arm)) * float(np.linalg.norm(arm.gravity_mps2))
         torque = force * reach(arm) / 4
-        own, levers = _carried(arm)
+        posture = _sampled(arm)
+        built = _PAYLOAD * force * _levers(posture)
         if arm.weighed and not any(m.position_columns for m in arm.point_masses):
+            own = _moments(posture)
             torque = min(torque, max(own[row - 1] for row in arm.commanded))
-            built = own + _PAYLOAD * force * levers
-        else:
-            built = levers
+            built = built + own
         shares = np.maximum(built / max(built.max(), 1e-12), _LEAST)
         loads = TypicalLoads(max(force, 1e-9), max(torque, 1e-9), tuple(shares.tolist()))
         _loads_of[arm.hash] = loads
     return _loads_of[arm.hash]
 
 
-def _carried(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-    """By row, RMS over poses: its bearing's moment, N m, and its distance from the tip, m."""
+def _sampled(arm: Arm) -> Posture:
+    """The declared arm at poses between its limits."""
     poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSES, arm.n))
     chain = Chain(arm, elements_per_beam=1)
     q = tuple(np.ascontiguousarray(poses.T))
     frames, lengths = chain.place(q, {})
-    posture = Posture(chain, q, Context(), frames, lengths, arm.gravity_mps2)
-    tip = posture.frames[posture.chain.spots[""]].p
-    own, levers = [], []
-    for row in arm.joints:
-        station = posture.bearing(row.id)
-        own.append(_rms(posture.moment(station)))
-        at = posture.frames[station].p
-        levers.append(_rms([a - b for a, b in zip(tip, at, strict=True)]))
-    return np.array(own), np.array(levers)
+    return Posture(chain, q, Context(), frames, lengths, arm.gravity_mps2)
 
 
-def _rms(vector: object) -> float:
-    """Of the length of vectors, (3,) of numbers or (N,)."""
-    each = np.array([np.broadcast_to(part, _POSES) for part in vector])  # type: ignore[attr-defined]
+def _moments(posture: Posture) -> np.ndarray:
+    """(R,) RMS of the moment about each row's bearing, N m."""
+    rows = posture.arm.joints
+    return np.array([_rms(posture.moment(posture.bearing(row.id))) for row in rows])
+
+
+def _levers(posture: Posture) -> np.ndarray:
+    """(R,) RMS of the way from each row's bearing to the tip, m."""
+    tip = posture.frames[posture.spot()].p
+    starts = (posture.frames[posture.bearing(row.id)].p for row in posture.arm.joints)
+    return np.array([_rms(spatial.sub(tip, start)) for start in starts])
+
+
+def _rms(vector: Vec) -> float:
+    """Of the length of a vector at all poses."""
+    each = np.array([np.broadcast_to(part, _POSES) for part in vector])
     return math.sqrt((each**2).sum(axis=0).mean())
 
 
