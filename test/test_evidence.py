@@ -16,7 +16,7 @@ from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.effects.compliances import LinkStiffness
+from longarm_comp.core.effects.compliances import JointCompliance, LinkStiffness
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.typical_loads import reach, typical_loads
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
@@ -71,3 +71,23 @@ def test_a_mass_at_a_recorded_place_has_a_typical_load() -> None:
     arm = declared("justin_right")
     force, torque, _ = typical_loads(arm)
     assert torque == pytest.approx(force * reach(arm) / 4)
+
+
+def test_what_carries_less_is_expected_to_be_softer() -> None:
+    """By the root of its load: of the arm's own weight and of a payload of a third of that."""
+    loads = typical_loads(DEMO)
+    each = [loads.at(row.id) for row in DEMO.joints]
+    assert each[0] == loads.torque == loads.at(0)
+    assert each == sorted(each, reverse=True)
+    assert each[-1] == pytest.approx(0.5 * loads.torque, rel=0.2)
+    shares = [4.0 * share for share in loads.shares]
+    assert loads._replace(shares=tuple(shares)).at(3) == pytest.approx(2.0 * each[2])
+    soft, stiff = (JointCompliance(row).parameters(DEMO)[0].prior for row in (5, 1))
+    assert soft / stiff == pytest.approx(each[0] / each[4])
+    weightless = Arm.parse({**DEMO.model_dump(mode="json", exclude_none=True), "links": [],
+                            "point_masses": [], "payload": None}, "light")  # fmt: skip
+    lighter = typical_loads(weightless)
+    assert [lighter.at(row.id) for row in DEMO.joints] == pytest.approx(
+        [lighter.torque * np.sqrt(share) for share in lighter.shares]
+    )
+    assert lighter.shares[0] == 1.0 and lighter.shares[-1] < 0.5

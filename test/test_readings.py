@@ -63,7 +63,7 @@ def soft(*joints: int) -> drives.HiddenEffect:
     """Joints that give way behind their encoders."""
     from longarm_comp.sim.hidden.loads import JointCompliance as Soft
 
-    return Soft(sum(at(j, 1.5e-3) for j in joints))
+    return Soft(sum(at(j, 2e-3) for j in joints))
 
 
 def shown(arm: Arm, term: Effect, q: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from small_arm import ARM, measured
 import longarm_comp as la
 from longarm_comp.core.arm.context import ORDER, Context
 from longarm_comp.core.calibration.fit import fit
-from longarm_comp.core.calibration.uncertainty import with_uncertainty
+from longarm_comp.core.calibration.uncertainty import FRAME, with_uncertainty
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.compensation.online import Readings, StaleContext
 from longarm_comp.core.effects.camera_errors import CameraDrift
@@ -127,3 +127,26 @@ def test_a_base_that_turned_once_is_commanded_as_it_stands_since(tmp_path: Path)
     for uptime_s in (45.0, 172.0):
         context = Readings().context(made, uptime_s, 60.0)
         np.testing.assert_allclose(made.tip(command, context), TARGET, atol=1e-6)
+
+
+@pytest.mark.parametrize("slowing", [0.0, 8.0])
+def test_targets_are_in_the_frame_that_a_drifting_camera_had_at_first(slowing: float) -> None:
+    """For the tip does not move with it; and a camera that warms up is named, as it slows down."""
+    rows = session(n=120)
+    t_s = np.linspace(500.0, 4100.0, len(rows))
+    rows = dataclasses.replace(rows, columns={"t_s": t_s})
+    hours = (t_s - t_s[0]) / 3600.0
+    done = hours if not slowing else np.expm1(-slowing * hours) / np.expm1(-slowing)
+    rate = np.array([4e-3, -3e-3, 2e-3])
+    noise = white(np.random.default_rng(5), len(rows))
+    rows = dataclasses.replace(rows, xyz=Model(ARM).tip(rows.q) + np.outer(done, rate) + noise)
+    found = DiagnosisResult(core.diagnose(ARM, rows, kinds=(CameraDrift,)), rows.hash, {})
+    (drift,) = found.findings
+    assert drift.names == ("camera_drift",)
+    assert drift.terms[0].slowing == pytest.approx(slowing, rel=0.25, abs=0.2)  # type: ignore
+    command = la.compensate(found.model, TARGET, seed=ARM.mid, frame="measured")[0].command
+    assert np.linalg.norm(Model(ARM).tip(command) - TARGET) < 4e-4
+    assert np.linalg.norm(found.diagnosis.fits["with_effects"].model.frame_shift) > 5e-4
+    uncertainty = found.model.uncertainty
+    assert uncertainty is not None
+    assert uncertainty.frame[0, 0] == pytest.approx(np.mean((FRAME * done * rate[0]) ** 2), rel=0.2)

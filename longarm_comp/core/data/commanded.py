@@ -41,13 +41,15 @@ def with_frame_shift(model: Model, session: Session) -> Model:
 
 
 def in_frame_of_start(model: Model, session: Session) -> Model:
-    """The model with targets in the frame of the session's start, where it drifts for sure.
+    """The model with targets in the frame of the session's first row, where it drifts for sure.
 
     The tip does not move with what measures it, and points are marked before a session.
     """
-    still = tuple(b for b in model.biases if not b.moves_frame)
-    shift = with_frame_shift(dataclasses.replace(model, biases=still), session).frame_shift
-    return dataclasses.replace(model, frame_shift=shift)
+    if not any(CLOCK in b.inputs for b in model.biases):
+        return model
+    first = np.full(len(session), session.columns[CLOCK].min())
+    columns = {**session.columns, CLOCK: first}
+    return with_frame_shift(model, dataclasses.replace(session, columns=columns))
 
 
 def moved_by_measuring(model: Model, session: Session) -> np.ndarray:

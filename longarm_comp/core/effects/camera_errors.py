@@ -11,7 +11,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.spatial import Vec, add, dot, scale, sub
 from longarm_comp.core.effects.effect import Bias, parameter
-from longarm_comp.core.effects.settling import settled_hours, slowing
+from longarm_comp.core.effects.settling import settled, slowing
 
 
 @dataclass(frozen=True)
@@ -67,14 +67,13 @@ class CameraDrift(Bias):
         "tracker": "Let the tracker warm up; check its stand; measure its home point again.",
         "total_station": "Check tripod and level; sight a fixed prism first and last.",
     }
-    moves_frame = True
     needs = ("t_s",)
 
     slowing: float = slowing()
-    x: float = parameter("m/h", "drift of the seen points at the start", prior=2e-3)
-    y: float = parameter("m/h", "drift of the seen points at the start", prior=2e-3)
-    z: float = parameter("m/h", "drift of the seen points at the start", prior=2e-3)
+    x: float = parameter("m/h", "drift of the seen points in the first hour", prior=2e-3)
+    y: float = parameter("m/h", "drift of the seen points in the first hour", prior=2e-3)
+    z: float = parameter("m/h", "drift of the seen points in the first hour", prior=2e-3)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        hours = settled_hours(context, self.slowing)
-        return (point[0] + self.x * hours, point[1] + self.y * hours, point[2] + self.z * hours)
+        gone = settled(context, self.slowing)
+        return (point[0] + self.x * gone, point[1] + self.y * gone, point[2] + self.z * gone)

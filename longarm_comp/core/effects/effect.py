@@ -302,12 +302,9 @@ class Bias(_Term, ABC):
         sees: kinds of measurement (`core/data/measurement.py`) that it acts on.
         instruments: what may have it (`measuring` in arm.yaml; all where empty), and what can be
             done about it there, where that is not `action`.
-        moves_frame: whether it is a frame that moves: where the tip is in the frame of the
-            session's start, it does not change.
     """
 
     whole: ClassVar[str] = "measuring side"
-    moves_frame: ClassVar[bool] = False
     commandable: ClassVar[bool] = False
     sees: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
     instruments: ClassVar[Mapping[Instrument, str]] = {}

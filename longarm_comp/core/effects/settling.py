@@ -17,8 +17,8 @@ def slowing() -> float:
     return form(0.0, lower=0.0, upper=36.0, tried=(0.0, 0.25, 1.0, 4.0))
 
 
-def settled_hours(context: Context, slowing: float) -> Scalar:
-    """Hours at the rate of the session's start that change as much as the time until now did:
-    ``(1 - exp(-slowing t)) / slowing``."""
+def settled(context: Context, slowing: float) -> Scalar:
+    """How far a change has gone by now, by how far it goes in the first hour:
+    ``(1 - exp(-slowing t)) / (1 - exp(-slowing))``, t in hours."""
     hours: Scalar = context.column(CLOCK, 0.0) / 3600.0
-    return (1.0 - np.exp(-slowing * hours)) / slowing if slowing else hours
+    return (1.0 - np.exp(-slowing * hours)) / (1.0 - np.exp(-slowing)) if slowing else hours

@@ -10,7 +10,7 @@ from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Twist, summed
 from longarm_comp.core.effects.effect import Effect, form, parameter
 from longarm_comp.core.effects.link_deflection import extra_sag
-from longarm_comp.core.effects.settling import settled_hours, slowing
+from longarm_comp.core.effects.settling import settled, slowing
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class BaseSettling(Effect):
     needs = ("t_s",)
 
     slowing: float = slowing()
-    sink: float = parameter("m/h", "motion along z of the base frame at the start", prior=1e-3)
-    about_x: float = parameter("rad/h", "lean about x of the base frame at the start", prior=2e-3)
-    about_y: float = parameter("rad/h", "lean about y of the base frame at the start", prior=2e-3)
+    sink: float = parameter("m/h", "motion along base z in the first hour", prior=1e-3)
+    about_x: float = parameter("rad/h", "lean about base x in the first hour", prior=2e-3)
+    about_y: float = parameter("rad/h", "lean about base y in the first hour", prior=2e-3)
 
     def twists(self, posture: Posture) -> Twists:
-        hours = settled_hours(posture.context, self.slowing)
-        sunk, x, y = self.sink * hours, self.about_x * hours, self.about_y * hours
+        gone = settled(posture.context, self.slowing)
+        sunk, x, y = self.sink * gone, self.about_x * gone, self.about_y * gone
         return {0: (0.0, 0.0, sunk, x, y, 0.0)}
 
 
