@@ -150,12 +150,15 @@ class _Search:
             taken = {t.key for f in (*state.found, *again) for t in f.terms}
             left = (f for f in doubtful if taken.isdisjoint(t.key for t in f.terms))
             doubtful = (*again, *left)
+        state, absence = self._held_against_absence(state)
         tolerance = self._standing(state.fit, state.found)[1]
         self.say("resampled rows")
         linear = Resampling(
             state.fit, tuple(self.candidates), self.propositions, state.found, tolerance, self.usual
         )
-        found = linear.averaged(seed)
+        found = tuple(
+            f.doubted(*absence[f.name]) if f.name in absence else f for f in linear.averaged(seed)
+        )
         stable = tuple(f for f in found if f.there > 0.5)
         fewer = self._taken(state, stable) if len(stable) < len(found) else None
         if fewer is not None:
@@ -271,6 +274,48 @@ class _Search:
                 found = (*state.found[:k], judged, *state.found[k + 1 :])
                 state = replace(state, found=found)
         return state, doubtful, False
+
+    def _held_against_absence(
+        self, state: ExplainedSession
+    ) -> tuple[ExplainedSession, dict[str, tuple[FoundEffect, float]]]:
+        """Hold each name against the best explanation without it, and take the better one.
+
+        Several functions may stand where one name does, and no exchange of one for one finds them.
+        Where no function is needed beside the names, or the part gives way as all do, none is.
+        By name that stays: the function that would be there, and the log odds of its being.
+        """
+        absence: dict[str, tuple[FoundEffect, float]] = {}
+        held: set[str] = set()
+        while any(f.unnamed for f in state.found):
+            names = {f.name for f in state.found if not f.unnamed and not f.terms[0].elastic}
+            if not names - held:
+                break
+            name = min(names - held)
+            held.add(name)
+            others = replace(self, candidates=[c for c in self.candidates if c.name != name])
+            rest = tuple(f for f in state.found if not f.unnamed and f.name != name)
+            left = others._taken(state, rest)
+            left = None if left is None else others._repeated(left, functions=True)
+            new = [] if left is None else [f for f in left.found if f.unnamed]
+            if left is None or not new:
+                continue
+            odds = self._odds(state, left)
+            if odds > 0:
+                state = left
+            else:
+                absence[name] = new[0], odds
+        return state, absence
+
+    def _odds(self, one: ExplainedSession, other: ExplainedSession) -> float:
+        """Log odds of another explanation against one: the mean of those at either's noise."""
+        made = []
+        for judged in (one.fit.judged, other.fit.judged):
+            fits = (fit(e.fit.model, self.session, close=NEAR, **judged) for e in (one, other))
+            mine, theirs = (
+                self._whole(f, e.found) for f, e in zip(fits, (one, other), strict=True)
+            )
+            made.append(theirs - mine)
+        return sum(made) / len(made)
 
     def _refitted(self, state: ExplainedSession, found: tuple[FoundEffect, ...]) -> float:
         """Log evidence of other effects than those of a state, fitted to the same noise."""

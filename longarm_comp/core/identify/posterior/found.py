@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import softmax
+from scipy.special import expit, softmax
 
 from longarm_comp.core.calibration.candidates import Candidate, Term
 
@@ -157,6 +157,19 @@ class FoundEffect:
         best = max(every, key=lambda r: worth.get(r.name, 0.0))
         return self.led_by(best, [r for r in every if r is not best]), best is not every[0]
 
+    def doubted(self, other: FoundEffect, odds: float) -> FoundEffect:
+        """With an explanation without its name beside it, of some log odds against those of all
+        its names, in which there is another effect."""
+        share = float(expit(odds))
+        worth = self.log_bayes_factor + odds
+        rest = [replace(r, probability=(1.0 - share) * r.probability) for r in self.rivals]
+        known = [r for r in rest if r.name == other.name]
+        mine = Rival(Candidate(other.name, other.terms), worth, share, other.name)
+        if known:
+            mine = replace(known[0], probability=known[0].probability + share)
+        rest = sorted((mine, *(r for r in rest if r.name != other.name)), key=_likely)
+        return replace(self, chance=(1.0 - share) * self.chance, rivals=tuple(rest))
+
     def led_by(self, first: Rival, others: Sequence[Rival]) -> FoundEffect:
         """The same with a name in the first place, and others beside it."""
         return replace(
@@ -168,6 +181,10 @@ class FoundEffect:
             loose=first.loose,
             rivals=tuple(sorted(others, key=lambda r: -r.probability)),
         )
+
+
+def _likely(rival: Rival) -> float:
+    return -rival.probability
 
 
 def instead(
