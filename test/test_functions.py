@@ -188,8 +188,14 @@ def test_what_follows_the_warmth_is_no_drift() -> None:
     """The camera's drift is on offer, and what is seen follows the temperature."""
     rows = measured(SMALL, (), ROWS, 3)
     warmth = rows.columns["temperature_c"] - SMALL.reference_temperature_c
-    rows = dataclasses.replace(rows, xyz=rows.xyz + np.outer(warmth, [9e-5, -6e-5, 1.8e-4]))
+    moved = np.outer(warmth, [18e-5, -12e-5, 3.6e-4])
+    rows = dataclasses.replace(rows, xyz=rows.xyz + moved)
     assert one(explained(SMALL, rows, (CameraDrift,))).inputs == ("warmth",)
+    less = dataclasses.replace(
+        rows, xyz=rows.xyz - 0.5 * moved
+    )  # warmth went up, and down a little
+    (doubted,) = explained(SMALL, less, (CameraDrift,)).found
+    assert len(doubted.credible) > 1
 
 
 @pytest.mark.parametrize("what", ["a belt jumps a tooth", "somebody pushes the camera"])

@@ -88,7 +88,8 @@ class Diagnosis:
         frame of the measurements drifts for sure."""
         fitted = self.fits[self.written]
         seen = [f for f in self.search.found if isinstance(f.terms[0], Bias)]
-        if not all(f.there * f.chance >= CREDIBLE for f in seen):
+        sure = all(f.there * f.chance >= CREDIBLE for f in seen)
+        if not sure or not fitted.model.biases:
             return fitted
         return replace(fitted, model=in_frame_of_start(fitted.model, fitted.session))
 

@@ -167,7 +167,8 @@ class _Search:
         else:
             state = replace(state, found=found)
         rest = self._rest(state)
-        fitted = _plain(with_background(state.fit, self.candidates, rest) if rest else state.fit)
+        closed = fit(state.fit.model, self.session, begun=state.fit, **state.fit.judged)
+        fitted = _plain(with_background(closed, self.candidates, rest) if rest else closed)
         known = {t.variant: t for t in fitted.model.terms}
         held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
         left = (f for f in doubtful if f.in_doubt)
