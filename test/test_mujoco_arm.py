@@ -18,6 +18,9 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 sys.path.append(str(EXAMPLES))
 
 from mujoco_arm import JOINTS, RealArm
+from mujoco_draws import HAS, measured
+
+import longarm_comp as la
 
 SOFT = (2, 3)
 """Shoulder and elbow: their drives carry enough that the rows tell how soft they are."""
@@ -64,6 +67,19 @@ def test_the_whole_way_over_the_graph(ros_domain: int, tmp_path: Path) -> None:
         hinge = model.joint(JOINTS[number - 1]).id + 1  # behind its motor
         real = 1.0 / model.jnt_stiffness[hinge]  # rad/(N m)
         assert values[f"joint {number}"] == pytest.approx(real, rel=0.4)
+
+
+def test_gears_at_three_joints_do_not_stand_for_a_hose() -> None:
+    """Only several functions at once do better, and no exchange of one for one finds them."""
+    arm, seed = la.Arm.load(EXAMPLES / "mujoco_arm.yaml"), 12
+    rows = measured(
+        RealArm(seed, True), la.plan(arm, 100, seed=seed).q, np.random.default_rng([seed, 3])
+    )
+    found = la.diagnose(arm, rows, network=False)
+    assert found.verdict == "partly" and found.diagnosis.causes
+    for finding in found.findings:
+        for name, chance in finding.chances:
+            assert name in HAS or finding.probability * chance < 0.95, name
 
 
 @pytest.mark.long

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -148,3 +149,17 @@ def test_what_was_found_is_in_the_written_model(stopped: DiagnosisResult, tmp_pa
     low, high = entry.parameters["amount"].ci95 or (0.0, 0.0)
     assert low < term.amount < high
     assert low * high > 0.0
+
+
+def test_an_explanation_without_a_name_takes_its_share_of_the_name() -> None:
+    """Of odds of 1 to 4 a fifth, of its other names too; and what is there in its place gets it."""
+    found = single(CameraDrift(), 1.0, ("discovered", 0.1), ("base_settling", 0.3))
+    other = single(Discovered("joint 2", "turn z", "linear(q2)", "q2 0..1"), 1.0)
+    doubted = found.doubted(other, math.log(0.25))
+    assert doubted.names == pytest.approx(
+        {"camera_drift": 0.48, "base_settling": 0.24, "discovered": 0.28}
+    )
+    assert [r.name for r in doubted.rivals] == ["discovered", "base_settling"]
+    assert sum(doubted.names.values()) == pytest.approx(1.0)
+    new = single(CameraDrift(), 1.0).doubted(other, 0.0)
+    assert new.names == pytest.approx({"camera_drift": 0.5, "discovered": 0.5})
