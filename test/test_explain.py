@@ -31,6 +31,7 @@ from longarm_comp.core.effects.masses import GravityDirection
 from longarm_comp.core.effects.plays import TelescopeClearance
 from longarm_comp.core.effects.slow_changes import Creep, ThermalGrowth, ThermalSoftening
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.model_tolerance import BACKGROUND_COMPLIANCE, SOFT
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.model.model import Model
@@ -266,6 +267,20 @@ def soft_joint(compliance: float) -> ExplainedSession:
     xyz = TrueArm(HEAVY_BASE, (soft,), steps=2).tip(q) + 1.5e-5 * rng.standard_normal((60, 3))
     kinds = (JointCompliance, GearEccentricity, JointGain)
     return explained(Session.record(q, xyz), *kinds, arm=HEAVY_BASE)
+
+
+def test_where_one_part_is_soft_by_name_the_others_may_be_as_soft() -> None:
+    """That costs no cause of its own: else they were fitted as a thirtieth as soft, or stiff."""
+    soft = [
+        JointCompliance(j, compliance=c) for j, c in {2: 4e-2, 4: 8e-3, 5: 8e-3, 6: 8e-3}.items()
+    ]
+    seats = [BearingTilt(j, about_x=4e-3, about_y=4e-3) for j in (2, 4, 5)]
+    found = explained(session_of(DEMO, 1, *soft, *seats), *ELASTIC)
+    assert [f.name for f in found.found] == ["joint_compliance"]
+    assert found.tolerance.compliance <= 1.0, "which the probabilities of names rest on"
+    sizes = dict(found.fit.model.beyond)
+    rest = [s for s in found.fit.model.slots if s.identity in sizes and s.owner.elastic]
+    assert rest and {sizes[s.identity] for s in rest} == {BACKGROUND_COMPLIANCE * max(SOFT)}
 
 
 def test_a_heavy_base_makes_no_soft_joint_implausible() -> None:
