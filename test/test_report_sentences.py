@@ -92,7 +92,7 @@ def told(request: pytest.FixtureRequest) -> list[Told]:
             lambda fit, found, _: [every[terms[0].key] for terms in found],
         )
         found = [base for base in bases if base.findings]
-        every_one = [drawn(seed, found[seed % len(found)]) for seed in seeds]
+        every_one = [drawn(seed, found[seed % len(found)]) for seed in seeds if found]
         for found in (*bases, *every_one):
             report = record.checked(assemble.record_of(found, (), "0" * 64))
             made.append((report, Page(rendered(report, Detail(), {}))))
