@@ -22,6 +22,7 @@ from report_pages import Page
 from longarm_comp.core.calibration.fit import fit
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.identify.practical import practical
+from longarm_comp.core.identify.proof import WITH_FUNCTIONS
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import assemble, cards, record, words
 from longarm_comp.report.detail import Detail
@@ -134,6 +135,16 @@ def test_the_verdict_counts_what_was_found(told: list[Told]) -> None:
             assert "added" in said and "effect explains" not in said
         shown = [tag for tag, attrs in page.elements if attrs.get("class") == "card"]
         assert len(shown) == n + unnamed
+
+
+def test_a_cause_that_the_model_does_not_hold_explains_no_part() -> None:
+    """It said: "No physical effects explain a part of what the model lacked"."""
+    cause: Any = "found, and not proven"
+    alone = dataclasses.replace(real(), findings=(), causes=(cause,), failed="")
+    said = {
+        w: dataclasses.replace(alone, written=w).verdict for w in ("with_effects", WITH_FUNCTIONS)
+    }
+    assert said == {"with_effects": "unknown", WITH_FUNCTIONS: "partly"}
 
 
 def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> None:

@@ -22,7 +22,13 @@ from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.identify.practical import Gain
-from longarm_comp.core.identify.proof import CALIBRATED, NETWORK, Fold, Proof
+from longarm_comp.core.identify.proof import (
+    CALIBRATED,
+    NETWORK,
+    WITH_FUNCTIONS,
+    Fold,
+    Proof,
+)
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -118,7 +124,7 @@ class Diagnosis:
     @property
     def verdict(self) -> str:
         """``noise``, ``named``, ``set``, ``partly`` or ``unknown``."""
-        found = bool(self.findings or self.causes)
+        found = bool(self.findings or (self.causes and self.written == WITH_FUNCTIONS))
         if self.causes or self.structure.flag or (self.failed and found):
             contradicted = self.failed and self.written == CALIBRATED
             return "partly" if found and not contradicted else "unknown"
@@ -178,7 +184,7 @@ def _summary(found: Diagnosis) -> str:
             return f"{text}Beyond it only noise is left. {gain}."
         text = "After calibration only noise is left; no effect was added."
         return f"{text} {gain} by the calibration."
-    if found.verdict == "unknown" and not found.failed:
+    if found.verdict == "unknown" and not found.failed and not found.causes:
         return f"The model lacks something that no effect of the library explains: {left}."
     said = [sentence(f, found.search.fit, found.intervals_of(f)) for f in found.findings]
     said += [f"without a name: {cause.sentence}" for cause in found.causes]
