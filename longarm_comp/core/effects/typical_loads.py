@@ -43,8 +43,7 @@ class TypicalLoads(NamedTuple):
 
         It lies halfway, by ratio, between the arm's and that of the place: parts of a kind are as
         stiff as they are strong, and an arm has few kinds. Real arms (`longarm study real`) err
-        least there: WAM 2.15 mm (2.28 by the place alone), iiwa 14 0.147 (0.156), a palletiser
-        0.207 (0.231).
+        least there: WAM 2.15 mm (2.28 by the place alone), iiwa 14 0.147 (0.156).
         """
         return self.torque * math.sqrt(self.shares[max(row - 1, 0)])
 
