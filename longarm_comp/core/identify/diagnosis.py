@@ -94,10 +94,10 @@ class Diagnosis:
         frame of the measurements drifts for sure."""
         fitted = self.fits[self.written]
         seen = [f for f in self.search.found if isinstance(f.terms[0], Bias)]
-        sure = all(f.there * f.chance >= CREDIBLE for f in seen)
-        if not sure or not fitted.model.biases:
+        if not all(f.there * f.chance >= CREDIBLE for f in seen):
             return fitted
-        return replace(fitted, model=in_frame_of_start(fitted.model, fitted.session))
+        model = in_frame_of_start(fitted.model, fitted.session)
+        return fitted if model is fitted.model else replace(fitted, model=model)
 
     @property
     def model(self) -> Model:
