@@ -26,7 +26,7 @@ from longarm_comp.core.identify.discover.inputs import arm_inputs
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
-from longarm_comp.core.identify.posterior.offer import Offer
+from longarm_comp.core.identify.posterior.offer import Offer, Others
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 
@@ -52,7 +52,7 @@ def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.
     sizes, chances = (1.0, 4.0), (math.log(0.6), math.log(0.4))
     upper = np.array([0.4, np.inf, np.inf])
     offer = single("a", 0, sizes=sizes, chances=chances)
-    found = bank(y, columns, [offer], upper).single(columns.T @ y, frozenset(), frozenset())
+    found = bank(y, columns, [offer], upper).single(columns.T @ y, Others())
     b = np.linspace(-40.0, 0.4, 400_001)
     likelihood = b * (columns[:, 0] @ y) - 0.5 * b * b * (columns[:, 0] @ columns[:, 0])
     odds = 0.0
@@ -153,8 +153,8 @@ def test_functions_at_one_place_are_one_cause(across: np.ndarray) -> None:
     there = of.evidence(offers[:2]) - of.evidence(offers[1:2])
     assert elsewhere == pytest.approx(alone + offers[0].log_prior - NONE + of.again)
     assert there == pytest.approx(alone + math.log(0.5) - math.log(30 / 3))
-    names, sites = frozenset({"no name"}), frozenset({"joint 1"})
-    beside = of.single(x.T @ y, frozenset({2}), frozenset({1}), names, sites)
+    others = Others(*(frozenset({each}) for each in (2, 1, "no name", "joint 1")))
+    beside = of.single(x.T @ y, others)
     assert beside.q[0] / (1.0 - beside.there) == pytest.approx(math.exp(there))
 
 
@@ -185,9 +185,7 @@ def test_what_is_there_whole_is_taken_off_before_the_rest(across: np.ndarray) ->
 def test_a_single_effect_that_is_whole_has_the_odds_of_its_likelihood(across: np.ndarray) -> None:
     y = 0.55 * across[:, 0] + 0.1 * across[:, 1]
     whole = single("whole", 0, fixed=True)
-    found = bank(y, across[:, :1], [whole], UNBOUND[:1]).single(
-        across[:, :1].T @ y, frozenset(), frozenset()
-    )
+    found = bank(y, across[:, :1], [whole], UNBOUND[:1]).single(across[:, :1].T @ y, Others())
     log_odds = 0.55 * 81.0 - 0.5 * 81.0 + math.log(0.1) - NONE
     assert math.log(found.there / (1.0 - found.there)) == pytest.approx(log_odds, abs=1e-6)
     assert found.mean[0] == pytest.approx(found.there)
@@ -203,10 +201,11 @@ def test_a_further_place_of_a_name_has_half_of_the_probability(across: np.ndarra
     gap = of.evidence([first, second]) - of.evidence([first, others[0]])
     assert gap == pytest.approx(math.log(3.0))
     rest = of.along - of.gram @ [2.0, 0.0]
-    beside = of.single(rest, frozenset(), frozenset({"a"}), frozenset({"a"}))
+    a = frozenset({"a"})
+    beside = of.single(rest, Others(held=a, names=a))
     assert beside.q[1] == pytest.approx(3.0 * beside.q[2])
     assert beside.q[0] == 0.0
-    shut = of.single(rest, frozenset({1}), frozenset({"a"}), frozenset({"a"}))
+    shut = of.single(rest, Others(frozenset({1}), a, a))
     assert shut.q[1] == 0.0
     assert shut.q[2] == pytest.approx(1.0 / 5.0, abs=0.01)
 

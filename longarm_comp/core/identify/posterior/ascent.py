@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.identify.posterior.offer import Offer, SingleEffect
+from longarm_comp.core.identify.posterior.offer import UNLIKELY, Offer, Others, SingleEffect
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 
-STILL = 0.01
-"""The ascent ends when no probability moves by as much."""
 SWEEPS = 30
 """Sweeps over the effects at most; single effects settle in five to ten."""
 AT_ONCE = 3
@@ -37,7 +35,7 @@ class Explanation:
     @cached_property
     def chosen(self) -> tuple[Offer, ...]:
         """The most probable offer of each effect."""
-        return tuple(e.offers.get(e.best, self.bank.offers[e.best]) for e in self.effects)
+        return tuple(e.offer for e in self.effects)
 
     @cached_property
     def evidence(self) -> float:
@@ -72,7 +70,7 @@ def explain(
     while left := [e for e in best.effects if e.best not in shut_once]:
         effect = left[0]
         shut_once.add(effect.best)
-        shut = frozenset(np.flatnonzero(effect.q > STILL).tolist())
+        shut = frozenset(np.flatnonzero(effect.q > UNLIKELY).tolist())
         others = tuple(e for e in best.effects if e is not effect)
         without = _grown(bank, others, shut, min(len(others) + 2, most))
         again = _pruned(_grown(bank, without.effects, frozenset(), most))
@@ -89,26 +87,27 @@ def _standing(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
         q, mean = np.zeros(len(bank.offers)), np.zeros(len(bank.along))
         q[n] = 1.0
         np.add.at(mean, list(offer.places), values)
-        made.append(SingleEffect(q, mean))
+        made.append(SingleEffect(bank.offers, q, mean))
     return made
 
 
 def _grown(
-    bank: OfferBank, start: Sequence[SingleEffect], closed: frozenset[int], most: int
+    bank: OfferBank, start: Sequence[SingleEffect], shut: frozenset[int], most: int
 ) -> Explanation:
     """Add single effects until the last is none."""
     effects = list(start)
     while len(effects) < most:
         count = len(effects)
-        effects.append(SingleEffect(np.zeros(len(bank.offers)), np.zeros(len(bank.along))))
-        effects = [e for e in _ascended(bank, effects, closed) if e.there > 0.5]
+        none = np.zeros(len(bank.offers)), np.zeros(len(bank.along))
+        effects.append(SingleEffect(bank.offers, *none))
+        effects = [e for e in _ascended(bank, effects, shut) if e.there > 0.5]
         if len(effects) <= count:
             break
     return Explanation(bank, tuple(effects))
 
 
 def _ascended(
-    bank: OfferBank, effects: list[SingleEffect], closed: frozenset[int]
+    bank: OfferBank, effects: list[SingleEffect], shut: frozenset[int]
 ) -> list[SingleEffect]:
     taken = np.sum([e.mean for e in effects], axis=0)
     for _ in range(SWEEPS):
@@ -116,30 +115,13 @@ def _ascended(
         for k in reversed(range(len(effects))):
             was = effects[k]
             rest = taken - was.mean
-            held = frozenset(key for n, e in enumerate(effects) if n != k for key in _held(bank, e))
-            names = frozenset(
-                bank.offers[e.best].name for n, e in enumerate(effects) if n != k and e.there > 0.5
-            )
-            sites = frozenset(
-                site for n, e in enumerate(effects)
-                if n != k and e.there > 0.5 and (site := bank.offers[e.best].site)
-            )  # fmt: skip
-            now = bank.single(bank.along - bank.gram @ rest, closed, held, names, sites)
+            others = Others.of([*effects[:k], *effects[k + 1 :]], shut)
+            now = bank.single(bank.along - bank.gram @ rest, others)
             moved = max(moved, float(np.abs(now.q - was.q).max(initial=0.0)))
             effects[k], taken = now, rest + now.mean
-        if moved < STILL:
+        if moved < UNLIKELY:
             break
     return effects
-
-
-def _held(bank: OfferBank, effect: SingleEffect) -> set[Hashable]:
-    """Places that an effect probably takes."""
-    chance: dict[Hashable, float] = {}
-    for number in np.flatnonzero(effect.q > STILL):
-        offer = effect.offers.get(int(number), bank.offers[number])
-        for key in offer.keys:
-            chance[key] = chance.get(key, 0.0) + float(effect.q[number])
-    return {key for key, p in chance.items() if p > 0.5}
 
 
 def _pruned(found: Explanation) -> Explanation:

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Container, Hashable
+from collections.abc import Container, Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+
+ROUNDING = 1e-6
+"""Difference of probabilities, or of log evidence, that tells nothing: names of the same columns
+differ by it, and on each machine otherwise."""
+
+UNLIKELY = 0.01
+"""Probability, or change of one, that counts for nothing."""
 
 
 @dataclass(frozen=True)
@@ -57,18 +64,48 @@ class Offer:
 
 
 @dataclass(frozen=True)
+class Others:
+    """What the other effects leave to one, but for what they explain.
+
+    Attributes:
+        shut: offers that are shut.
+        held: places that other effects hold.
+        names: names of other effects.
+        sites: of those that are functions of a cause without a name.
+    """
+
+    shut: frozenset[int] = frozenset()
+    held: frozenset[Hashable] = frozenset()
+    names: frozenset[str] = frozenset()
+    sites: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, effects: Sequence[SingleEffect], shut: frozenset[int]) -> Others:
+        """Some other effects, each as far as it is probable."""
+        there = [e for e in effects if e.there > 0.5]
+        return cls(
+            shut,
+            frozenset(key for e in effects for key in e.held),
+            frozenset(e.offer.name for e in there),
+            frozenset(e.offer.site for e in there if e.offer.site),
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class SingleEffect:
     """One effect of the sum.
 
     Attributes:
-        q: (C,) probability of every offer of the bank; what is missing to 1 is none.
+        offered: C offers, of the bank.
+        q: (C,) probability of every offer; what is missing to 1 is none.
         mean: (K,) coefficients of the bank's columns on average.
-        offers: what offers became beside the places that other effects hold.
+        changed: what offers became beside the places that other effects hold.
     """
 
+    offered: Sequence[Offer]
     q: np.ndarray
     mean: np.ndarray
-    offers: dict[int, Offer] = field(default_factory=dict)
+    changed: dict[int, Offer] = field(default_factory=dict)
 
     @cached_property
     def there(self) -> float:
@@ -77,5 +114,22 @@ class SingleEffect:
 
     @cached_property
     def best(self) -> int:
-        """The most probable offer."""
-        return int(np.argmax(self.q))
+        """The most probable offer: the first of those that only rounding distinguishes."""
+        return int(np.argmax(self.q >= (1.0 - ROUNDING) * self.q.max()))
+
+    @property
+    def offer(self) -> Offer:
+        """The most probable offer, as it is beside the others."""
+        return self._at(self.best)
+
+    @cached_property
+    def held(self) -> frozenset[Hashable]:
+        """Places that it probably takes."""
+        chance: dict[Hashable, float] = {}
+        for number in np.flatnonzero(self.q > UNLIKELY).tolist():
+            for key in self._at(number).keys:
+                chance[key] = chance.get(key, 0.0) + float(self.q[number])
+        return frozenset(key for key, p in chance.items() if p > 0.5)
+
+    def _at(self, number: int) -> Offer:
+        return self.changed.get(number, self.offered[number])

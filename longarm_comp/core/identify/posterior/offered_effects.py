@@ -102,7 +102,7 @@ class OfferedEffects:
                     before, first = shares.get(one.name, (0.0, one))
                     share = float(effect.q[n]) / effect.there / len(alike)
                     shares[one.name] = before + share, first
-            offer = effect.offers.get(effect.best, self.bank.offers[effect.best])
+            offer = effect.offer
             terms = self._terms(effect.best, offer, effect.mean[list(offer.places)])
             worth = math.log(effect.there) - math.log1p(-min(effect.there, 1.0 - 1e-16))
             rivals = (Rival(c, worth, p) for name, (p, c) in shares.items() if name != offer.name)

@@ -218,6 +218,9 @@ def _beside(
         made.append(little)
         sizes.append(size)
     held = {t.key: t for t in fitted.model.terms}
+    moving = [held[t.key] for f in found for t in f.terms if t.key in held and t.scales()]
+    ends = [e for t in moving for form in np.unique(forms) for e in _ends(t, float(form))]
+    FitColumns(fitted).of([end for pair in ends for end in pair])  # all at once: much faster
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
@@ -236,16 +239,24 @@ def _undecided(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
     columns = FitColumns(fitted)
     largest = np.abs(shift_of(fitted, columns, [term])).max()
     made = []
-    for field, (low, high) in term.scales().items():
-        value = getattr(term, field)
-        ends = (min(value * (1 + tolerance), high), max(value * (1 - tolerance), low))
-        up, down = (dataclasses.replace(term, **{field: end}) for end in ends)
+    for up, down in _ends(term, tolerance):
         change = (shift_of(fitted, columns, [up]) - shift_of(fitted, columns, [down])) / 2
         rows = np.flatnonzero(np.abs(change).max(axis=1) > tolerance * largest)
         alone = np.zeros((*change.shape, len(rows)))
         alone[rows, :, np.arange(len(rows))] = change[rows]
         made.append(alone)
     return np.concatenate(made, axis=-1)
+
+
+def _ends(term: Term, tolerance: float) -> list[tuple[Term, Term]]:
+    """A term with each of its scales larger, and smaller, by a tolerance, within its limits."""
+    made = []
+    for field, (low, high) in term.scales().items():
+        value = getattr(term, field)
+        ends = (min(value * (1 + tolerance), high), max(value * (1 - tolerance), low))
+        up, down = (dataclasses.replace(term, **{field: end}) for end in ends)
+        made.append((up, down))
+    return made
 
 
 class _Raw(NamedTuple):

@@ -15,14 +15,24 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, root_of, sized
 from longarm_comp.core.identify.model_tolerance import FORMS
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
-from longarm_comp.core.identify.posterior.offer import Offer, SingleEffect
+from longarm_comp.core.identify.posterior.offer import Offer, Others, SingleEffect
+from longarm_comp.core.identify.posterior.offer_table import OfferTable, Products
+
+
+class _Beside(NamedTuple):
+    """Numbers of the offers that lose places to others, of those left of, and what is left."""
+
+    taken: list[int]
+    left: list[int]
+    changed: dict[int, Offer]
+    table: OfferTable | None
 
 
 class OfferBank:
@@ -65,14 +75,16 @@ class OfferBank:
             site: np.array([offer.site == site for offer in offers])
             for site in {offer.site for offer in offers if offer.site}
         }
-        # what is left of the offers where others hold some places: which they take from, and how
-        self._beside: dict[
-            frozenset[Hashable], tuple[list[int], dict[int, Offer], list[_Whole | _Free]]
-        ] = {}
+        # What is left of the offers where others hold some places: which they take from, and how.
+        self._beside: dict[frozenset[Hashable], _Beside] = {}
 
     @cached_property
-    def _scorers(self) -> list[_Whole | _Free]:
-        return _scorers(self, dict(enumerate(self.offers)))
+    def _products(self) -> Products:
+        return Products(self.gram, self.lower, self.upper, self.like)
+
+    @cached_property
+    def _table(self) -> OfferTable:
+        return OfferTable(self._products, self.offers)
 
     def has_a_name(self, offer: Offer) -> bool:
         """Whether a function of a cause without a name moves the rows as an effect with one does.
@@ -93,59 +105,47 @@ class OfferBank:
         alone = (o.places for o in self.offers if not o.site and len(o.places) == 1)
         return np.array([k for (k,) in alone], dtype=int)
 
-    def single(
-        self,
-        along: np.ndarray,
-        closed: frozenset[int],
-        held: frozenset[Hashable],
-        names: frozenset[str] = frozenset(),
-        sites: frozenset[str] = frozenset(),
-    ) -> SingleEffect:
+    def single(self, along: np.ndarray, others: Others) -> SingleEffect:
         """The effect that explains what the others leave.
 
         Args:
             along: (K,) products of the columns with what the others leave.
-            closed: offers that are shut.
-            held: places that other effects hold.
-            names: names of other effects.
-            sites: of those that are functions of a cause without a name.
+            others: what else they leave to it.
         """
-        if held not in self._beside:
-            gone = [n for n, o in enumerate(self.offers) if not held.isdisjoint(o.keys)]
-            left = {n: self.offers[n].beside(held) for n in gone}
-            changed = {n: offer for n, offer in left.items() if offer is not None}
-            self._beside[held] = gone, changed, _scorers(self, changed)
-        taken, changed, beside = self._beside[held]
-        scores = np.full(len(self.offers), -np.inf)
-        scored = []
-        for scorers in (self._scorers, beside):
-            scores[taken] = -np.inf
-            for scorer in scorers:
-                scores[scorer.numbers], found = scorer.score(along)
-                scored.append((scorer, found))
-        scores[list(closed)] = -np.inf
-        for name in names:
+        beside = self._beside_places(others.held)
+        scores, found = self._table.score(along)
+        scores[beside.taken] = -np.inf
+        if beside.table is not None:
+            scores[beside.left], changed = beside.table.score(along)
+        scores[list(others.shut)] = -np.inf
+        for name in others.names:
             scores[self._of_name[name]] += self.again
-        for site in sites:  # whose name is among the names
+        for site in others.sites:  # whose name is among the names
             scores[self._at_site[site]] += self.together - self.again
         top = max(float(scores.max(initial=-np.inf)), 0.0)
         weights = np.exp(scores - top)
         q = weights / (weights.sum() + math.exp(-top))
         untouched = q.copy()
-        untouched[taken] = 0.0
-        mean = np.zeros(len(self.along))
-        for n, (scorer, found) in enumerate(scored):
-            share = untouched if n < len(self._scorers) else q
-            mean += scorer.mean(found, share[scorer.numbers])  # type: ignore[arg-type]
-        return SingleEffect(q, mean, changed)
+        untouched[beside.taken] = 0.0
+        mean = self._table.mean(found, untouched)
+        if beside.table is not None:
+            mean += beside.table.mean(changed, q[beside.left])
+        return SingleEffect(self.offers, q, mean, beside.changed)
+
+    def _beside_places(self, held: frozenset[Hashable]) -> _Beside:
+        """What is left of the offers where others hold some places."""
+        if held not in self._beside:
+            taken = [n for n, o in enumerate(self.offers) if not held.isdisjoint(o.keys)]
+            left = {n: self.offers[n].beside(held) for n in taken}
+            changed = {n: offer for n, offer in left.items() if offer is not None}
+            table = OfferTable(self._products, list(changed.values())) if changed else None
+            self._beside[held] = _Beside(taken, list(changed), changed, table)
+        return self._beside[held]
 
     @property
     def scores(self) -> np.ndarray:
         """(C,) log odds of every offer alone against none."""
-        made = np.full(len(self.offers), -np.inf)
-        for scorer in self._scorers:
-            made[scorer.numbers] = scorer.score(self.along)[0]
-        return made
+        return self._table.score(self.along)[0] if self.offers else np.zeros(0)
 
     def evidence(self, chosen: Sequence[Offer]) -> float:
         """Log evidence of some offers together, each with its prior odds against none."""
@@ -235,116 +235,3 @@ def _solved(
     mean = (inverse @ t[..., None])[..., 0]
     evidence = ((t * mean).sum(-1) - np.linalg.slogdet(precision)[1]) / 2
     return mean, np.sqrt(np.diagonal(inverse, axis1=-2, axis2=-1)), evidence
-
-
-class _Whole:
-    """Offers that are there whole or not at all, scored at once."""
-
-    def __init__(self, bank: OfferBank, offers: dict[int, Offer]) -> None:
-        self.numbers = np.array(list(offers))
-        places = [offer.places for offer in offers.values()]
-        self._taken = _chosen(places, len(bank.along))
-        half = [0.5 * bank.gram[np.ix_(own, own)].sum() for own in places]
-        self._price = np.array([o.log_prior for o in offers.values()]) - NONE - half
-
-    def score(self, along: np.ndarray) -> tuple[np.ndarray, None]:
-        """(C,) log posterior odds against none of every offer."""
-        return self._taken @ along + self._price, None
-
-    def mean(self, _: None, q: np.ndarray) -> np.ndarray:
-        """(K,) coefficients of the columns on average, the offers having a probability each."""
-        return np.asarray(self._taken.T @ q)
-
-
-class _Free:
-    """Offers whose coefficients are free, scored at once.
-
-    The E coefficients of all offers lie one after the other.  Those of an offer are turned to
-    where they are independent: its Gram matrix is diagonal there.  Sizes (A) are tried side by
-    side; an offer with fewer of them has some of no chance.
-    """
-
-    def __init__(self, bank: OfferBank, offers: dict[int, Offer]) -> None:
-        own = list(offers.values())
-        self.numbers = np.array(list(offers))
-        counts = np.array([len(offer.places) for offer in own])
-        self._starts, columns = np.cumsum(counts) - counts, [k for o in own for k in o.places]
-        self._of = np.repeat(np.arange(len(own)), counts)
-        most = max(len(offer.sizes) for offer in own)
-        sizes, self._chances = np.ones((len(own), most)), np.full((len(own), most), -np.inf)
-        for n, offer in enumerate(own):
-            sizes[n, : len(offer.sizes)] = offer.sizes
-            self._chances[n, : len(offer.sizes)] = offer.chances
-        self._price = np.array([offer.log_prior for offer in own]) - NONE
-        values, blocks, outside = np.empty(len(columns)), [], []
-        for count in np.unique(counts):
-            group = np.flatnonzero(counts == count)
-            at = self._starts[group, None] + np.arange(count)
-            places = np.array(columns)[at]
-            s = bank.gram[places[:, :, None], places[:, None, :]]
-            root = root_of(bank.like[places])
-            turned = np.swapaxes(root, 1, 2) @ (s + np.swapaxes(s, 1, 2)) @ root / 2
-            values[at], turn = np.linalg.eigh(turned)
-            rows, cols = np.broadcast_arrays(at[:, :, None], at[:, None, :])
-            blocks.append(((root @ turn).ravel(), rows.ravel(), cols.ravel()))
-            bounds = bank.lower[places], bank.upper[places]
-            if np.isfinite(bounds).any():
-                low, high = (b[:, None, :] / sizes[group][..., None] for b in bounds)
-                outside.append((group, log_prior_mass(low, high, bank.like[places][:, None, :])))
-        square = sizes[self._of] ** 2
-        grown = 1.0 + square * np.maximum(values, 0.0)[:, None]
-        self._share = square / grown  # (E, A)
-        self._log_det = np.add.reduceat(np.log(grown), self._starts) / 2
-        data, rows, cols = map(np.concatenate, zip(*blocks, strict=True))
-        self._turn = csr_array((data, (rows, cols)), shape=(len(columns), len(columns)))
-        self._picked = _chosen([(k,) for k in columns], len(bank.along))
-        self._turned = self._turn.T @ self._picked
-        self._lower, self._upper = bank.lower[columns], bank.upper[columns]
-        bounded = np.isfinite(self._lower) | np.isfinite(self._upper)
-        self._bounded = np.flatnonzero(bounded)
-        self._turn_bounded = self._turn[self._bounded]
-        self._sd = np.sqrt(self._turn_bounded**2 @ self._share)
-        self._summed = _chosen(
-            [np.flatnonzero(self._of[self._bounded] == n) for n in range(len(own))],
-            len(self._bounded),
-        )
-        for group, mass in outside:
-            self._chances[group] -= mass
-
-    def score(self, along: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """(C,) log posterior odds against none of every offer; what its mean is made of."""
-        z = self._turned @ along
-        each = np.add.reduceat(self._share * z[:, None] ** 2, self._starts) / 2
-        each = each - self._log_det + self._chances
-        if len(self._bounded):
-            mean = self._turn_bounded @ (self._share * z[:, None])
-            low = (self._lower[self._bounded, None] - mean) / self._sd
-            high = (self._upper[self._bounded, None] - mean) / self._sd
-            each = each + self._summed @ log_mass(low, high)
-        top = each.max(1)
-        chance = np.exp(each - top[:, None])
-        whole = chance.sum(1)
-        return top + np.log(whole) + self._price, (z, chance / whole[:, None])
-
-    def mean(self, found: tuple[np.ndarray, np.ndarray], q: np.ndarray) -> np.ndarray:
-        """(K,) coefficients of the columns on average, the offers having a probability each.
-
-        On average over the sizes, too, and within bounds.
-        """
-        z, chance = found
-        mean = self._turn @ ((chance[self._of] * self._share).sum(1) * z)
-        return np.asarray(self._picked.T @ (q[self._of] * np.clip(mean, self._lower, self._upper)))
-
-
-def _chosen(rows: Sequence[Sequence[int] | np.ndarray], width: int) -> csr_array:
-    """(R, width) matrix with a 1 at some columns of each row."""
-    ends = np.cumsum([0, *map(len, rows)])
-    columns = np.concatenate([np.asarray(row, dtype=int) for row in rows])
-    return csr_array((np.ones(len(columns)), columns, ends), shape=(len(rows), width))
-
-
-def _scorers(bank: OfferBank, offers: dict[int, Offer]) -> list[_Whole | _Free]:
-    fixed = {n: offer for n, offer in offers.items() if offer.fixed}
-    free = {n: offer for n, offer in offers.items() if not offer.fixed}
-    made: list[_Whole | _Free] = [_Free(bank, free)] if free else []
-    return [*made, _Whole(bank, fixed)] if fixed else made

@@ -1,0 +1,126 @@
+"""Offers side by side, scored at once against what the other effects leave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from longarm_comp.core.calibration.linear import log_mass, log_prior_mass, root_of
+from longarm_comp.core.identify.posterior.found import NONE
+from longarm_comp.core.identify.posterior.offer import Offer
+
+NEGLIGIBLE = 1e-16
+"""Probability below which an offer adds nothing to a mean."""
+
+
+class Products(NamedTuple):
+    """Products of K columns, projected off the geometry, and what is known of coefficients.
+
+    Attributes:
+        gram: (K, K) with each other.
+        lower, upper: (K,) bounds of the coefficients.
+        like: (K,) numbers that coefficients share that are like each other.
+    """
+
+    gram: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    like: np.ndarray
+
+
+class OfferTable:
+    """R offers with P coefficients each at most, and A sizes tried side by side.
+
+    The coefficients of an offer are turned to where they are independent: its Gram matrix is
+    diagonal there.  A coefficient that an offer lacks has no size, a size that it lacks no chance.
+    Coefficients of an offer that is there whole or not at all are 1.
+    """
+
+    def __init__(self, of: Products, offers: Sequence[Offer]) -> None:
+        r, k = len(offers), len(of.gram)
+        counts = np.array([len(offer.places) for offer in offers])
+        self._of, most = of, max(len(offer.sizes) for offer in offers)
+        shape = r, counts.max(initial=0)
+        self._places = np.full(shape, k)
+        self._fixed = np.zeros(shape)
+        self._turn = np.zeros((*shape, shape[1]))
+        self._share = np.zeros((*shape, most))
+        self._odds = np.full((r, most), -np.inf)
+        self._price = np.array([offer.log_prior for offer in offers]) - NONE
+        sizes = np.ones((r, most))
+        for n, offer in enumerate(offers):
+            self._places[n, : counts[n]] = offer.places
+            sizes[n, : len(offer.sizes)] = offer.sizes
+            self._odds[n, : len(offer.sizes)] = offer.chances
+            if offer.fixed:
+                own = list(offer.places)
+                self._fixed[n, : counts[n]] = 1.0
+                self._price[n] -= 0.5 * of.gram[np.ix_(own, own)].sum()
+        free = np.array([not offer.fixed for offer in offers])
+        for count in np.unique(counts[free]):
+            self._turn_group(np.flatnonzero(free & (counts == count)), count, sizes)
+        bounds = (np.append(b, 0.0)[self._places] for b in (of.lower, of.upper))
+        held = (np.arange(shape[1]) < counts[:, None]) & free[:, None]
+        self._lower, self._upper = (
+            np.where(held, b, e) for b, e in zip(bounds, (-np.inf, np.inf), strict=True)
+        )
+        row, at = np.nonzero(np.isfinite(self._lower) | np.isfinite(self._upper))
+        self._bounded, self._starts = np.unique(row, return_index=True)
+        self._turn_bounded = self._turn[row, at]  # (B, P)
+        self._row = row
+        self._sd = np.sqrt(np.einsum("bp,bpa->ba", self._turn_bounded**2, self._share[row]))
+        self._ends = self._lower[row, at][:, None], self._upper[row, at][:, None]
+
+    def _turn_group(self, group: np.ndarray, count: int, sizes: np.ndarray) -> None:
+        """Prepare the offers (numbers) of so many coefficients."""
+        of = self._of
+        places = self._places[group, :count]
+        s = of.gram[places[:, :, None], places[:, None, :]]
+        root = root_of(of.like[places])
+        turned = np.swapaxes(root, 1, 2) @ (s + np.swapaxes(s, 1, 2)) @ root / 2
+        values, turn = np.linalg.eigh(turned)
+        self._turn[group, :count, :count] = root @ turn
+        square = sizes[group][:, None, :] ** 2
+        grown = 1.0 + square * np.maximum(values, 0.0)[..., None]
+        self._share[group, :count] = square / grown
+        self._odds[group] -= np.log(grown).sum(axis=1) / 2
+        bounds = of.lower[places], of.upper[places]
+        if np.isfinite(bounds).any():
+            low, high = (b[:, None, :] / sizes[group][..., None] for b in bounds)
+            self._odds[group] -= log_prior_mass(low, high, of.like[places][:, None, :])
+
+    def score(self, along: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """(R,) log posterior odds against none of every offer; what its mean is made of.
+
+        Args:
+            along: (K,) products of the columns with what the others leave.
+        """
+        own = np.append(along, 0.0)[self._places]
+        z = np.einsum("rpq,rp->rq", self._turn, own)
+        each = np.einsum("rpa,rp->ra", self._share, z**2) / 2 + self._odds
+        if len(self._bounded):
+            shrunk = self._share[self._row] * z[self._row][..., None]
+            mean = np.einsum("bp,bpa->ba", self._turn_bounded, shrunk)
+            low, high = ((end - mean) / self._sd for end in self._ends)
+            each[self._bounded] += np.add.reduceat(log_mass(low, high), self._starts)
+        top = each.max(axis=1)
+        chance = np.exp(each - top[:, None])
+        whole = chance.sum(axis=1)
+        odds = top + np.log(whole) + self._price + (self._fixed * own).sum(axis=1)
+        return odds, (z, chance / whole[:, None])
+
+    def mean(self, found: tuple[np.ndarray, np.ndarray], q: np.ndarray) -> np.ndarray:
+        """(K,) coefficients of the columns on average, the offers having a probability each.
+
+        On average over the sizes, too, and within bounds.
+        """
+        z, chance = found
+        on = np.flatnonzero(q > NEGLIGIBLE)
+        shrunk = (self._share[on] * chance[on][:, None, :]).sum(axis=-1) * z[on]
+        mean = np.einsum("rpq,rq->rp", self._turn[on], shrunk)
+        mean = np.clip(mean, self._lower[on], self._upper[on]) + self._fixed[on]
+        made = np.zeros(len(self._of.gram) + 1)
+        np.add.at(made, self._places[on].ravel(), (q[on][:, None] * mean).ravel())
+        return made[:-1]
