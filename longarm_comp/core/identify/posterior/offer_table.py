@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -36,9 +36,13 @@ class OfferTable:
     The coefficients of an offer are turned to where they are independent: its Gram matrix is
     diagonal there.  A coefficient that an offer lacks has no size, a size that it lacks no chance.
     Coefficients of an offer that is there whole or not at all are 1.
+
+    Attributes:
+        numbers: of the offers in their bank.
     """
 
-    def __init__(self, of: Products, offers: Sequence[Offer]) -> None:
+    def __init__(self, of: Products, numbered: Mapping[int, Offer]) -> None:
+        self.numbers, offers = list(numbered), list(numbered.values())
         r, k = len(offers), len(of.gram)
         counts = np.array([len(offer.places) for offer in offers])
         self._of, most = of, max(len(offer.sizes) for offer in offers)
@@ -70,8 +74,15 @@ class OfferTable:
         self._bounded, self._starts = np.unique(row, return_index=True)
         self._turn_bounded = self._turn[row, at]  # (B, P)
         self._row = row
-        self._sd = np.sqrt(np.einsum("bp,bpa->ba", self._turn_bounded**2, self._share[row]))
+        self._sd = np.sqrt(_times(self._turn_bounded**2, self._share[row]))
         self._ends = self._lower[row, at][:, None], self._upper[row, at][:, None]
+
+    @classmethod
+    def of(cls, products: Products, numbered: Mapping[int, Offer]) -> list[OfferTable]:
+        """Those of a single coefficient in a table of their own: most offers have no more."""
+        wide = {n: len(offer.places) > 1 for n, offer in numbered.items()}
+        parts = ({n: numbered[n] for n in wide if wide[n] == more} for more in (False, True))
+        return [cls(products, part) for part in parts if part]
 
     def _turn_group(self, group: np.ndarray, count: int, sizes: np.ndarray) -> None:
         """Prepare the offers (numbers) of so many coefficients."""
@@ -98,11 +109,11 @@ class OfferTable:
             along: (K,) products of the columns with what the others leave.
         """
         own = np.append(along, 0.0)[self._places]
-        z = np.einsum("rpq,rp->rq", self._turn, own)
-        each = np.einsum("rpa,rp->ra", self._share, z**2) / 2 + self._odds
+        z = _times(own, self._turn)
+        each = _times(z**2, self._share) / 2 + self._odds
         if len(self._bounded):
-            shrunk = self._share[self._row] * z[self._row][..., None]
-            mean = np.einsum("bp,bpa->ba", self._turn_bounded, shrunk)
+            shrunk = (self._share * z[..., None]).take(self._row, axis=0)
+            mean = _times(self._turn_bounded, shrunk)
             low, high = ((end - mean) / self._sd for end in self._ends)
             each[self._bounded] += np.add.reduceat(log_mass(low, high), self._starts)
         top = each.max(axis=1)
@@ -119,8 +130,13 @@ class OfferTable:
         z, chance = found
         on = np.flatnonzero(q > NEGLIGIBLE)
         shrunk = (self._share[on] * chance[on][:, None, :]).sum(axis=-1) * z[on]
-        mean = np.einsum("rpq,rq->rp", self._turn[on], shrunk)
+        mean = _times(shrunk, np.swapaxes(self._turn[on], 1, 2))
         mean = np.clip(mean, self._lower[on], self._upper[on]) + self._fixed[on]
         made = np.zeros(len(self._of.gram) + 1)
         np.add.at(made, self._places[on].ravel(), (q[on][:, None] * mean).ravel())
         return made[:-1]
+
+
+def _times(rows: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+    """(R, Q) each of some rows (R, P) times its matrix (R, P, Q)."""
+    return np.asarray(np.matmul(rows[:, None, :], matrices)[:, 0])

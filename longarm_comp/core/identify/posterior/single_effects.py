@@ -27,12 +27,11 @@ from longarm_comp.core.identify.posterior.offer_table import OfferTable, Product
 
 
 class _Beside(NamedTuple):
-    """Numbers of the offers that lose places to others, of those left of, and what is left."""
+    """Numbers of the offers that lose places to others, and what is left of them."""
 
     taken: list[int]
-    left: list[int]
-    changed: dict[int, Offer]
-    table: OfferTable | None
+    left: dict[int, Offer]
+    tables: list[OfferTable]
 
 
 class OfferBank:
@@ -83,8 +82,8 @@ class OfferBank:
         return Products(self.gram, self.lower, self.upper, self.like)
 
     @cached_property
-    def _table(self) -> OfferTable:
-        return OfferTable(self._products, self.offers)
+    def _tables(self) -> list[OfferTable]:
+        return OfferTable.of(self._products, dict(enumerate(self.offers)))
 
     def has_a_name(self, offer: Offer) -> bool:
         """Whether a function of a cause without a name moves the rows as an effect with one does.
@@ -113,10 +112,12 @@ class OfferBank:
             others: what else they leave to it.
         """
         beside = self._beside_places(others.held)
-        scores, found = self._table.score(along)
-        scores[beside.taken] = -np.inf
-        if beside.table is not None:
-            scores[beside.left], changed = beside.table.score(along)
+        scores, found = np.full(len(self.offers), -np.inf), []
+        for tables in (self._tables, beside.tables):
+            scores[beside.taken] = -np.inf
+            for table in tables:
+                scores[table.numbers], each = table.score(along)
+                found.append(each)
         scores[list(others.shut)] = -np.inf
         for name in others.names:
             scores[self._of_name[name]] += self.again
@@ -127,25 +128,27 @@ class OfferBank:
         q = weights / (weights.sum() + math.exp(-top))
         untouched = q.copy()
         untouched[beside.taken] = 0.0
-        mean = self._table.mean(found, untouched)
-        if beside.table is not None:
-            mean += beside.table.mean(changed, q[beside.left])
-        return SingleEffect(self.offers, q, mean, beside.changed)
+        shares = [untouched] * len(self._tables) + [q] * len(beside.tables)
+        every = zip([*self._tables, *beside.tables], found, shares, strict=True)
+        mean = sum(table.mean(each, share[table.numbers]) for table, each, share in every)
+        return SingleEffect(self.offers, q, np.asarray(mean), beside.left)
 
     def _beside_places(self, held: frozenset[Hashable]) -> _Beside:
         """What is left of the offers where others hold some places."""
         if held not in self._beside:
             taken = [n for n, o in enumerate(self.offers) if not held.isdisjoint(o.keys)]
-            left = {n: self.offers[n].beside(held) for n in taken}
-            changed = {n: offer for n, offer in left.items() if offer is not None}
-            table = OfferTable(self._products, list(changed.values())) if changed else None
-            self._beside[held] = _Beside(taken, list(changed), changed, table)
+            rest = {n: self.offers[n].beside(held) for n in taken}
+            left = {n: offer for n, offer in rest.items() if offer is not None}
+            self._beside[held] = _Beside(taken, left, OfferTable.of(self._products, left))
         return self._beside[held]
 
     @property
     def scores(self) -> np.ndarray:
         """(C,) log odds of every offer alone against none."""
-        return self._table.score(self.along)[0] if self.offers else np.zeros(0)
+        made = np.full(len(self.offers), -np.inf)
+        for table in self._tables:
+            made[table.numbers] = table.score(self.along)[0]
+        return made
 
     def evidence(self, chosen: Sequence[Offer]) -> float:
         """Log evidence of some offers together, each with its prior odds against none."""
