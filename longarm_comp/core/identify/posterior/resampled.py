@@ -51,7 +51,10 @@ class Resampling:
     usual: frozenset[tuple[str, str]] = frozenset()
 
     def explained(self, counts: np.ndarray) -> tuple[FoundEffect, ...]:
-        """The effects that explain the rows where each counts so often, (N,), from nothing."""
+        """The effects that explain the rows where each counts so often, (N,).
+
+        Sought from nothing and from what was found; what explains the rows better stays.
+        """
         (bank,) = offered(
             self.fit, self.candidates, self.functions, self.found, [self.tolerance],
             counts=counts, usual=self.usual,
