@@ -26,7 +26,7 @@ from longarm_comp.core.identify.discover.inputs import arm_inputs
 from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
-from longarm_comp.core.identify.posterior.offer import Offer, Others
+from longarm_comp.core.identify.posterior.offer import Offer, Others, SingleEffect
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 
@@ -208,6 +208,13 @@ def test_a_further_place_of_a_name_has_half_of_the_probability(across: np.ndarra
     shut = of.single(rest, Others(frozenset({1}), a, a))
     assert shut.q[1] == 0.0
     assert shut.q[2] == pytest.approx(1.0 / 5.0, abs=0.01)
+
+
+def test_of_names_that_rounding_alone_distinguishes_the_first_is_named() -> None:
+    offers = [single(name, 0) for name in "abc"]
+    q = np.array([1.0 / 3.0, 1.0 / 3.0 + 1e-12, 1.0 / 3.0 - 1e-12])
+    assert SingleEffect(offers, q, np.zeros(1)).best == 0
+    assert SingleEffect(offers, q + [0.0, 1e-3, 0.0], np.zeros(1)).best == 1
 
 
 def test_a_restart_leaves_a_local_optimum() -> None:
