@@ -13,8 +13,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import click
 import numpy as np
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.fit import fit
@@ -29,6 +31,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes
 from longarm_comp.sessions.read import read_session
+from studies.commands import Figures, Show, arm_option, study_command, whole_number
 from studies.loop_cases import Case
 from studies.loop_setting import set_up
 from studies.real_sessions import every_robot
@@ -249,3 +252,31 @@ def _places(rows: Session) -> Iterator[tuple[Session, Session]]:
         place = 2 * place + (rows.q[:, j] > np.median(rows.q[:, j]))
     for each in np.unique(place):
         yield rows.take(place != each), rows.take(place == each)
+
+
+@study_command(
+    options.path_option(
+        "--data", "Folder with dlr_justin, wam_ur5 or both; none are judged if absent."
+    ),
+    arm_option,
+    whole_number("--arms", 6, "Simulated arms.", least=0),
+    click.option(
+        "--pandas/--no-pandas", "touched", default=True, help="Six real arms that touched sockets."
+    ),
+)
+def command(data: Path | None, arm: Arm, arms: int, touched: bool, show: Show) -> Figures:
+    """How many rows left out lie inside the 90 % radius that their model states.
+
+    The radius is of a measured row: error of the tip and noise. "kept" says whether it holds, or
+    why that cannot be told.
+
+    \b
+    Example:
+      longarm study coverage --data test/data --arms 6 --json
+    """
+    found = [] if data is None else list(real(data, lambda text: show(text, 0.0)))
+    if touched:
+        found += pandas(lambda text: show(text, 0.3))
+    found += simulated(arm, arms, lambda text: show(text, 0.5))
+    rows = table(found)
+    return Figures({"rows": rows}, {"Rows left out inside the stated 90 % radius": rows})

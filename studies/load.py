@@ -19,12 +19,15 @@ from longarm_comp.core.compensation.weighing import Drives, Weighing, felt
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_bus.registry import models, protocols
 from longarm_comp.devices.servo_bus.state import ServoAlarm
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.servo_emulator.joints import DATA_SHEETS
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 from longarm_comp.sim.servo_emulator.wire import RegisterWire
 from longarm_comp.sim.servo_emulator.wires import wires
+from studies.commands import Figures, Show, arms_option, study_command
 from studies.random_arms import random_arm
 
 PAYLOADS_KG = (0.25, 0.8)
@@ -107,3 +110,20 @@ def table(arm: Arm, full_effort: np.ndarray, count: int) -> list[Mapping[str, An
         row["false"] = sum(w.contradicts for a in each for w in a[:RESTS])
         rows.append(row)
     return rows
+
+
+@study_command(arms_option(8, "Arms."))
+def command(arms: int, show: Show) -> Figures:
+    """How well the loads that servos report tell a payload: error and sigma by servo, kg.
+
+    After 1, 4 and 12 rests with 0.25 kg; then 0.8 kg are carried and nobody says it.
+
+    \b
+    Example:
+      longarm study load --arms 8
+    """
+    arm = Arm.load(folder("config") / "arm_demo.yaml")
+    joints = ServoConfig.load(folder("config") / "servo_driver.yaml").joints
+    full = np.array([joints[name].full_effort for name in arm.joint_names], float)
+    rows = table(arm, full, arms)
+    return Figures({"rows": rows}, {"Payload by the servos' loads, 0.25 kg, then 0.8 kg": rows})

@@ -21,7 +21,7 @@ from longarm_comp.sim.hidden.base import HiddenEffect
 from studies.loop_cases import SPOILED, Case
 from studies.loop_truth import at_one_place, size
 from studies.random_arms import random_arm
-from studies.simulated import SimulatedSession, arrival, measure_session
+from studies.simulated import arrival, measure_session
 from studies.true_camera import CameraEffect, Hidden, Noise, TrueCamera, hidden
 
 HELD_OUT = 100
@@ -94,23 +94,11 @@ def set_up(case: Case, declared: Arm) -> LoopSetting:
         arm,
         tuple(effects),
         tuple(v for _, v in drawn),
-        session_of(train, arm.n),
-        session_of(held, arm.n),
+        train.session(),
+        held.session(),
         train.truth["seen"],
         held.truth["seen"],
         sigma,
-    )
-
-
-def session_of(measured: SimulatedSession, n: int) -> Session:
-    """A simulated session as the diagnosis reads it."""
-    columns = dict(measured.columns)
-    q = np.column_stack([columns.pop(f"q{k + 1}") for k in range(n)])
-    xyz = np.column_stack([columns.pop(axis) for axis in "xyz"])
-    repeat = np.nan_to_num(columns.pop("repeat_id"), nan=-1.0).astype(int)
-    index, approach = columns.pop("index").astype(int), columns.pop("approach")
-    return Session.record(
-        q, xyz, index=index, approach=approach, repeat_id=repeat, columns=columns, source="study"
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import PRINTED, Anchor
 from longarm_comp.core.calibration.calibrate import stages
@@ -18,6 +19,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.math.points import kabsch
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.geometry import DhError, JointZero
+from studies.commands import Figures, Show, arm_option, arms_option, study_command
 
 ROWS = (15, 20, 30, 45, 70, 110, 170, 260)
 """Rows that are fitted."""
@@ -205,3 +207,24 @@ def _first(errors: np.ndarray, counts: Sequence[int], limit: float) -> float:
     share = (high - np.log(limit)) / (high - low)
     ends = np.log([counts[k], counts[k + 1]])
     return float(np.exp(ends[0] + share * (ends[1] - ends[0])))
+
+
+@study_command(arm_option, arms_option(5), options.seed)
+def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
+    """How many rows a calibration needs if a row is a pose, a position, one distance, or a touch.
+
+    Errors are of the true tip at poses that were not measured.
+
+    \b
+    Example:
+      longarm study measurements --arms 5
+    """
+    found = []
+    for k in range(arms):
+        found.append(errors_by_rows(arm, seed + k))
+        show(f"{k + 1} of {arms} arms", (k + 1) / arms)
+    rows, least = table(found, ROWS), needed(found, ROWS, (1e-3, 5e-4, 2.5e-4))
+    return Figures(
+        {"arms": arms, "seed": seed, "errors": rows, "needed": least},
+        {f"Error of the true tip, median of {arms} arms": rows, "Rows needed": least},
+    )

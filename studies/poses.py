@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.fit import fit
@@ -25,6 +26,7 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import catalogue
 from longarm_comp.sim.hidden.base import HiddenEffect
+from studies.commands import Figures, Show, arm_option, arms_option, study_command
 
 COUNTS = (40, 60, 100, 200)
 SIGMA_M = 3e-4
@@ -108,3 +110,27 @@ def table(found: Sequence[PoseOutcome]) -> list[dict[str, Any]]:
                 row[f"{way}_mm"] = round(1e3 * float(np.mean(errors)), 3)
             rows.append(row)
     return rows
+
+
+@study_command(arm_option, arms_option(3), options.seed)
+def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
+    """Error of the true tip after 40, 60, 100, 200 poses by grid, Sobol and I-optimal choice.
+
+    The arms have hidden geometry errors and soft joints, which the calibration knows or has to
+    find. Each arm takes a few minutes.
+
+    \b
+    Example:
+      longarm study poses --arms 3
+    """
+    found: list[PoseOutcome] = []
+    steps = arms * len(COUNTS) * len(WAYS) * 2
+    for k in range(seed, seed + arms):
+        for one in one_arm(arm, k):
+            found.append(one)
+            show(f"{one.n} poses by {one.way}", len(found) / steps)
+    rows = table(found)
+    return Figures(
+        {"arms": arms, "seed": seed, "rows": rows, "runs": [vars(o) for o in found]},
+        {f"Error of the true tip, mean of {arms} arms": rows},
+    )

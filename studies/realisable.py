@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import commandable
 from longarm_comp.core.compensation.realisable import KNOWN_TO, Lattice, Search
@@ -24,6 +25,7 @@ from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
+from studies.commands import Figures, Show, arm_option, study_command, whole_number
 from studies.many import chosen
 
 SLIDE_STEP_M = 1e-4
@@ -259,3 +261,35 @@ def _path_move(case: ArmCase, q: np.ndarray) -> float:
 def _moved(case: ArmCase, got: SimpleNamespace, q: np.ndarray) -> float:
     """How far (deg) the revolute joint that moves most is from its ideal, mean over targets."""
     return float(np.degrees(np.abs(q - got.ideal)[:, case.turning].max(axis=1).mean()))
+
+
+@study_command(
+    arm_option,
+    whole_number("--targets", 60, "Targets per row."),
+    whole_number(
+        "--steps", 1000, "Servo steps per turn of a revolute joint; slides have 0.1 mm.", 2
+    ),
+    options.seed,
+)
+def command(arm: Arm, targets: int, steps: int, seed: int, show: Show) -> Figures:
+    """Compare the choice among the servos' steps with rounding, and its sensitivity.
+
+    The truth is the declared model with sag. No measurement is used.
+
+    \b
+    Example:
+      longarm study realisable --targets 60 --json
+    """
+    tables = {
+        "arms": ("Positions and poses (0.3 m/rad)", arms_table),
+        "price": ("Price of movement; path: a line of 5 mm steps", price_table),
+        "sensitivity": ("Servos or arm not as declared", sensitivity_table),
+    }
+    rows: dict[str, list[dict[str, object]]] = {}
+    for k, (name, (title, table)) in enumerate(tables.items()):
+        show(title, k / len(tables))
+        rows[name] = table(arm, targets, steps, seed)
+    return Figures(
+        {"targets": targets, "steps_per_turn": steps, "seed": seed, **rows},
+        {title: rows[name] for name, (title, _) in tables.items()},
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.sim.arm_truth import TrueArm
@@ -48,6 +50,21 @@ class SimulatedSession:
 
     columns: dict[str, Array]
     truth: dict[str, Array] = field(repr=False)
+
+    def session(self) -> Session:
+        """Make the session that a diagnosis reads."""
+        columns = dict(self.columns)
+        joints = [name for name in columns if re.fullmatch(r"q\d+", name)]
+        q = np.column_stack([columns.pop(name) for name in joints])
+        xyz = np.column_stack([columns.pop(axis) for axis in "xyz"])
+        repeat = np.nan_to_num(columns.pop("repeat_id"), nan=-1.0).astype(int)
+        index, approach = columns.pop("index").astype(int), columns.pop("approach")
+        read = [name for name in columns if name.startswith("read_q")]
+        readings = {name: columns.pop(name)[:, None] for name in read}
+        return Session.record(
+            q, xyz, index=index, approach=approach, repeat_id=repeat, columns=columns,
+            readings=readings, source="study",
+        )  # fmt: skip
 
 
 def measure_session(

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.planning.optimal_poses import OptimalPlan
 from studies import poses
-from studies.commands.poses import command
+from studies.poses import command
 
 
 @pytest.fixture(scope="module")

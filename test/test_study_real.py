@@ -15,8 +15,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.read import read_session
 from longarm_comp.workflows.calibrate import calibrate
 from studies import real
-from studies.commands.real import command
 from studies.own_rigid import OwnRigid
+from studies.real import command
 from studies.real_sessions import JUSTIN, TRACKED, Measured, declared, every_robot, justin
 from studies.real_sets import halves, overlap, real_sets, simulated
 from studies.touch import EXAMPLE
