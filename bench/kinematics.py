@@ -120,10 +120,14 @@ def _near(arm: Arm, q: np.ndarray) -> np.ndarray:
     return np.clip(q + shift, arm.lower, arm.upper)
 
 
-def _batch(q: np.ndarray) -> Result:
-    """Poses a second of a batch from mid-range, beside the peer's mean rate on the same joints."""
+def batch(grid: bool = False) -> Result:
+    """Poses a second of a batch from mid-range, beside the peer's mean rate on the same joints.
+
+    Of random joints, or of the paper's grid: on limits and at singularities. Goals: 20.
+    """
     model = soft_model(demo_arm())
     arm = model.arm
+    q = paper_grid(arm) if grid else random_joints(arm, BATCH, 2)
     ik.warm_up()
     try:
         peer = Toolbox(arm)
@@ -142,16 +146,6 @@ def _batch(q: np.ndarray) -> Result:
     note = f"processor seconds; solved {solved:.4f}"
     rate = [float(np.mean(theirs))]
     return beside("poses/s", ours, Toolbox.name, rate, more_is_better=True, note=note)
-
-
-def batch() -> Result:
-    """Random joints; goal 20."""
-    return _batch(random_joints(demo_arm(), BATCH, 2))
-
-
-def grid() -> Result:
-    """The paper's grid, on limits and at singularities; goal 20."""
-    return _batch(paper_grid(demo_arm()))
 
 
 def single_uncompiled() -> Result:
