@@ -125,6 +125,7 @@ def shares(found: Any) -> Cells:
     ]
 
 
+SHARES = ("measure", "share", "95 % interval")
 BENCH = ("row", "here", "beside", "its figure", "ratio (lowest .. highest)")
 TABLES: dict[str, tuple[str, tuple[str, ...], Callable[[Any], Cells]]] = {
     "real": (
@@ -160,11 +161,10 @@ TABLES: dict[str, tuple[str, tuple[str, ...], Callable[[Any], Cells]]] = {
         + [[f"rows for {row.pop('error_mm'):g} mm", *row.values()] for row in found["needed"]],
     ),
     **{
-        f"loop {group}": (
-            "loop_study.md", ("cases", "measure", "share", "95 % interval"), shares
-        )
-        for group in LOOPS
+        f"loop {group}": ("loop_study.md", SHARES, lambda found: [row[1:] for row in shares(found)])
+        for group in LOOPS if group != "removed"
     },
+    "loop removed": ("loop_study.md", ("cases", *SHARES), shares),
     **{f"bench {kind}": ("performance.md", BENCH, bench) for kind in BENCHES},
 }  # fmt: skip
 """By name of the command: page, header, and the cells of what it prints."""
