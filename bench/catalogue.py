@@ -91,7 +91,7 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[Any, ...]]] = {
         "ros_share_ik_ms": ("ros.share", "ik"),
         "ros_share_node_ms": ("ros.share", "node"),
         "ros_sustained_rate_vs_echo_hz": ("ros.sustained_rate",),
-        "ros_flood_compensate_p99_ms": ("ros.flooded",),
+        "ros_flood_compensate_p99_ms": ("ros.answer_under_flood",),
     },
 }
 """By kind and name: function, as `module.function` of this folder, and its arguments."""

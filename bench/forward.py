@@ -12,7 +12,7 @@ import numpy as np
 from bench.arms import demo_arm
 from bench.comparison import Result, alone, beside, missing
 from bench.ik_peers import Pinocchio, Toolbox
-from bench.kinematics import soft_model, timed
+from bench.kinematics import soft_model, time_calls
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.effects.catalogue import BUILT_IN
@@ -40,7 +40,7 @@ def machine_forward(model: Model, q: np.ndarray) -> Callable[[], None]:
 def _per_pose(work: Work) -> np.ndarray:
     call, count = work
     call()
-    return 1e6 * timed(lambda _: call(), range(REPEATS), time.process_time) / count
+    return 1e6 * time_calls(lambda _: call(), range(REPEATS), time.process_time) / count
 
 
 def _toolbox(arm: Arm, q: np.ndarray) -> Work:
@@ -87,7 +87,7 @@ def beside_pinocchio() -> Result:
 
 
 def batch_model() -> Result:
-    """By the model's own code."""
+    """Time poses by the model's own code."""
     model = soft_model(demo_arm())
     q = random_joints(model.arm, COUNT, 4)
     each = _per_pose((lambda: model.tip(q), COUNT))
@@ -117,7 +117,7 @@ def cost() -> Result:
     arm = demo_arm()
     soft = soft_model(arm)
     found = [e for name in sorted(BUILT_IN) for e in BUILT_IN[name].for_arm(arm)]
-    many = tuple(_valued(e) for e in found if isinstance(e, Effect) and not e.needs)
+    many = tuple(_with_values(e) for e in found if isinstance(e, Effect) and not e.needs)
     models = {
         "rigid": Model(arm),
         "1 element a beam": soft_model(arm, 1),
@@ -133,7 +133,7 @@ def cost() -> Result:
     return alone("us", _per_pose((machine_forward(soft, q), COUNT)), note)
 
 
-def _valued(effect: Effect) -> Effect:
+def _with_values(effect: Effect) -> Effect:
     """The effect with non-zero parameters, so that no term is folded away."""
     return effect.with_values(
         {p.name: max(0.1 * p.prior, p.lower) for p in effect.declared() if p.prior > 0}

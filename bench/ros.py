@@ -72,7 +72,7 @@ def beside_echo(path: str, percent: int) -> Result:
     return beside("ms", mine, PEER, theirs, added_ms=added)
 
 
-def flooded() -> Result:
+def answer_under_flood() -> Result:
     """Round trip of `compensate` beside a flood of targets."""
     from bench.ros_calls import Calls
 
@@ -85,7 +85,7 @@ def flooded() -> Result:
         flood = subprocess.Popen(
             [sys.executable, *words, "-r", space], cwd=ROOT, stdout=subprocess.PIPE, text=True
         )
-        calls.flooded()
+        calls.await_flood()
         times: list[float] = []
         while flood.poll() is None:
             times.append(1e3 * calls.alone(len(times)))

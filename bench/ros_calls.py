@@ -38,7 +38,7 @@ class Calls:
         node = self._client.node
         self._arm = arm
         self._targets = slow_path(arm, _POSES)
-        self._poses = [_stamped(matrix) for matrix in self._targets]
+        self._poses = [_stamp(matrix) for matrix in self._targets]
         self._model, self._known = declared_model(arm), _Known(arm.n)
         ik.warm_up(self._model)
         self._got = self._echoed = self._predicted = self._compensations = 0
@@ -134,14 +134,14 @@ class Calls:
             raise JobError(f"a target of the benchmark was refused: {answer.message}")
         return seconds
 
-    def flooded(self) -> None:
+    def await_flood(self) -> None:
         """Wait until targets of somebody else are answered."""
         count = self._compensations
         self._until(lambda: self._compensations > count, 60.0)
 
     @property
     def namespace(self) -> str:
-        """Of the graph."""
+        """The graph's namespace."""
         return str(self._client.node.get_namespace())
 
     def service_echo(self, i: int) -> float:
@@ -203,7 +203,7 @@ class _Known:
         return self._told
 
 
-def _stamped(matrix: np.ndarray) -> PoseStamped:
+def _stamp(matrix: np.ndarray) -> PoseStamped:
     message = PoseStamped(pose=pose_message(matrix))
     message.header.frame_id = "base"
     return message

@@ -99,7 +99,7 @@ def table(arms: Sequence[Found], settings: Sequence[RowSetting]) -> list[dict[st
 
 
 def claims(arms: Sequence[Found], settings: Sequence[RowSetting]) -> list[dict[str, Any]]:
-    """By condition: how much more the network alone loses than both together, mm of mean |z|.
+    """Compute by condition how much more the network loses than both together, mm of mean |z|.
 
     The claim holds where the 95 % interval over arms lies below 0, is contradicted above it, and
     is open in between.

@@ -33,7 +33,7 @@ def table(found: Sequence[DayOutcome], hours: float, parts: int = 4) -> list[dic
     t = np.concatenate([day.t_h for day in found])
     for name in found[0].ways:
         errors = 1e3 * np.concatenate([day.of(name) for day in found])
-        poses = sum(stop.poses for day in found for stop in day.asked(name)) / len(found)
+        poses = sum(stop.poses for day in found for stop in day.stops_of(name)) / len(found)
         row: dict[str, object] = {
             "commanded": name,
             "poses": poses,

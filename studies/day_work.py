@@ -91,7 +91,7 @@ class DaySetting:
 
 @dataclass(frozen=True)
 class Way:
-    """How the arm is commanded.
+    """A way to command the arm.
 
     Attributes:
         name: in table and figure.
@@ -164,7 +164,7 @@ class DayOutcome:
         """(M,) m, errors of one way."""
         return np.asarray(self.error[self.ways.index(way)])
 
-    def asked(self, way: str) -> list[Stop]:
+    def stops_of(self, way: str) -> list[Stop]:
         """The stops of one way."""
         return [stop for stop in self.stops if stop.way == way]
 
@@ -202,8 +202,8 @@ class _Truth:
             self._arms[grown] = TrueArm(self.setting.arm, effects, steps=2)
         return self._arms[grown].tip(q, replace(context, approach=side))
 
-    def seen(self, tip: np.ndarray) -> np.ndarray:
-        """What the cameras report, (N, 3) m."""
+    def observe(self, tip: np.ndarray) -> np.ndarray:
+        """Return the cameras' reports, (N, 3) m."""
         return tip + self.setting.noise_m * self.rng.standard_normal(tip.shape)
 
     def session(self, rows: int, t_h: float, payloads: Sequence[float]) -> Session:
@@ -222,7 +222,7 @@ class _Truth:
         columns = {"t_s": 3600.0 * at, "temperature_c": temperature, "payload_kg": mass}
         begun = q - side[:, None] * run_up_lengths(arm)
         return Session.record(
-            q, self.seen(tip), approach=side, run_up=begun, columns=columns,
+            q, self.observe(tip), approach=side, run_up=begun, columns=columns,
             source=f"measured at {t_h:.1f} h",
         )  # fmt: skip
 
@@ -274,9 +274,9 @@ class _Arm:
         tip = truth.tip(self.q[None], self.side[None], t_h, real)
         if self.way.watched:
             expected = self.model.measured(self.q[None], arrived)
-            self.monitor = self.monitor.seen((truth.seen(tip) - expected)[0], self.sigma)
+            self.monitor = self.monitor.seen((truth.observe(tip) - expected)[0], self.sigma)
         if self.learner is not None:
-            seen, variance = truth.seen(tip)[0], np.full(3, truth.setting.noise_m**2)
+            seen, variance = truth.observe(tip)[0], np.full(3, truth.setting.noise_m**2)
             self.learner = self.learner.seen(self.q, arrived, seen, variance, 3600.0 * t_h)
             self.model = self.learner.model
         return np.asarray(tip[0])
@@ -299,7 +299,7 @@ class _Arm:
         self.stops.append(Stop(self.way.name, t_h, verdict.finding, setting.again))
         done_h = t_h + self.way.charged * setting.again * ROW_H
         fresh = truth.session(setting.again, done_h, [payload_kg])
-        fitted = identified(self.model, fresh, setting)
+        fitted = identify(self.model, fresh, setting)
         self.model, self.sigma = fitted.model, fitted.sigma
         self.monitor, self.busy_until_h = Monitor(), done_h
 
@@ -313,7 +313,7 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
     rng = np.random.default_rng([seed, 11])
     truth, arm = _Truth(setting, rng), setting.arm
     morning = truth.session(setting.rows, 0.0, setting.payloads_kg)
-    fitted = identified(declared_model(arm), morning, setting)
+    fitted = identify(declared_model(arm), morning, setting)
     rest, unknown = arm.mid, History.unknown(arm.n)
     arms = [_Arm(way, fitted.model, fitted.sigma, rest, np.ones(arm.n), unknown) for way in ways]
     for each in arms:
@@ -357,8 +357,8 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
     )
 
 
-def identified(known: Model, session: Session, setting: DaySetting) -> ModelFit:
-    """What is known fitted again, with what it lacks."""
+def identify(known: Model, session: Session, setting: DaySetting) -> ModelFit:
+    """Fit what is known again, with what it lacks."""
     base = dict(stages(known, session))["geometry"].model
     candidates = library(setting.arm, session.context(), setting.kinds, base.terms)
     return explain_session(base, session, candidates.testable).fit

@@ -62,14 +62,14 @@ def set_up(arm: Arm, case: str, plan: str, seed: int, rows: int = ROWS) -> Setti
     true = TrueArm(arm, [e for e in (*cause, *off) if isinstance(e, HiddenEffect)], steps=_STEPS)
     eye = TrueCamera.of(arm, [e for e in cause if isinstance(e, CameraEffect)])
 
-    def measured(q: np.ndarray, repeats: int = 0, spoiled: float = 0.0) -> SimulatedSession:
+    def measure(q: np.ndarray, repeats: int = 0, spoiled: float = 0.0) -> SimulatedSession:
         return measure_session(true, eye, q, rng=rng, repeats=repeats, outliers=spoiled)
 
-    train = measured(PLANS[plan](arm, rows, rng).q, REPEATS, 0.005)
+    train = measure(PLANS[plan](arm, rows, rng).q, REPEATS, 0.005)
     half = HELD_OUT // 2
     both = np.concatenate([PLANS[plan](arm, half, rng).q[:half], sobol(arm, half, rng).q])
-    held_out = measured(both[rng.permutation(len(both))])
-    fresh = [measured(p(arm, FRESH, rng).q) for p in (PLANS[plan], sobol)]
+    held_out = measure(both[rng.permutation(len(both))])
+    fresh = [measure(p(arm, FRESH, rng).q) for p in (PLANS[plan], sobol)]
     truths = [(m.session(), m.truth["seen"]) for m in fresh]
     return Setting(train.session(), held_out.session(), *truths)
 

@@ -73,7 +73,7 @@ def run(
     left = [case for case in cases if case.id not in done]
     out.parent.mkdir(parents=True, exist_ok=True)
     with out.open("a", encoding="utf-8") as file:
-        for line in _worked(left, arm, jobs, dask):
+        for line in _run_cases(left, arm, jobs, dask):
             file.write(json.dumps(line, allow_nan=False) + "\n")
             file.flush()
             done[line["case"]["id"]] = line
@@ -106,7 +106,7 @@ def read_lines(path: Path) -> dict[str, dict[str, Any]]:
     return records
 
 
-def _worked(
+def _run_cases(
     cases: Sequence[Case], arm: Arm, jobs: int, dask: str | None
 ) -> Iterator[dict[str, Any]]:
     """The line of each case as it is done."""

@@ -1,4 +1,4 @@
-"""How many rows a calibration needs, by what a row measures: pose, position, distance, touch."""
+"""The rows that a calibration needs, by what a row measures: pose, position, distance, touch."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ class _Rows:
         noise = SIGMA_M * self.rng.standard_normal((len(self.q), 3))
         return np.asarray(self.pose[:, :3, 3] + noise)
 
-    def turned(self) -> np.ndarray:
+    def orientation(self) -> np.ndarray:
         noise = Rotation.from_rotvec(SIGMA_RAD * self.rng.standard_normal((len(self.q), 3)))
         return np.asarray((noise * Rotation.from_matrix(self.pose[:, :3, :3])).as_quat())
 
 
 def _pose(rows: _Rows) -> Mapping[str, Any]:
-    return {"xyz": rows.position(), "readings": {"orientation": rows.turned()}}
+    return {"xyz": rows.position(), "readings": {"orientation": rows.orientation()}}
 
 
 def _position(rows: _Rows) -> Mapping[str, Any]:
@@ -180,7 +180,7 @@ def table(found: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int]) -> l
     ]
 
 
-def needed(
+def rows_needed(
     found: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int], limits_m: Sequence[float]
 ) -> list[dict[str, Any]]:
     """Rows that reach an error, by kind: the median over the arms; None where most never do."""
@@ -211,7 +211,7 @@ def _first(errors: np.ndarray, counts: Sequence[int], limit: float) -> float:
 
 @study_command(arm_option, arms_option(5), options.seed)
 def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
-    """How many rows a calibration needs if a row is a pose, a position, one distance, or a touch.
+    """Count the rows that a calibration needs, of poses, positions, distances, or touches.
 
     Errors are of the true tip at poses that were not measured.
 
@@ -223,7 +223,7 @@ def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
     for k in range(arms):
         found.append(errors_by_rows(arm, seed + k))
         show(f"{k + 1} of {arms} arms", (k + 1) / arms)
-    rows, least = table(found, ROWS), needed(found, ROWS, (1e-3, 5e-4, 2.5e-4))
+    rows, least = table(found, ROWS), rows_needed(found, ROWS, (1e-3, 5e-4, 2.5e-4))
     return Figures(
         {"arms": arms, "seed": seed, "errors": rows, "needed": least},
         {f"Error of the true tip, median of {arms} arms": rows, "Rows needed": least},

@@ -1,4 +1,4 @@
-"""What compensation leaves of a planned path: lines, arcs and plans of joints, at three speeds.
+"""Planned paths after compensation: lines, arcs and plans of joints, at three speeds.
 
 A planner plans for the declared arm, which does not bend, with a way-point every `PERIOD_S`.  The
 true arm follows the plan as it is, and as `compensate_path` changes it; between way-points the
@@ -161,7 +161,7 @@ def through(a: np.ndarray, b: np.ndarray, c: np.ndarray, share: np.ndarray) -> n
 
 
 def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
-    """What is left of one path, before and after, and what compensation cost."""
+    """Follow one path before and after compensation; also what that cost."""
     arm, plan, n = studied.arm, found.plan, studied.arm.n
     assert plan.joints is not None and plan.times is not None
     came = History.unknown(n).after(plan.joints[:1], arm.mid)
@@ -257,7 +257,7 @@ def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ),
 )
 def command(arm: Arm, arms: int, paths: int, seed: int, output: Path | None, show: Show) -> Figures:
-    """How far the true tip leaves a planned path, before and after compensation.
+    """Measure how far the true tip leaves a planned path, before and after compensation.
 
     Lines, arcs and straight plans of joints, at three speeds of the tip. After an interruption the
     same command continues its file.

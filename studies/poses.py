@@ -57,7 +57,7 @@ class PoseOutcome:
     expected: float
 
 
-def planned(arm: Arm, way: str, n: int, known: bool, seed: int) -> Plan:
+def plan_poses(arm: Arm, way: str, n: int, known: bool, seed: int) -> Plan:
     """The poses of one way; only I-optimal ones depend on what is known."""
     if way == "grid":
         return grid(arm, n, seed)
@@ -82,18 +82,18 @@ def one_arm(
     for n in counts:
         for known in (True, False):
             for way in ways:
-                plan = planned(arm, way, n, known, seed)
+                plan = plan_poses(arm, way, n, known, seed)
                 noise = np.random.default_rng([seed, n, 7])
                 xyz = true.tip(plan.q, TrueContext())
                 xyz = xyz + SIGMA_M * noise.standard_normal(xyz.shape)
                 session = Session.record(plan.q, xyz, approach=plan.approach, source=way)
-                model = _known(arm, session) if known else diagnose(arm, session).model
+                model = _fit_known(arm, session) if known else diagnose(arm, session).model
                 error = np.linalg.norm(model.tip(fresh) - where, axis=1).mean()
                 expected = float(getattr(plan, "expected_m", np.nan))
                 yield PoseOutcome(way, n, known, float(error), expected)
 
 
-def _known(arm: Arm, session: Session) -> Model:
+def _fit_known(arm: Arm, session: Session) -> Model:
     """The calibrated model with its effect, fitted to all rows."""
     base = dict(stages(declared_model(arm), session))["geometry"].model
     return fit(base.plus(*JointCompliance.for_arm(arm)), session).model

@@ -1,4 +1,4 @@
-"""What joint readings bring: names of droop and softness, the tip without a camera, trim."""
+"""The use of joint readings: names of droop and softness, the tip without a camera, trim."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator
         planted, joint = PLANTED[k % 3], JOINTS[k // 3 % len(JOINTS)]
         rng = np.random.default_rng([26, k])
         effects = [at_joint(joint, name, arm, share * SIZE_MM, rng) for name in planted]
-        found = diagnose(arm, measured(arm, effects, rng, rows))
+        found = diagnose(arm, measure(arm, effects, rng, rows))
         said = [(f.names, list(f.where)) for f in found.findings]
         want = [((name,), [f"joint {joint}"]) for name in planted]
         servos = [one for one in said if "servo_droop" in one[0]]
@@ -98,7 +98,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         rng = np.random.default_rng([26, joint])
         hidden = at_joint(joint, "joint_compliance", arm, share * SIZE_MM, rng)
         assert isinstance(hidden, JointCompliance)
-        session = measured(arm, [hidden], rng, rows, load_kg)
+        session = measure(arm, [hidden], rng, rows, load_kg)
         soft = SoftJoint(joint, compliance=float(hidden.compliance[arm.commanded.index(joint)]))
         fitted = fit(declared_model(arm).plus(soft, *geometry(arm, session)), session)
         kinds = library(arm, session.context()).testable
@@ -125,7 +125,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         }
 
 
-def measured(
+def measure(
     arm: Arm,
     effects: Sequence[HiddenEffect],
     rng: np.random.Generator,
@@ -228,7 +228,7 @@ class SaggingArm:
         self._sound = TrueArm(arm, (), steps=2)
 
     def cycle(self) -> tuple[Event, ...]:
-        """What the driver said in another cycle."""
+        """Run another cycle and return what the driver said."""
         self.now += 0.04
         said = self.driver.cycle(self.now).step.events
         self.plant.tip_pose(0.0)
@@ -257,7 +257,7 @@ class SaggingArm:
         self.plant.stop()
 
 
-def trimmed(folder: Path, scratch: Path, moves: int, trim: bool) -> dict[str, Any]:
+def run_moves(folder: Path, scratch: Path, moves: int, trim: bool) -> dict[str, Any]:
     """Moves of an arm whose servos droop by 8 mm: true miss (mm) and time (s)."""
     rig, off, took = SaggingArm(folder, scratch, trim), [], []
     steps = rig.arm.steps
@@ -280,7 +280,7 @@ def trimmed(folder: Path, scratch: Path, moves: int, trim: bool) -> dict[str, An
     whole_number("--moves", 8, "Trimmed moves."),
 )
 def command(cases: int, moves: int, show: Show) -> Figures:
-    """What joint readings improve: names of effects, the tip without a camera, trim.
+    """Show what joint readings improve: names of effects, the tip without a camera, trim.
 
     \b
     Example:
@@ -290,7 +290,7 @@ def command(cases: int, moves: int, show: Show) -> Figures:
     arm = Arm.load(config / "arm_demo.yaml")
     by_tip = tip(arm)
     with tempfile.TemporaryDirectory() as scratch:
-        trim = [trimmed(config, Path(scratch), moves, on) for on in (False, True)]
+        trim = [run_moves(config, Path(scratch), moves, on) for on in (False, True)]
     named, soft = list(names(arm, cases)), list(softness(arm))
     sure = {row["joint"]: row["name"] >= CREDIBLE for row in reversed(soft)}  # the first stays
     apart = [r["planted"] == "servo_droop" or sure[r["joint"]] for r in named]

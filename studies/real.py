@@ -68,19 +68,19 @@ class Line:
 
     @property
     def row(self) -> dict[str, Any]:
-        """Of the table, mm."""
+        """The row of the table, mm."""
         e = self.errors
         millimetres = {f"{k}_mm": 1e3 * getattr(e, k) for k in ("mean", "rms", "max")}
         return {"model": self.model, **millimetres, "n": e.n}
 
     @property
     def further(self) -> dict[str, Any]:
-        """What ``--json`` has besides."""
+        """The further fields of ``--json``."""
         return {"ci95_mm": [1e3 * end for end in self.ci95], "effects": list(self.effects)}
 
 
 def ladder(parts: Sequence[Measured], found: Sequence[Diagnosis], say: Say) -> list[Line]:
-    """Of one robot: frames only, joint zeros, rigid, and what bends; then as diagnosed.
+    """Fit one robot's models in turn: frames, joint zeros, rigid, what bends; then as diagnosed.
 
     Args:
         found: the diagnosis of each arm's rows.
@@ -106,14 +106,14 @@ def ladder(parts: Sequence[Measured], found: Sequence[Diagnosis], say: Say) -> l
     fits: list[ModelFit] | None = None
     for name, terms in rungs.items():
         say(name)
-        fits = _fitted(parts, terms, fits)
+        fits = _fit_rung(parts, terms, fits)
         lines.append(_line(name, parts, fits))
     diagnosed = _line("diagnosed", parts, [d.fit for d in found])
     named = tuple(dict.fromkeys(f.name for d in found for f in d.search.found))
     return [*lines, replace(diagnosed, effects=named)]
 
 
-def _fitted(
+def _fit_rung(
     parts: Sequence[Measured], terms: Sequence[Terms], start: Sequence[ModelFit] | None
 ) -> list[ModelFit]:
     models = []
@@ -126,7 +126,7 @@ def _fitted(
 
 
 def _own(slot: Slot) -> bool:
-    """Whether a parameter belongs to one arm alone (irrelevant for a robot with one arm)."""
+    """Return whether a parameter belongs to one arm alone (irrelevant for a robot with one arm)."""
     place = slot.owner.placement
     row = place.get("row", place.get("joint"))
     return isinstance(slot.owner, TipOffset) or (row is not None and row > LAST_SHARED_ROW)
@@ -173,7 +173,7 @@ def command(data: Path, halves: bool, sessions: int, show: Show) -> Figures:
         def say(text: str, name: str = name, place: int = place) -> None:
             show(f"{name}: {text}", place / len(sets))
 
-        held = [each for part in parts for each in real_sets.judged(part, say)]
+        held = [each for part in parts for each in real_sets.judge_splits(part, say)]
         line = real_sets.line(name, parts, held, say)
         if halves:
             say("halves")
@@ -189,7 +189,7 @@ def command(data: Path, halves: bool, sessions: int, show: Show) -> Figures:
     if halves and sessions:
         declared = Arm.load(folder("config") / "arm_demo.yaml")
         show(f"halves of {sessions} simulated sessions", 1.0)
-        every = [real_sets.halves(part) for part in real_sets.simulated(declared, sessions)]
+        every = [real_sets.halves(part) for part in real_sets.simulate_sets(declared, sessions)]
         line = {"set": "simulated", "sessions": sessions} | real_sets.overlap(every)
         record["sets"].append(line)
         notes += _notes(line)

@@ -26,7 +26,7 @@ from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from studies.commands import Figures, Show, arm_option, study_command, whole_number
-from studies.many import chosen
+from studies.many import choose_arrays
 
 SLIDE_STEP_M = 1e-4
 POSE_LENGTH_M = 0.3
@@ -88,7 +88,7 @@ class StudyTargets:
     def choose(self, rows: slice = slice(None), **options: Any) -> SimpleNamespace:
         """The joints chosen for some of the targets."""
         case = self.case
-        return chosen(
+        return choose_arrays(
             case.model.arm,
             Lattice.of(case.model.arm),
             lambda q: tip_poses(case.model, q),
@@ -102,11 +102,11 @@ class StudyTargets:
         """Processor time of a target: the median over targets, each the best of several runs."""
         single = np.empty((len(self.ideal), TIMINGS))
         for i, run in np.ndindex(*single.shape):
-            single[i, run] = _spent(lambda i=i: self.choose(slice(i, i + 1)))  # type: ignore[misc]
+            single[i, run] = _cpu_s(lambda i=i: self.choose(slice(i, i + 1)))  # type: ignore[misc]
         return float(np.median(single.min(axis=1)))
 
 
-def _spent(work: Callable[[], object]) -> float:
+def _cpu_s(work: Callable[[], object]) -> float:
     began = time.process_time()
     work()
     return time.process_time() - began
@@ -114,7 +114,7 @@ def _spent(work: Callable[[], object]) -> float:
 
 def cases(base: Arm, steps: int) -> list[ArmCase]:
     """Variants of an arm with servos of ``steps`` per turn: slides locked, a wrist added."""
-    whole = _stepped(base, steps)
+    whole = _with_steps(base, steps)
     slides = [
         k for k, row in enumerate(whole.commanded) if whole.joints[row - 1].type == "prismatic"
     ]
@@ -123,11 +123,11 @@ def cases(base: Arm, steps: int) -> list[ArmCase]:
         ArmCase(f"{whole.n - len(locked)} joints", model, tuple(locked))
         for locked in (slides, slides[-1:], [])
     ]
-    wrist = commandable(declared_model(_stepped(base, steps, wrist=True)))
+    wrist = commandable(declared_model(_with_steps(base, steps, wrist=True)))
     return [*drawn, ArmCase(f"{wrist.arm.n} joints", wrist)]
 
 
-def _stepped(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
+def _with_steps(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
     data = base.model_dump(mode="json", exclude_defaults=True)
     if wrist:
         rows = len(data["joints"])
@@ -164,7 +164,7 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
                     "p95_mm": 1e3 * np.percentile(error[:, 0], 95),
                     "rounded_mrad": 1e3 * rounded[:, 1].mean() if pose else None,
                     "mean_mrad": 1e3 * error[:, 1].mean() if pose else None,
-                    "moved_deg": _moved(case, got, got.joints),
+                    "moved_deg": _largest_offset_deg(case, got, got.joints),
                     "nodes": float(got.nodes.mean()),
                     "cpu_us": 1e6 * t.seconds(),
                 }
@@ -184,7 +184,7 @@ def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, 
             {
                 "price_mm_per_deg": name,
                 "mean_mm": 1e3 * error[:, 0].mean(),
-                "moved_deg": _moved(case, single, at),
+                "moved_deg": _largest_offset_deg(case, single, at),
                 "path_move_deg": _path_move(case, path),
             }
         )
@@ -258,8 +258,8 @@ def _path_move(case: ArmCase, q: np.ndarray) -> float:
     return float(np.degrees(np.abs(np.diff(q[:, case.turning], axis=0)).max()))
 
 
-def _moved(case: ArmCase, got: SimpleNamespace, q: np.ndarray) -> float:
-    """How far (deg) the revolute joint that moves most is from its ideal, mean over targets."""
+def _largest_offset_deg(case: ArmCase, got: SimpleNamespace, q: np.ndarray) -> float:
+    """Return the largest move (deg) of a revolute joint from its ideal, mean over targets."""
     return float(np.degrees(np.abs(q - got.ideal)[:, case.turning].max(axis=1).mean()))
 
 

@@ -1,4 +1,4 @@
-"""How long the tip rings after a move, and what shaping by an identified model saves.
+"""The ring of the tip after a move, and what shaping by an identified model saves.
 
 The arms are made so soft that they sag by `SAG_M` on average, and hide soft joints and beams.  A
 calibration at rest identifies the stiffness; of it the modes are computed at the end of each move.
@@ -41,7 +41,7 @@ _LOOK_S, _LONGEST_S = 5e-3, 120.0
 
 @dataclass(frozen=True)
 class Shaping:
-    """How moves are shaped.
+    """A way to shape moves.
 
     Attributes:
         model: by which one's modes; not at all where empty.
@@ -65,7 +65,7 @@ SHAPINGS = (
 )
 
 
-def softened(arm: Arm, sag_m: float) -> Arm:
+def soften(arm: Arm, sag_m: float) -> Arm:
     """The arm with its beams so soft that it sags so much on average over its postures."""
     q = random_joints(arm, 64, np.random.default_rng(0))
     for _ in range(3):
@@ -98,7 +98,7 @@ def settle_s(ring: Ringing) -> float:
 
 def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str, Any]]:
     """Random moves of one arm, each made in every way."""
-    studied = StudiedArm.draw(softened(declared, SAG_M), number, seed, ELASTIC)
+    studied = StudiedArm.draw(soften(declared, SAG_M), number, seed, ELASTIC)
     known = {"identified": studied.model, "declared": declared_model(studied.arm)}
     rng = np.random.default_rng([seed, number, 1])
     lines, heard = [], None
@@ -155,7 +155,7 @@ def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     options.seed,
 )
 def command(arm: Arm, arms: int, moves: int, seed: int, show: Show) -> Figures:
-    """How long the tip rings after a move, unshaped and shaped, to 0.1 mm.
+    """Time the ring of the tip after a move, unshaped and shaped, to 0.1 mm.
 
     The moves are shaped with the modes of the declared model, of a model calibrated at rest, and of
     the same model with the frequencies of one ring that was seen, also with these 10 % wrong.

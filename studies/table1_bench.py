@@ -42,7 +42,7 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import ServoQuantisation
 from longarm_comp.workflows.train import training_rows
 from studies.extra import extra
-from studies.many import compensated
+from studies.many import compensate_arrays
 from studies.peers import train_gaussian_process
 from studies.random_arms import Mix, paper_mix, random_arm
 from studies.simulated import measure_session
@@ -122,7 +122,7 @@ def with_effects(declared: Model, session: Session) -> Model:
 
 
 def without_steps(declared: Model, session: Session) -> Model:
-    """As declared, but for the steps of the servos."""
+    """Return the declared model without the steps of the servos."""
     return commandable(declared)
 
 
@@ -260,7 +260,7 @@ class Bench:
         )
 
     def rows(self, samples: int) -> Session:
-        """So many training rows: the first, or the last of a grid in its order."""
+        """Return so many training rows: the first, or the last of a grid in its order."""
         total = len(self.session)
         return self.session.take(
             slice(total - samples, total) if self.as_paper else slice(0, samples)
@@ -287,7 +287,7 @@ class Bench:
             tuple(self.side for _ in range(arm.n)),
             {"temperature_c": self.temperature_c, "payload_kg": self.payload_kg},
         )
-        sent = compensated(
+        sent = compensate_arrays(
             model, predictor, self.poses, context=known, seed=self.seed_q,
             method=setting.method, position_only=True,
             single_pass=setting.single_pass, realisable=setting.realisable,

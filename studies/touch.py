@@ -39,7 +39,7 @@ _STEPS = 25  # places of the six arms: for the bar only
 
 @dataclass(frozen=True)
 class Left:
-    """What the models leave at one place of one arm: (N,) distances by model, m; names found."""
+    """Errors of the models at one place of one arm: (N,) distances by model, m; names found."""
 
     place: str
     spread: dict[str, np.ndarray]
@@ -60,7 +60,7 @@ class Touched:
 
     @property
     def names(self) -> list[str]:
-        """What the diagnoses found, the most frequent first."""
+        """The names that the diagnoses found, the most frequent first."""
         return [name for name, _ in Counter(n for p in self.places for n in p.names).most_common()]
 
 
@@ -83,7 +83,7 @@ def read(path: Path, arm: Arm) -> Session:
     )
 
 
-def _judged(name: str, arm: Arm, session: Session, say: Callable[[str], None]) -> Touched:
+def _judge_places(name: str, arm: Arm, session: Session, say: Callable[[str], None]) -> Touched:
     location, made = session.labels["location"], []
     for place in np.unique(location):
         say(f"{name}, {place}")
@@ -103,7 +103,7 @@ def _judged(name: str, arm: Arm, session: Session, say: Callable[[str], None]) -
 
 
 def gains_mm(arms: list[Touched], model: str, than: str) -> tuple[float, float, float]:
-    """By how much a model leaves less than another, mm: mean over places, and its 95 % interval.
+    """Compute how much less a model leaves than another, mm: mean over places, 95 % interval.
 
     Places are drawn anew: touches of one place share its point.
     """
@@ -156,7 +156,7 @@ def command(data: Path, show: Show) -> Figures:
     def say(text: str) -> None:
         show(text, next(steps, _STEPS) / _STEPS)
 
-    found = lines([_judged(path.stem, arm, read(path, arm), say) for path in files])
+    found = lines([_judge_places(path.stem, arm, read(path, arm), say) for path in files])
     *arms, together = found
     shown = [{k: v for k, v in row.items() if k != "names" and "ci95" not in k} for row in found]
     gain = f"{together['gain_mm']} {together['gain_ci95_mm']} mm"

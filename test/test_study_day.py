@@ -62,7 +62,7 @@ def test_the_monitor_asks_after_the_play_has_grown_and_not_before(
     worn: day_work.DayOutcome,
 ) -> None:
     grows = float(worn.t_h[np.argmax(worn.play_rad > worn.play_rad[0])])
-    asked = worn.asked("with re-diagnosis")
+    asked = worn.stops_of("with re-diagnosis")
     assert asked and min(stop.hour for stop in asked) >= grows
     assert all(stop.said for stop in asked)
     assert worn.play_rad[-1] - worn.play_rad[0] == pytest.approx(SETTING.growth_rad)
