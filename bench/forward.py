@@ -59,8 +59,15 @@ def _pinocchio(arm: Arm, q: np.ndarray) -> Work:
     return work, 512
 
 
-def _beside(kind: Callable[[Arm, np.ndarray], Work], peer: str) -> Result:
-    """Machine code against rigid forward kinematics."""
+PEERS = {
+    "roboticstoolbox-python eval (rigid, batch)": _toolbox,
+    "pinocchio computeJointJacobians (rigid, from Python one by one)": _pinocchio,
+}
+
+
+def beside_rigid(library: str) -> Result:
+    """Time poses of 4096 joints in machine code against a library's rigid forward kinematics."""
+    peer, kind = next((name, kind) for name, kind in PEERS.items() if name.startswith(library))
     model = soft_model(demo_arm())
     q = random_joints(model.arm, COUNT, 4)
     try:
@@ -73,17 +80,6 @@ def _beside(kind: Callable[[Arm, np.ndarray], Work], peer: str) -> Result:
         np.array([np.median(side) for side in sides]) for sides in zip(*turns, strict=True)
     )
     return beside("us", mine, peer, other, note="tip and Jacobian of the deflected arm")
-
-
-def beside_toolbox() -> Result:
-    """Poses of 4096 joints."""
-    return _beside(_toolbox, "roboticstoolbox-python eval (rigid, batch)")
-
-
-def beside_pinocchio() -> Result:
-    """Poses of 4096 joints."""
-    peer = "pinocchio computeJointJacobians (rigid, from Python one by one)"
-    return _beside(_pinocchio, peer)
 
 
 def batch_model() -> Result:

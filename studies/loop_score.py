@@ -40,7 +40,8 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
     """All scores that the tables use, as plain JSON; lengths in mm."""
     true = set(setting.case.effects)
     names = [set(f.names) for f in found.findings]
-    best = true_fit(setting) if _knowable(setting) else None
+    knowable = true <= {kind.name for kind in LIBRARY}
+    best = true_fit(setting) if knowable else None
     errors = _errors(setting, found, best)
     said = [
         n | {p.name for p in f.partial_aliases} for n, f in zip(names, found.findings, strict=True)
@@ -131,11 +132,6 @@ def _forms(setting: LoopSetting, name: str) -> list[tuple[Term, ...]]:
     every = tuple(t for form in forms for t in form)
     together = len(forms) > 1 and len({t.place for t in every}) == len(every)
     return [*forms, every] if together else forms
-
-
-def _knowable(setting: LoopSetting) -> bool:
-    kinds = {kind.name for kind in LIBRARY}
-    return all(name in kinds for name in setting.case.effects)
 
 
 def _errors(setting: LoopSetting, found: Diagnosis, best: ModelFit | None) -> dict[str, float]:

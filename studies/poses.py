@@ -20,7 +20,6 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.optimal_poses import Uncertainty, optimal_poses
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
@@ -87,16 +86,14 @@ def one_arm(
                 xyz = true.tip(plan.q, TrueContext())
                 xyz = xyz + SIGMA_M * noise.standard_normal(xyz.shape)
                 session = Session.record(plan.q, xyz, approach=plan.approach, source=way)
-                model = _fit_known(arm, session) if known else diagnose(arm, session).model
+                if known:
+                    base = dict(stages(declared_model(arm), session))["geometry"].model
+                    model = fit(base.plus(*JointCompliance.for_arm(arm)), session).model
+                else:
+                    model = diagnose(arm, session).model
                 error = np.linalg.norm(model.tip(fresh) - where, axis=1).mean()
                 expected = float(getattr(plan, "expected_m", np.nan))
                 yield PoseOutcome(way, n, known, float(error), expected)
-
-
-def _fit_known(arm: Arm, session: Session) -> Model:
-    """The calibrated model with its effect, fitted to all rows."""
-    base = dict(stages(declared_model(arm), session))["geometry"].model
-    return fit(base.plus(*JointCompliance.for_arm(arm)), session).model
 
 
 def table(found: Sequence[PoseOutcome]) -> list[dict[str, Any]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -102,14 +101,10 @@ class StudyTargets:
         """Processor time of a target: the median over targets, each the best of several runs."""
         single = np.empty((len(self.ideal), TIMINGS))
         for i, run in np.ndindex(*single.shape):
-            single[i, run] = _cpu_s(lambda i=i: self.choose(slice(i, i + 1)))  # type: ignore[misc]
+            began = time.process_time()
+            self.choose(slice(i, i + 1))
+            single[i, run] = time.process_time() - began
         return float(np.median(single.min(axis=1)))
-
-
-def _cpu_s(work: Callable[[], object]) -> float:
-    began = time.process_time()
-    work()
-    return time.process_time() - began
 
 
 def cases(base: Arm, steps: int) -> list[ArmCase]:
@@ -180,12 +175,13 @@ def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, 
     rows: list[dict[str, object]] = []
 
     def add(name: object, error: np.ndarray, at: np.ndarray, path: np.ndarray) -> None:
+        between = np.abs(np.diff(path[:, case.turning], axis=0)).max()  # neighbours of the path
         rows.append(
             {
                 "price_mm_per_deg": name,
                 "mean_mm": 1e3 * error[:, 0].mean(),
                 "moved_deg": _largest_offset_deg(case, single, at),
-                "path_move_deg": _path_move(case, path),
+                "path_move_deg": float(np.degrees(between)),
             }
         )
 
@@ -251,11 +247,6 @@ def _line(case: ArmCase, seed: int) -> StudyTargets:
             found = found and solved.ok
         if found and number >= PATH_POINTS:
             return StudyTargets(case, points, np.array(joints[1:]))
-
-
-def _path_move(case: ArmCase, q: np.ndarray) -> float:
-    """Largest move (deg) of a revolute joint between neighbours of a path."""
-    return float(np.degrees(np.abs(np.diff(q[:, case.turning], axis=0)).max()))
 
 
 def _largest_offset_deg(case: ArmCase, got: SimpleNamespace, q: np.ndarray) -> float:
