@@ -53,7 +53,7 @@ def _rates(
 # ------------------------------------------------------------------ reading
 
 
-def decoded(path: Path) -> int:
+def count_decoded(path: Path) -> int:
     """Read and decode every message with the bare library."""
     types, count = message_types(), 0
     with Reader(path) as reader:
@@ -63,7 +63,7 @@ def decoded(path: Path) -> int:
     return count
 
 
-def decoded_by_mcap(path: Path) -> int:
+def count_by_mcap(path: Path) -> int:
     """The same with `mcap-ros2-support`."""
     from mcap_ros2.reader import read_ros2_messages
 
@@ -73,7 +73,7 @@ def decoded_by_mcap(path: Path) -> int:
 
 def read(peer: str, count: int = MESSAGES, repeats: int = REPEATS) -> Result:
     """A robot's recording to a session, against decoding by ``rosbags`` or ``mcap`` alone."""
-    said, theirs = {"rosbags": (ROSBAGS, decoded), "mcap": (MCAP, decoded_by_mcap)}[peer]
+    said, theirs = {"rosbags": (ROSBAGS, count_decoded), "mcap": (MCAP, count_by_mcap)}[peer]
     if peer == "mcap" and find_spec("mcap_ros2") is None:
         return missing(MCAP, f"{MCAP} is not installed")
     arm = demo_arm()
@@ -93,8 +93,8 @@ def read(peer: str, count: int = MESSAGES, repeats: int = REPEATS) -> Result:
 # ------------------------------------------------------------------ writing
 
 
-def _recorded(path: Path, messages: list[Raw]) -> int:
-    """As `longarm record` and `collect` do."""
+def _record_segments(path: Path, messages: list[Raw]) -> int:
+    """Write messages as `longarm record` and `collect` do."""
     with SegmentedBag(path) as bag:
         for topic, stamp, data in messages:
             bag.write(f"/{topic}", TYPES[topic], stamp, data)
@@ -107,7 +107,7 @@ def record(count: int = MESSAGES, repeats: int = REPEATS) -> Result:
     with _scratch() as scratch:
         mine, other = _rates(
             (
-                lambda turn: _recorded(Path(scratch) / f"a{turn}", messages),
+                lambda turn: _record_segments(Path(scratch) / f"a{turn}", messages),
                 lambda turn: write_raw(Path(scratch) / f"b{turn}", iter(messages)),
             ),
             repeats,

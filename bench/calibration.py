@@ -26,7 +26,7 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from studies.real_sessions import declared
+from studies.real_sessions import declared_arm
 
 NOISE_M = 3e-4
 ARMS = ("ur5", "wam", "justin_left")
@@ -75,7 +75,7 @@ def fit_once(samples: int, name: str = "demo", rigid: bool = False) -> dict[str,
 
 
 def _arm(name: str) -> Arm:
-    return demo_arm() if name == "demo" else declared(name)
+    return demo_arm() if name == "demo" else declared_arm(name)
 
 
 # ------------------------------------------------------------------ against samples and joints

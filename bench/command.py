@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -48,18 +49,26 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool) -> None:
         print_rows("Benchmarks", rows)
         return
     if output is not None:
-        _writable(output)
+        try:
+            output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            said = error.strerror or str(error)
+            raise InputError(output, "--output", said, "a folder to write in") from error
     results: dict[str, Any] = {
         "machine": machine.machine(),
         "libraries": machine.libraries(),
-        "load": [machine.load(), machine.load()],
+        "load": [os.getloadavg()[0]] * 2,
         "results": [],
     }
     with progress("bench") as show:
         for done, name in enumerate(chosen):
             show(name, done / len(chosen))
-            results["results"].append(_measured(name))
-            results["load"][1] = machine.load()
+            try:
+                row = dict(catalogue.run(name))
+            except JobError as error:  # the row holds the reason
+                row = {"name": name, **comparison.missing("none", str(error))}
+            results["results"].append(row)
+            results["load"][1] = os.getloadavg()[0]
             if output is not None:  # after every row, so that an early stop keeps the results
                 write_text(output / "results.json", outputs.json_text(results) + "\n")
     title = f"{results['machine']}; load {{:.1f}} to {{:.1f}}".format(*results["load"])
@@ -70,19 +79,3 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool) -> None:
     print_json(results)
     shown = [{key: row.get(key) for key in _SHOWN} for row in results["results"]]
     print_rows(f"Benchmarks on {title}", shown)
-
-
-def _measured(name: str) -> dict[str, Any]:
-    """One row. If it could not be measured, the row holds the reason."""
-    try:
-        return dict(catalogue.run(name))
-    except JobError as error:
-        return {"name": name, **comparison.missing("none", str(error))}
-
-
-def _writable(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        said = error.strerror or str(error)
-        raise InputError(folder, "--output", said, "a folder to write in") from error

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.arms import demo_arm
 from bench.comparison import Result, alone, beside
-from bench.kinematics import soft_model, timed
+from bench.kinematics import soft_model, time_calls
 from longarm_comp.core.compensation.compensate import Method, compensate, compensate_many
 from longarm_comp.core.compensation.result import Compensation, Prediction
 from longarm_comp.core.data.plan import random_joints
@@ -38,7 +38,7 @@ def compensate_batch_10000(count: int = 10_000) -> Result:
         return compensate_many(model, _Smooth(), targets, method=Method.BOTH)
 
     batch = work(0)
-    rates = count / timed(work, range(5), time.process_time)
+    rates = count / time_calls(work, range(5), time.process_time)
     success, passes = np.mean([(one.success, one.passes) for one in batch], axis=0)
     note = f"success {success:.4f}, {passes:.1f} passes"
     return alone("targets/s", rates, note)
@@ -53,8 +53,8 @@ def compensate_single() -> Result:
     def work(i: int) -> None:
         compensate(model, _Smooth(), targets[i], method=Method.BOTH)
 
-    timed(work, range(20))
-    each = 1e6 * timed(work, range(200)).reshape(8, -1)
+    time_calls(work, range(20))
+    each = 1e6 * time_calls(work, range(200)).reshape(8, -1)
     return alone("us", np.median(each, axis=1), "one target, all passes")
 
 
@@ -73,7 +73,7 @@ def path(way_points: int, play: bool = False) -> Result:
     def work(_: int) -> None:
         compensate_path(studied.model, targets, times=times, seed=seed, frame="measured")
 
-    timed(work, range(5))
-    each = 1e6 / way_points * timed(work, range(40), time.process_time).reshape(8, -1)
+    time_calls(work, range(5))
+    each = 1e6 / way_points * time_calls(work, range(40), time.process_time).reshape(8, -1)
     note = f"{way_points} way-points, {len(studied.model.slots)} parameters"
     return beside("us a way-point", np.median(each, axis=1), "goal", [200.0], note=note)

@@ -12,7 +12,7 @@ import numpy as np
 from bench.arms import demo_arm
 from bench.comparison import Result, alone, beside, missing
 from bench.ik_peers import Pinocchio, Toolbox
-from bench.kinematics import soft_model, timed
+from bench.kinematics import soft_model, time_calls
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.effects.catalogue import BUILT_IN
@@ -40,7 +40,7 @@ def machine_forward(model: Model, q: np.ndarray) -> Callable[[], None]:
 def _per_pose(work: Work) -> np.ndarray:
     call, count = work
     call()
-    return 1e6 * timed(lambda _: call(), range(REPEATS), time.process_time) / count
+    return 1e6 * time_calls(lambda _: call(), range(REPEATS), time.process_time) / count
 
 
 def _toolbox(arm: Arm, q: np.ndarray) -> Work:
@@ -59,8 +59,15 @@ def _pinocchio(arm: Arm, q: np.ndarray) -> Work:
     return work, 512
 
 
-def _beside(kind: Callable[[Arm, np.ndarray], Work], peer: str) -> Result:
-    """Machine code against rigid forward kinematics."""
+PEERS = {
+    "roboticstoolbox-python eval (rigid, batch)": _toolbox,
+    "pinocchio computeJointJacobians (rigid, from Python one by one)": _pinocchio,
+}
+
+
+def beside_rigid(library: str) -> Result:
+    """Time poses of 4096 joints in machine code against a library's rigid forward kinematics."""
+    peer, kind = next((name, kind) for name, kind in PEERS.items() if name.startswith(library))
     model = soft_model(demo_arm())
     q = random_joints(model.arm, COUNT, 4)
     try:
@@ -75,19 +82,8 @@ def _beside(kind: Callable[[Arm, np.ndarray], Work], peer: str) -> Result:
     return beside("us", mine, peer, other, note="tip and Jacobian of the deflected arm")
 
 
-def beside_toolbox() -> Result:
-    """Poses of 4096 joints."""
-    return _beside(_toolbox, "roboticstoolbox-python eval (rigid, batch)")
-
-
-def beside_pinocchio() -> Result:
-    """Poses of 4096 joints."""
-    peer = "pinocchio computeJointJacobians (rigid, from Python one by one)"
-    return _beside(_pinocchio, peer)
-
-
 def batch_model() -> Result:
-    """By the model's own code."""
+    """Time poses by the model's own code."""
     model = soft_model(demo_arm())
     q = random_joints(model.arm, COUNT, 4)
     each = _per_pose((lambda: model.tip(q), COUNT))
@@ -117,7 +113,7 @@ def cost() -> Result:
     arm = demo_arm()
     soft = soft_model(arm)
     found = [e for name in sorted(BUILT_IN) for e in BUILT_IN[name].for_arm(arm)]
-    many = tuple(_valued(e) for e in found if isinstance(e, Effect) and not e.needs)
+    many = tuple(_with_values(e) for e in found if isinstance(e, Effect) and not e.needs)
     models = {
         "rigid": Model(arm),
         "1 element a beam": soft_model(arm, 1),
@@ -133,7 +129,7 @@ def cost() -> Result:
     return alone("us", _per_pose((machine_forward(soft, q), COUNT)), note)
 
 
-def _valued(effect: Effect) -> Effect:
+def _with_values(effect: Effect) -> Effect:
     """The effect with non-zero parameters, so that no term is folded away."""
     return effect.with_values(
         {p.name: max(0.1 * p.prior, p.lower) for p in effect.declared() if p.prior > 0}

@@ -42,7 +42,7 @@ def soft_model(arm: Arm, elements_per_beam: int = 2) -> Model:
 Clock = Callable[[], float]
 
 
-def timed(
+def time_calls(
     work: Callable[[int], Any], rows: Sequence[int], clock: Clock = time.perf_counter
 ) -> np.ndarray:
     """Seconds of single calls."""
@@ -62,7 +62,7 @@ def _in_turns(
     for block in range(BLOCKS):
         rows = range(block * per_block, (block + 1) * per_block)
         for side, solve in zip(times, (ours, theirs), strict=True):
-            side.append(timed(solve, rows))
+            side.append(time_calls(solve, rows))
     return np.array(times[0]), np.array(times[1])
 
 
@@ -93,7 +93,7 @@ def single(peer_name: str, warm: bool = False, per_block: int | None = None) -> 
         return peer.solve(rigid[i], seeds[i])
 
     solved = [
-        _solved(of, np.array([work(i) for i in range(len(q))]), goals)
+        _solved_share(of, np.array([work(i) for i in range(len(q))]), goals)
         for of, work, goals in ((model, our, targets), (Model(arm), their, rigid))
     ]
     ours, theirs = _in_turns(our, their, per_block)
@@ -108,7 +108,7 @@ def single(peer_name: str, warm: bool = False, per_block: int | None = None) -> 
     )
 
 
-def _solved(model: Model, q: np.ndarray, targets: np.ndarray) -> float:
+def _solved_share(model: Model, q: np.ndarray, targets: np.ndarray) -> float:
     arm, given = model.arm, np.isfinite(q).all(axis=1)
     error = np.linalg.norm(model.tip(np.nan_to_num(q)) - targets[:, :3, 3], axis=1)
     inside = ((q >= arm.lower - 1e-9) & (q <= arm.upper + 1e-9)).all(axis=1)
@@ -120,10 +120,14 @@ def _near(arm: Arm, q: np.ndarray) -> np.ndarray:
     return np.clip(q + shift, arm.lower, arm.upper)
 
 
-def _batch(q: np.ndarray) -> Result:
-    """Poses a second of a batch from mid-range, beside the peer's mean rate on the same joints."""
+def batch(grid: bool = False) -> Result:
+    """Poses a second of a batch from mid-range, beside the peer's mean rate on the same joints.
+
+    Of random joints, or of the paper's grid: on limits and at singularities. Goals: 20.
+    """
     model = soft_model(demo_arm())
     arm = model.arm
+    q = paper_grid(arm) if grid else random_joints(arm, BATCH, 2)
     ik.warm_up()
     try:
         peer = Toolbox(arm)
@@ -137,29 +141,19 @@ def _batch(q: np.ndarray) -> Result:
     ours, theirs = [], []
     for block in range(BLOCKS):
         rows = range(block * PER_BLOCK, (block + 1) * PER_BLOCK)
-        ours.append(len(q) / timed(lambda _: solve(targets), [0], clock)[0])
-        theirs.append(1 / timed(lambda i: peer.solve(rigid[i], mid), rows, clock).mean())
+        ours.append(len(q) / time_calls(lambda _: solve(targets), [0], clock)[0])
+        theirs.append(1 / time_calls(lambda i: peer.solve(rigid[i], mid), rows, clock).mean())
     note = f"processor seconds; solved {solved:.4f}"
     rate = [float(np.mean(theirs))]
     return beside("poses/s", ours, Toolbox.name, rate, more_is_better=True, note=note)
 
 
-def batch() -> Result:
-    """Random joints; goal 20."""
-    return _batch(random_joints(demo_arm(), BATCH, 2))
-
-
-def grid() -> Result:
-    """The paper's grid, on limits and at singularities; goal 20."""
-    return _batch(paper_grid(demo_arm()))
-
-
 def single_uncompiled() -> Result:
-    """By the model's own code, as the first targets before a model is compiled."""
+    """Time targets by the model's own code, as the first ones before a model is compiled."""
     model = soft_model(demo_arm())
     targets = model.pose(random_joints(model.arm, 8 * BLOCKS, 3))
     solve = partial(ik.solve, model, tol=TOLERANCE, engine=Engine.MODEL)
-    each = timed(lambda i: solve(targets[i]), range(8 * BLOCKS), time.process_time)
+    each = time_calls(lambda i: solve(targets[i]), range(8 * BLOCKS), time.process_time)
     return alone("us", 1e6 * np.median(each.reshape(BLOCKS, -1), 1), "the model's own code")
 
 
@@ -168,7 +162,7 @@ def batch_uncompiled() -> Result:
     model = soft_model(demo_arm())
     targets = model.pose(random_joints(model.arm, BATCH, 3))
     solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=Engine.MODEL)
-    rates = BATCH / timed(lambda _: solve(targets), range(5), time.process_time)
+    rates = BATCH / time_calls(lambda _: solve(targets), range(5), time.process_time)
     return alone("poses/s", rates, "the model's own code")
 
 
@@ -180,5 +174,5 @@ def compile_seconds() -> Result:
         ik.warm_up(soft_model(arm, elements_per_beam=2).plus(JointCompliance(4, 1e-4 * (k + 1))))
 
     ik.warm_up()
-    seconds = timed(work, range(3), time.process_time)
+    seconds = time_calls(work, range(3), time.process_time)
     return alone("s", seconds, "trace and compile, once a model")

@@ -12,8 +12,9 @@ _LIBRARIES = ("numpy", "scipy", "llvmlite", "rosbags")
 
 def machine() -> str:
     """Processor, cores, system and Python."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return (
-        f"{_processor()}, {_cores()} cores, {platform.system()} {platform.machine()}, "
+        f"{_processor()}, {cores} cores, {platform.system()} {platform.machine()}, "
         f"Python {platform.python_version()}"
     )
 
@@ -27,15 +28,6 @@ def libraries() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def load() -> float:
-    """Load average over the last minute."""
-    return os.getloadavg()[0]
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _processor() -> str:

@@ -15,19 +15,14 @@ from pathlib import Path
 from longarm_comp.core.errors import JobError
 
 
-def cache_folder(name: str) -> Path:
-    """Folder of the environment of a peer."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "longarm_comp" / f"{name}-py{sys.version_info[0]}{sys.version_info[1]}"
-
-
 def python_of(name: str, requirements: Sequence[str]) -> Path:
     """The Python of a peer's environment, which is created on the first call.
 
     Raises:
         JobError: the peer cannot be installed (no network, or no version for this Python).
     """
-    folder = cache_folder(name)
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = base / "longarm_comp" / f"{name}-py{sys.version_info[0]}{sys.version_info[1]}"
     python = folder / "bin" / "python"
     ready = folder / "ready"
     if not ready.exists():

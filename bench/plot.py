@@ -35,7 +35,10 @@ def draw(rows: Sequence[Row], title: str, path: Path) -> None:
         axes.text(
             1.01, place, f"{ratio:.3g}", transform=side, va="center", weight="bold", fontsize=8
         )
-        text = f"{_number(row['value'])} {row['unit']}; {_peer(row)}"
+        peer, theirs = str(row["peer"]), row.get("peer_value")
+        peer = peer if len(peer) <= 44 else peer[:42] + ".."
+        text = f"{_number(row['value'])} {row['unit']}; {peer}"
+        text += "" if theirs is None else f": {_number(theirs)}"
         axes.text(1.095, place, text, transform=side, va="center", fontsize=8)
     axes.set_yticks(range(len(shown)), [str(row["name"]) for row in shown], fontsize=8)
     axes.set_xscale("log")
@@ -47,13 +50,6 @@ def draw(rows: Sequence[Row], title: str, path: Path) -> None:
     axes.set_ylim(-0.7, len(shown) - 0.3)
     figure.savefig(path, dpi=110)
     plt.close(figure)
-
-
-def _peer(row: Row) -> str:
-    name = str(row["peer"])
-    short = name if len(name) <= 44 else name[:42] + ".."
-    theirs = row.get("peer_value")
-    return short if theirs is None else f"{short}: {_number(theirs)}"
 
 
 def _number(value: float) -> str:

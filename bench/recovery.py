@@ -1,4 +1,4 @@
-"""How soon a graph recovers and ends: `kinematics` killed and started again, all nodes stopped."""
+"""Times to recover and to end: `kinematics` killed and started again, all nodes stopped."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _PATIENCE_S = 300.0
 
 
 def back_after_kill() -> Result:
-    """From SIGKILL to the next answer of its service, by a client that was there before."""
-    taken, _ = _measured()
+    """Time from SIGKILL to the next answer of its service, by a client that was there before."""
+    taken, _ = _measure()
     return alone("s", taken, "goal: 5 s")
 
 
 def end_after_interrupt() -> Result:
-    """From the supervisor's word until every process of the simulated arm has ended."""
-    _, taken = _measured()
+    """Time from the supervisor's word until every process of the simulated arm has ended."""
+    _, taken = _measure()
     return alone("s", [taken], "goal: 3 s")
 
 
 @cache
-def _measured() -> tuple[list[float], float]:
+def _measure() -> tuple[list[float], float]:
     """Times of every recovery, and of the end, s."""
     arm, space, taken = demo_arm(), f"longarm_bench_{os.getpid()}", list[float]()
     target = graph.TARGET_POSE.type(pose=pose_message(declared_model(arm).pose(arm.mid)))

@@ -72,7 +72,7 @@ def beside_echo(path: str, percent: int) -> Result:
     return beside("ms", mine, PEER, theirs, added_ms=added)
 
 
-def flooded() -> Result:
+def answer_under_flood() -> Result:
     """Round trip of `compensate` beside a flood of targets."""
     from bench.ros_calls import Calls
 
@@ -85,7 +85,7 @@ def flooded() -> Result:
         flood = subprocess.Popen(
             [sys.executable, *words, "-r", space], cwd=ROOT, stdout=subprocess.PIPE, text=True
         )
-        calls.flooded()
+        calls.await_flood()
         times: list[float] = []
         while flood.poll() is None:
             times.append(1e3 * calls.alone(len(times)))
@@ -136,7 +136,7 @@ def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
             for side, call in zip(rounds, sides, strict=True):
                 side.append([1e3 * call(i) for i in rows])
         per_target = calls.predictions_per_target(per_block)
-        rates = [(calls.rate(BURST), calls.echo_rate(BURST)) for _ in range(BURSTS)]
+        rates = [(calls.rate(BURST), calls.rate(BURST, echo=True)) for _ in range(BURSTS)]
     rate, echo_rate = np.array(rates).T
     topic, topic_echo, service, service_echo, predictor, compute = (np.array(m) for m in rounds)
     return Figures(

@@ -38,7 +38,7 @@ class Calls:
         node = self._client.node
         self._arm = arm
         self._targets = slow_path(arm, _POSES)
-        self._poses = [_stamped(matrix) for matrix in self._targets]
+        self._poses = [_stamp(matrix) for matrix in self._targets]
         self._model, self._known = declared_model(arm), _Known(arm.n)
         ik.warm_up(self._model)
         self._got = self._echoed = self._predicted = self._compensations = 0
@@ -121,14 +121,9 @@ class Calls:
 
     def service(self, i: int) -> float:
         """`compensate`, from the last joint states."""
-        request, published = (
-            Compensate.Request(target=self._poses[i % _POSES]),
-            self._compensations + 1,
-        )
-        seconds, answer = self._call(self._compensate, request)
+        published = self._compensations + 1
+        seconds = self.alone(i)
         self._until(lambda: self._compensations >= published)
-        if answer.status != Compensate.Response.SUCCESS:
-            raise JobError(f"a target of the benchmark was refused: {answer.message}")
         return seconds
 
     def alone(self, i: int) -> float:
@@ -139,14 +134,14 @@ class Calls:
             raise JobError(f"a target of the benchmark was refused: {answer.message}")
         return seconds
 
-    def flooded(self) -> None:
+    def await_flood(self) -> None:
         """Wait until targets of somebody else are answered."""
         count = self._compensations
         self._until(lambda: self._compensations > count, 60.0)
 
     @property
     def namespace(self) -> str:
-        """Of the graph."""
+        """The graph's namespace."""
         return str(self._client.node.get_namespace())
 
     def service_echo(self, i: int) -> float:
@@ -185,15 +180,9 @@ class Calls:
         self._client.spin(0.2)
         return (self._predicted - before) / count
 
-    def rate(self, burst: int) -> float:
-        """Targets per second that the graph processes from a queue; above it queues grow."""
-        return self._rate(burst, self._compensate)
-
-    def echo_rate(self, burst: int) -> float:
-        """The same of the echo."""
-        return self._rate(burst, self._echo_compensate)
-
-    def _rate(self, burst: int, service: Any) -> float:
+    def rate(self, burst: int, echo: bool = False) -> float:
+        """Targets per second that graph or echo process from a queue; above it queues grow."""
+        service = self._echo_compensate if echo else self._compensate
         begin = time.perf_counter()
         asked = [
             service.call_async(Compensate.Request(target=self._poses[i % _POSES], execute=True))
@@ -214,7 +203,7 @@ class _Known:
         return self._told
 
 
-def _stamped(matrix: np.ndarray) -> PoseStamped:
+def _stamp(matrix: np.ndarray) -> PoseStamped:
     message = PoseStamped(pose=pose_message(matrix))
     message.header.frame_id = "base"
     return message

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bench.smooth import SmoothSet, rms_mm, smooth_set
 from longarm_comp.core.learn.network import NetworkShape, TanhMembers
-from longarm_comp.core.learn.sparrow import Rules, SparrowSearch
+from longarm_comp.core.learn.sparrow import SparrowSearch
 from longarm_comp.core.learn.stack import TanhStack
 from longarm_comp.core.learn.training import Fits, back_propagate
 
@@ -47,11 +47,11 @@ class SsaProblem:
         return x, y, torch.ones_like(x[..., 0])
 
     def search(
-        self, population: int, iterations: int, seed: int, rules: Rules | None = None
+        self, population: int, iterations: int, seed: int
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The raw search, without the guard against collapsed units."""
+        """Run the raw search, without the guard against collapsed units."""
         bound = torch.ones(1, SHAPE.size, device=self.device)
-        search = SparrowSearch(population, iterations, rules or Rules())
+        search = SparrowSearch(population, iterations)
         fitness = self.stack.squared_error(*self.rows)
         return search.minimise(fitness, -bound, bound, self.chance(seed))
 

@@ -1,4 +1,4 @@
-"""SSA-BP against samples and population: rates, seconds and memory, each in its own process."""
+"""SSA-BP against mealpy, samples and population: rates, seconds and memory."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from longarm_comp.core.learn.sparrow import SparrowSearch
 
 NAME = "bench.ssa_scaling"
 """Of this module, also where it is run as a program."""
+MEALPY = "mealpy 3.0.3 OriginalSSA"
 NO_GPU = "no GPU at hand: torch sees none on this machine"
 
 # ------------------------------------------------------------------ run in processes of their own
@@ -46,24 +47,41 @@ def train_once(samples: int, networks: int, device: str = "cpu") -> dict[str, fl
 # ------------------------------------------------------------------ rows
 
 
+def evals_vs_mealpy(samples: int, repeats: int = 7) -> Result:
+    """Fitness evaluations/s of a whole sparrow search against mealpy's ``OriginalSSA``.
+
+    Goals: 8 at 300 samples, 6 at 900.
+    The same data, network, population and iterations; the two take turns, medians are compared.
+    """
+    torch.set_num_threads(1)
+    problem = SsaProblem.of(samples)
+    evaluations = SparrowSearch(50, 40).evaluations
+    ours: list[float] = []
+    theirs: list[float] = []
+    with MealpyPeer(*problem.standardised, SHAPE.hidden) as peer:
+        peer.solve(50, 2, 0)  # warm-up of both
+        problem.search(50, 40, 0)
+        for seed in range(repeats):
+            begin = time.perf_counter()
+            problem.search(50, 40, seed)
+            ours.append(evaluations / (time.perf_counter() - begin))
+            answer = peer.solve(50, 40, seed)
+            theirs.append(answer["evaluations"] / answer["seconds"])
+    return beside("evaluations/s", ours, MEALPY, theirs, more_is_better=True)
+
+
 def search_population(population: int, iterations: int = 1) -> Result:
     """A whole search with a large population, 900 samples."""
-    peer = "mealpy 3.0.3 OriginalSSA"
     ours = cost_of(NAME, "search_rate", 900, population, iterations)
     try:
         with MealpyPeer(*SsaProblem.of(900, test=1).standardised, SHAPE.hidden) as other:
             answer = other.solve(population, iterations, 0)
     except JobError as error:
-        return missing(peer, str(error))
-    theirs = answer["evaluations"] / answer["seconds"]
+        return missing(MEALPY, str(error))
     return beside(
-        "evaluations/s",
-        [ours.result],
-        peer,
-        [theirs],
-        more_is_better=True,
-        grown_mb=ours.grown_mb,
-    )
+        "evaluations/s", [ours.result], MEALPY, [answer["evaluations"] / answer["seconds"]],
+        more_is_better=True, grown_mb=ours.grown_mb,
+    )  # fmt: skip
 
 
 def train_many(many: int, few: int = 1_000) -> Result:

@@ -1,4 +1,4 @@
-"""Seconds of training until a held-out error is reached, beside scikit-learn's learners.
+"""Seconds of training until a held-out error is find_cheapest, beside scikit-learn's learners.
 
 Every learner has settings of growing cost, as a user would try them.  Only the cheapest one that
 reaches the error counts.  The error is against the noise-free truth of the smooth benchmark, RMS
@@ -48,17 +48,17 @@ PEERS = {"mlp": "scikit-learn MLPRegressor", "gp": "scikit-learn GaussianProcess
 
 
 @lru_cache(maxsize=8)
-def reached(kind: str, samples: int, target_mm: float, repeats: int) -> dict[str, Any] | None:
+def find_cheapest(kind: str, samples: int, target_mm: float, repeats: int) -> dict[str, Any] | None:
     """The cheapest setting whose median error is below the target: seconds and errors."""
     torch.set_num_threads(1)
     for setting, learn in LADDERS[kind]:
-        seconds, errors = zip(*(_trained(learn, samples, s) for s in range(repeats)), strict=True)
+        seconds, errors = zip(*(_train(learn, samples, s) for s in range(repeats)), strict=True)
         if np.median(errors) <= target_mm:
             return {"setting": setting, "seconds": seconds, "rms_mm": float(np.median(errors))}
     return None
 
 
-def _trained(learn: Learner, samples: int, seed: int) -> tuple[float, float]:
+def _train(learn: Learner, samples: int, seed: int) -> tuple[float, float]:
     """Processor time of one training (s), and its error (mm)."""
     data, begin = smooth_set(samples, seed), time.process_time()
     with warnings.catch_warnings():
@@ -72,8 +72,8 @@ def defaults(samples: int, seeds: int = 8) -> Result:
     """A training with the defaults, imports apart, in turn with scikit-learn's network."""
     torch.set_num_threads(1)
     for learn in (_ours(hidden=2, ensemble=1), _mlp(2)):
-        _trained(learn, 100, 0)  # imports
-    pairs = [[_trained(learn, samples, s) for learn in (_ours(), _mlp(24))] for s in range(seeds)]
+        _train(learn, 100, 0)  # imports
+    pairs = [[_train(learn, samples, s) for learn in (_ours(), _mlp(24))] for s in range(seeds)]
     (ours, mine), (theirs, other) = np.transpose(pairs, (1, 2, 0))
     return beside(
         "s CPU", ours, f"{PEERS['mlp']}, 24 hidden, alpha by CV", theirs,
@@ -86,8 +86,8 @@ def time_to_error(
 ) -> Result:
     """One learner against ours."""
     target = target_mm or TARGET_MM[samples]
-    mine = reached("ssa_bp", samples, target, repeats)
-    theirs = reached(peer, samples, target, repeats)
+    mine = find_cheapest("ssa_bp", samples, target, repeats)
+    theirs = find_cheapest(peer, samples, target, repeats)
     if mine is None or theirs is None:
         who = PEERS[peer] if mine is not None else "SSA-BP"
         return missing(PEERS[peer], f"{who} does not reach {target} mm")

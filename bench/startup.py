@@ -10,41 +10,34 @@ from collections.abc import Sequence
 from bench.comparison import Result, beside
 
 REPEATS = 7
-NOTHING = ("-c", "pass")
-NUMPY = ("-c", "import numpy")
-NUMPY_PYDANTIC = ("-c", "import numpy, pydantic")
+STARTS: dict[str, tuple[Sequence[str], str, Sequence[str]]] = {
+    "help": (("-m", "longarm_comp", "--help"), "python -c pass", ("-c", "pass")),
+    "core": (
+        ("-c", "import longarm_comp.core.compensation.compensate"),
+        "python -c 'import numpy'",
+        ("-c", "import numpy"),
+    ),
+    "arm": (
+        ("-c", "import longarm_comp.core.arm.arm"),
+        "python -c 'import numpy, pydantic'",
+        ("-c", "import numpy, pydantic"),
+    ),
+}
+"""What is started, and its floor: the page of help beside a Python that does nothing; the import of
+model and inverse kinematics, as in a control program; that of the arm's declaration."""
 
 
-def _ended(arguments: Sequence[str]) -> float:
-    """Wall seconds of a Python process from start to end."""
-    begin = time.perf_counter()
-    subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
-    return time.perf_counter() - begin
-
-
-def _ends_beside(ours: Sequence[str], peer: str, theirs: Sequence[str], repeats: int) -> Result:
-    _ended(ours), _ended(theirs)  # both read from disk once
-    pairs = [(1e3 * _ended(ours), 1e3 * _ended(theirs)) for _ in range(repeats)]
+def beside_floor(name: str, repeats: int = REPEATS) -> Result:
+    """Time a start of `STARTS` and its floor in turns, ms."""
+    ours, peer, theirs = STARTS[name]
+    _run_s(ours), _run_s(theirs)  # both read from disk once
+    pairs = [(1e3 * _run_s(ours), 1e3 * _run_s(theirs)) for _ in range(repeats)]
     mine, other = zip(*pairs, strict=True)
     return beside("ms", mine, peer, other)
 
 
-def help_page(repeats: int = REPEATS) -> Result:
-    """``longarm --help`` beside a Python that does nothing."""
-    ours = ("-m", "longarm_comp", "--help")
-    return _ends_beside(ours, "python -c pass", NOTHING, repeats)
-
-
-def import_core(repeats: int = REPEATS) -> Result:
-    """Import of model and inverse kinematics, as in a control program, against numpy alone."""
-    ours, peer = (
-        ("-c", "import longarm_comp.core.compensation.compensate"),
-        "python -c 'import numpy'",
-    )
-    return _ends_beside(ours, peer, NUMPY, repeats)
-
-
-def import_arm(repeats: int = REPEATS) -> Result:
-    """Import of the arm's declaration against the two libraries that it uses."""
-    ours, peer = ("-c", "import longarm_comp.core.arm.arm"), "python -c 'import numpy, pydantic'"
-    return _ends_beside(ours, peer, NUMPY_PYDANTIC, repeats)
+def _run_s(arguments: Sequence[str]) -> float:
+    """Time a Python process from start to end, wall seconds."""
+    begin = time.perf_counter()
+    subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
+    return time.perf_counter() - begin

@@ -100,13 +100,13 @@ class _Messages:
         self._sighting, self._xyz = self._pattern("tip_measured", np.full(3, x), pose=whole)
 
     def command(self, stamp: int, q: np.ndarray) -> Raw:
-        return self._filled("joint_trajectory", self._command, stamp, self._target, q)
+        return self._fill("joint_trajectory", self._command, stamp, self._target, q)
 
     def state(self, stamp: int, q: np.ndarray) -> Raw:
-        return self._filled("joint_states", self._state, stamp, self._q, q)
+        return self._fill("joint_states", self._state, stamp, self._q, q)
 
     def sighting(self, stamp: int, xyz: np.ndarray) -> Raw:
-        return self._filled("tip_measured", self._sighting, stamp, self._xyz, xyz)
+        return self._fill("tip_measured", self._sighting, stamp, self._xyz, xyz)
 
     def _make(self, kind: str, **fields: Any) -> Any:
         return self._types.types[kind](**fields)
@@ -120,7 +120,7 @@ class _Messages:
         return data, data.index(marks.tobytes())
 
     @staticmethod
-    def _filled(topic: str, pattern: bytearray, stamp: int, at: int, values: np.ndarray) -> Raw:
+    def _fill(topic: str, pattern: bytearray, stamp: int, at: int, values: np.ndarray) -> Raw:
         data = pattern.copy()
         _STAMP.pack_into(data, 4, *divmod(stamp, 10**9))
         data[at : at + 8 * len(values)] = values.tobytes()

@@ -15,12 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
-from studies import table1_summary as summary
-from studies.day import levers
-from studies.table1 import SETTINGS, Bench, Outcome, RowSetting, fitted_once
+from studies import table1
+from studies.commands import Figures, Show, arm_option, arms_option, split_interval, study_command
+from studies.day_work import levers
+from studies.table1_bench import SETTINGS, Bench, Outcome, RowSetting, fitted_once
 
 ALSO = ("thermal_growth",)
 """What the arms of Table I hide besides: without it, warmth changes nothing but beams."""
@@ -75,9 +77,9 @@ def one_arm(
     bench = Bench.draw(base, seed, number, poses, also=ALSO)
     found: dict[str, list[Outcome]] = {condition.name: [] for condition in CONDITIONS}
     for setting in fitted_once(settings):
-        trained = bench.trained(setting, seed)
+        trained = bench.train(setting, seed)
         for condition in CONDITIONS:
-            found[condition.name].append(condition.of(bench).commanded(setting, *trained))
+            found[condition.name].append(condition.of(bench).command(setting, *trained))
     return found
 
 
@@ -90,14 +92,14 @@ def table(arms: Sequence[Found], settings: Sequence[RowSetting]) -> list[dict[st
     """One row a setting: mean |z| by condition, mm; then the mean 3-D error likewise."""
     made: list[dict[str, Any]] = [{"row": setting.row} for setting in settings]
     for name in arms[0]:
-        for row, of in zip(made, summary.rows([arm[name] for arm in arms], settings), strict=True):
+        for row, of in zip(made, table1.rows([arm[name] for arm in arms], settings), strict=True):
             row[f"{name}, |z| mm"] = of["mean_abs_z_mm"]
             row[f"{name}, mm"] = of["mean_mm"]
     return made
 
 
 def claims(arms: Sequence[Found], settings: Sequence[RowSetting]) -> list[dict[str, Any]]:
-    """By condition: how much more the network alone loses than both together, mm of mean |z|.
+    """Compute by condition how much more the network loses than both together, mm of mean |z|.
 
     The claim holds where the 95 % interval over arms lies below 0, is contradicted above it, and
     is open in between.
@@ -107,13 +109,13 @@ def claims(arms: Sequence[Found], settings: Sequence[RowSetting]) -> list[dict[s
     at = [
         {
             row["row"]: np.array(row["arms_mm"])
-            for row in summary.rows([a[n] for a in arms], settings)
+            for row in table1.rows([a[n] for a in arms], settings)
         }
         for n in (first, *others)
     ]
     for name, here in zip(others, at[1:], strict=True):
         lost = [{"row": r, "arms_mm": here[r] - at[0][r]} for r in (TOGETHER, NETWORK)]
-        (line,) = summary.differences(lost, [(TOGETHER, NETWORK)])
+        (line,) = table1.differences(lost, [(TOGETHER, NETWORK)])
         low, high = line["ci95_mm"]
         made.append(
             {
@@ -126,3 +128,28 @@ def claims(arms: Sequence[Found], settings: Sequence[RowSetting]) -> list[dict[s
             }
         )
     return made
+
+
+@study_command(arm_option, arms_option(8, "Simulated arms."), options.seed)
+def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
+    """Train in one condition, command in another: payload, temperature, wear.
+
+    The paper's claim S14: error model and network together lose less than the network alone.
+    About a minute an arm.
+
+    \b
+    Example:
+      longarm study conditions --arms 8
+    """
+    settings, found = rows_of(), []
+    for number in range(arms):
+        show(f"arm {number + 1} of {arms}", number / arms)
+        found.append(one_arm(arm, seed, number, settings))
+    rows, lost = table(found, settings), claims(found, settings)
+    return Figures(
+        {"arms": arms, "rows": rows, "claims": lost},
+        {
+            f"Mean errors of the true tip, trained as in the first column: {arms} arms": rows,
+            "S14: what another condition costs": [split_interval(line) for line in lost],
+        },
+    )

@@ -1,4 +1,4 @@
-"""How often a measured row lies inside the 90 % radius that its model states.
+"""Counts how often a measured row lies inside the 90 % radius that its model states.
 
 The radius is of a measured row: error of the tip and noise of the measurement; of simulated arms
 also that of the tip alone, which a command states.  Rows are left out three ways: the splits of the
@@ -13,8 +13,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import click
 import numpy as np
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.fit import fit
@@ -29,6 +31,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes
 from longarm_comp.sessions.read import read_session
+from studies.commands import Figures, Show, arm_option, study_command, whole_number
 from studies.loop_cases import Case
 from studies.loop_setting import set_up
 from studies.real_sessions import every_robot
@@ -92,7 +95,7 @@ def judge(
         off = off + clean[rows.located] - seen.xyz
     columns = equations(model, seen, posture(model, seen)).columns[:, :3]
     carried = known.carried(columns, [slot.identity for slot in fitted.slots])
-    return _judged(name, off, carried, known)
+    return _judge(name, off, carried, known)
 
 
 def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
@@ -104,12 +107,10 @@ def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
     tip, columns = model.columns(posture(model, rows), slots)
     off, alone = about_the_mean(tip, touched)
     moved, _ = about_the_mean(columns, touched)
-    return _judged(name, off[~alone], known.carried(moved[~alone], names), known)
+    return _judge(name, off[~alone], known.carried(moved[~alone], names), known)
 
 
-def _judged(
-    name: str, off: np.ndarray, carried: np.ndarray, known: ModelUncertainty
-) -> LeftOutRows:
+def _judge(name: str, off: np.ndarray, carried: np.ndarray, known: ModelUncertainty) -> LeftOutRows:
     alone = known.structure + known.noise
     expected, radius = sizes(carried + alone)
     own = sizes(carried + known.structure)[0]
@@ -120,7 +121,7 @@ def _judged(
     return LeftOutRows(name, np.linalg.norm(off, axis=1), expected, radius, apart, inside)
 
 
-def real(folder: Path, say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
+def judge_real(folder: Path, say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
     """The public data sets: their own splits, and places.
 
     Args:
@@ -135,14 +136,14 @@ def real(folder: Path, say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
         for part in parts:
             say(f"{robot}: its own split")
             yield judge(
-                f"{robot}, its own split", _fitted(part.arm, part.train, terms), part.held_out
+                f"{robot}, its own split", _fit_terms(part.arm, part.train, terms), part.held_out
             )
             for kept, out in _places(part.train):
                 say(f"{robot}: places")
-                yield judge(f"{robot}, places", _fitted(part.arm, kept, terms), out)
+                yield judge(f"{robot}, places", _fit_terms(part.arm, kept, terms), out)
 
 
-def pandas(say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
+def judge_pandas(say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
     """Six real arms that touched sockets, each place of the tool left out in turn."""
     arm = Arm.load(EXAMPLE / "arm.yaml")
     for path in sorted(EXAMPLE.glob("panda_*.csv")):
@@ -150,12 +151,14 @@ def pandas(say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
         place = session.labels["location"]
         for each in np.unique(place):
             say(f"{path.stem}: {each}")
-            fitted = _fitted(arm, session.take(place != each), _rigid)
+            fitted = _fit_terms(arm, session.take(place != each), _rigid)
             judged = judge_touches(path.stem, fitted, session.take(place == each))
             yield replace(judged, places=len(np.unique(place)) - 1)
 
 
-def simulated(declared: Arm, count: int, say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
+def judge_simulated(
+    declared: Arm, count: int, say: Progress = lambda _: None
+) -> Iterator[LeftOutRows]:
     """Random arms with a hidden effect that every other model knows; fresh random poses."""
     for k in range(count):
         name = SIMULATED[k % len(SIMULATED)]
@@ -165,7 +168,7 @@ def simulated(declared: Arm, count: int, say: Progress = lambda _: None) -> Iter
         )
         told = (k // len(SIMULATED) + k) % 2 == 0
         kind = effect_class(name, "study coverage")
-        fitted = _fitted(setting.arm, setting.train, kind.for_arm if told else _rigid)
+        fitted = _fit_terms(setting.arm, setting.train, kind.for_arm if told else _rigid)
         how = "the effect known" if told else "the effect not known"
         yield judge(f"simulated, {how}", fitted, setting.held_out)
         yield judge(f"the tip alone, {how}", fitted, setting.held_out, setting.clean_held_out)
@@ -188,7 +191,7 @@ def table(found: Sequence[LeftOutRows]) -> list[dict[str, object]]:
                 "rows": len(error),
                 "inside_90": share,
                 "ci95": list(between),
-                "kept": _kept(share, between, mine),
+                "kept": _verdict(share, between, mine),
                 "mean_mm": 1e3 * float(error.mean()),
                 "expected_mm": 1e3 * float(expected.mean()),
                 "p90_mm": 1e3 * float(radius.mean()),
@@ -213,7 +216,7 @@ def _interval(inside: Sequence[int], of: Sequence[int]) -> tuple[float, tuple[fl
     return share, (max(middle - half, 0.0), min(middle + half, 1.0))
 
 
-def _kept(share: float, between: tuple[float, float], mine: Sequence[LeftOutRows]) -> str:
+def _verdict(share: float, between: tuple[float, float], mine: Sequence[LeftOutRows]) -> str:
     low, high = KEPT
     if low <= round(share, 2) <= high:
         return "yes"
@@ -227,7 +230,7 @@ def _kept(share: float, between: tuple[float, float], mine: Sequence[LeftOutRows
     return why + (f"; {far:.0%} are far from the fitted rows" if far > 0.1 else "")
 
 
-def _fitted(arm: Arm, rows: Session, terms: Terms) -> ModelFit:
+def _fit_terms(arm: Arm, rows: Session, terms: Terms) -> ModelFit:
     """Geometry, then further terms on top of it."""
     *_, (_, geometry) = stages(declared_model(arm), rows)
     more = terms(arm)
@@ -249,3 +252,31 @@ def _places(rows: Session) -> Iterator[tuple[Session, Session]]:
         place = 2 * place + (rows.q[:, j] > np.median(rows.q[:, j]))
     for each in np.unique(place):
         yield rows.take(place != each), rows.take(place == each)
+
+
+@study_command(
+    options.path_option(
+        "--data", "Folder with dlr_justin, wam_ur5 or both; none are judged if absent."
+    ),
+    arm_option,
+    whole_number("--arms", 6, "Simulated arms.", least=0),
+    click.option(
+        "--pandas/--no-pandas", "touched", default=True, help="Six real arms that touched sockets."
+    ),
+)
+def command(data: Path | None, arm: Arm, arms: int, touched: bool, show: Show) -> Figures:
+    """Count the rows left out that lie inside the 90 % radius that their model states.
+
+    The radius is of a measured row: error of the tip and noise. "kept" says whether it holds, or
+    why that cannot be told.
+
+    \b
+    Example:
+      longarm study coverage --data test/data --arms 6 --json
+    """
+    found = [] if data is None else list(judge_real(data, lambda text: show(text, 0.0)))
+    if touched:
+        found += judge_pandas(lambda text: show(text, 0.3))
+    found += judge_simulated(arm, arms, lambda text: show(text, 0.5))
+    rows = table(found)
+    return Figures({"rows": rows}, {"Rows left out inside the stated 90 % radius": rows})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from longarm_comp.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, VERMILLION, rc, save
-from studies.day import DayOutcome
+from studies.day_work import DayOutcome
 
 _LINES = (
     *((INK, "X", ":"), (PURPLE, "s", "-."), (ORANGE, "^", "--")),
@@ -20,8 +19,10 @@ _LINES = (
 )
 
 
-def day_figure(found: Sequence[DayOutcome], path: str | os.PathLike[str]) -> Path:
-    """Mean over the days (line) and each day's hours (marks); below, temperature, payload, play.
+def draw_days(found: Sequence[DayOutcome], path: Path) -> None:
+    """Draw the mean over the days (line) and each day's hours (marks).
+
+    Below are temperature, payload and play.
 
     Args:
         found: days of equal length.
@@ -32,8 +33,7 @@ def day_figure(found: Sequence[DayOutcome], path: str | os.PathLike[str]) -> Pat
         upper, *lower = drawn.subplots(4, 1, sharex=True, height_ratios=(4.6, 1, 1, 1))
         _errors(upper, found)
         _circumstances(lower, found)
-        save(drawn, Path(path))
-    return Path(path)
+        save(drawn, path)
 
 
 def _errors(axes: Axes, found: Sequence[DayOutcome]) -> None:

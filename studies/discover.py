@@ -6,22 +6,25 @@ the noise-free truth, on fresh poses of the plan that was measured and at random
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import click
 import numpy as np
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import grid, sobol
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose
+from longarm_comp.workflows.diagnose import diagnose
 from longarm_comp.workflows.train import training_rows
-from studies.loop_setting import session_of
+from studies.commands import Figures, Show, arm_option, study_command, whole_number
 from studies.outside import outside
 from studies.peers import train_gaussian_process
 from studies.simulated import SimulatedSession, measure_session
@@ -59,30 +62,16 @@ def set_up(arm: Arm, case: str, plan: str, seed: int, rows: int = ROWS) -> Setti
     true = TrueArm(arm, [e for e in (*cause, *off) if isinstance(e, HiddenEffect)], steps=_STEPS)
     eye = TrueCamera.of(arm, [e for e in cause if isinstance(e, CameraEffect)])
 
-    def measured(q: np.ndarray, repeats: int = 0, spoiled: float = 0.0) -> SimulatedSession:
+    def measure(q: np.ndarray, repeats: int = 0, spoiled: float = 0.0) -> SimulatedSession:
         return measure_session(true, eye, q, rng=rng, repeats=repeats, outliers=spoiled)
 
-    train = measured(PLANS[plan](arm, rows, rng).q, REPEATS, 0.005)
+    train = measure(PLANS[plan](arm, rows, rng).q, REPEATS, 0.005)
     half = HELD_OUT // 2
     both = np.concatenate([PLANS[plan](arm, half, rng).q[:half], sobol(arm, half, rng).q])
-    held_out = measured(both[rng.permutation(len(both))])
-    fresh = [measured(p(arm, FRESH, rng).q) for p in (PLANS[plan], sobol)]
-    truths = [(session_of(m, arm.n), m.truth["seen"]) for m in fresh]
-    return Setting(session_of(train, arm.n), session_of(held_out, arm.n), *truths)
-
-
-def study(
-    arm: Arm,
-    cases: Sequence[str],
-    plans: Sequence[str],
-    seeds: Sequence[int],
-    network: bool = True,
-) -> Iterator[dict[str, Any]]:
-    """A row of figures for every case, plan and seed."""
-    for case in cases:
-        for plan in plans:
-            for seed in seeds:
-                yield row(arm, case, plan, seed, network)
+    held_out = measure(both[rng.permutation(len(both))])
+    fresh = [measure(p(arm, FRESH, rng).q) for p in (PLANS[plan], sobol)]
+    truths = [(m.session(), m.truth["seen"]) for m in fresh]
+    return Setting(train.session(), held_out.session(), *truths)
 
 
 def row(arm: Arm, case: str, plan: str, seed: int, network: bool) -> dict[str, Any]:
@@ -90,7 +79,7 @@ def row(arm: Arm, case: str, plan: str, seed: int, network: bool) -> dict[str, A
     setting = set_up(arm, case, plan, seed)
     began = time.perf_counter()
     found = diagnose(
-        arm, setting.train, test=setting.held_out, network=network, seed=seed, note=_silent
+        arm, setting.train, test=setting.held_out, network=network, seed=seed, note=lambda _: None
     )
     took = time.perf_counter() - began
     models = found.diagnosis.models
@@ -111,7 +100,14 @@ def row(arm: Arm, case: str, plan: str, seed: int, network: bool) -> dict[str, A
     made: dict[str, Any] = {"case": case, "plan": plan, "seed": seed}
     for name, (on, off) in stages.items():
         made[f"{name}_mm"] = f"{on:.2f} / {off:.2f}"
-    return {**made, "s": round(took), **_told(found)}
+    causes = found.diagnosis.causes
+    return {
+        **made,
+        "s": round(took),
+        "names": ", ".join(f.name for f in found.findings),
+        "found": "; ".join(c.formula for c in causes),
+        "or": "; ".join(" or ".join(c.where[1:3]) for c in causes if len(c.where) > 1),
+    }
 
 
 def _errors(model: Model, setting: Setting, learned: Any = None) -> tuple[float, float]:
@@ -125,14 +121,37 @@ def _errors(model: Model, setting: Setting, learned: Any = None) -> tuple[float,
     return made[0], made[1]
 
 
-def _told(found: DiagnosisResult) -> dict[str, Any]:
-    causes = found.diagnosis.causes
-    return {
-        "names": ", ".join(f.name for f in found.findings),
-        "found": "; ".join(c.formula for c in causes),
-        "or": "; ".join(" or ".join(c.where[1:3]) for c in causes if len(c.where) > 1),
-    }
+@study_command(
+    arm_option,
+    click.option("--case", "chosen", multiple=True, help="Case; repeat for more. Default: all."),
+    click.option(
+        "--plan", "plans", multiple=True, type=click.Choice(["grid", "sobol"]), default=("grid",),
+        show_default=True, help="Poses that are measured; repeat for both.",
+    ),
+    whole_number("--seeds", 1, "Seeds of each case."),
+    click.option("--no-network", is_flag=True, help="Leave out the network."),
+    options.seed,
+)  # fmt: skip
+def command(
+    arm: Arm, chosen: tuple[str, ...], plans: tuple[str, ...], seeds: int, no_network: bool,
+    seed: int, show: Show,
+) -> Figures:  # fmt: skip
+    """Hide causes that are in no library, and print the error left by each method.
 
+    Errors are rms in mm against the truth without noise: on fresh poses of the plan that was
+    measured, and at random poses off it. "nothing" hides nothing.
 
-def _silent(_: str) -> None:
-    """No notes of the admission."""
+    \b
+    Example:
+      longarm study discover --case hose_pull --case nothing
+    """
+    known = (*outside(arm), NOTHING)
+    for case in chosen:
+        if case not in known:
+            raise InputError("study discover", "case", case, ", ".join(known))
+    cases = list(itertools.product(chosen or known, plans, range(seed, seed + seeds)))
+    rows = []
+    for case, plan, each in cases:
+        rows.append(row(arm, case, plan, each, not no_network))
+        show(f"{case} {plan}", len(rows) / len(cases))
+    return Figures({"rows": rows}, {"Errors against the truth, on the plan / off it": rows})

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import click
 import numpy as np
 
+from longarm_comp.cli import options, outputs
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.files import write_text
@@ -21,6 +22,7 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.workflows.fleet import Diagnosed, fleet
+from studies.commands import Figures, Show, study_command, whole_number
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "panda_touch"
 ROWS = 80
@@ -53,33 +55,6 @@ def write_arms(folder: Path, count: int, seed: int) -> None:
         write_csv(rows, folder / f"arm_{number:04d}.csv")
 
 
-def peak_mb(whose: int) -> int:
-    """The most memory that a process has held up to now, MB."""
-    return round(resource.getrusage(whose).ru_maxrss / 1024.0)
-
-
-def study(
-    folder: Path, counts: tuple[int, ...], seed: int, progress: Callable[[str, float], None],
-    jobs: int = 1, dask: str | None = None,
-) -> Iterator[dict[str, object]]:  # fmt: skip
-    """One row a count of arms: what was found at them, time, and the peaks of memory up to then.
-
-    Each count goes on after the arms of the last. A peak is of this process, and of the largest
-    that it started and that has ended.
-    """
-    for count in sorted(counts):
-        write_arms(folder / "arms", count, seed)
-        begun = time.monotonic()
-        arms = fleet(
-            folder / "arms", folder / "out", jobs=jobs, dask=dask, network=False, progress=progress
-        )
-        yield row(arms) | {
-            "time_s": round(time.monotonic() - begun, 1),
-            "peak_mb": peak_mb(resource.RUSAGE_SELF),
-            "worker_mb": peak_mb(resource.RUSAGE_CHILDREN) if jobs > 1 or dask else None,
-        }
-
-
 def row(arms: list[Diagnosed]) -> dict[str, object]:
     """Shares of arms where what is hidden was found, and something else."""
 
@@ -103,3 +78,46 @@ def row(arms: list[Diagnosed]) -> dict[str, object]:
         "calibrated_mm": round(float(np.mean(before)), 3),
         "diagnosed_mm": round(float(np.mean(left)), 3),
     }
+
+
+@study_command(
+    click.option(
+        *("--arms", "counts"), type=click.IntRange(min=1), multiple=True, default=(20, 200),
+        show_default=True, help="Simulated arms; a larger number goes on after the smaller.",
+    ),
+    options.output(
+        "build/fleet",
+        "Folder for arms and diagnoses; existing results are continued.",
+        outputs.left_to_the_command,
+    ),
+    whole_number("--jobs", 1, "Processes."),
+    options.dask,
+    options.seed,
+)  # fmt: skip
+def command(
+    counts: tuple[int, ...], output: Path, jobs: int, dask: str | None, seed: int, show: Show
+) -> Figures:
+    """Simulated arms of one kind diagnosed by `longarm fleet`; its time and peaks of memory.
+
+    A peak is of this process, and of the largest that it started and that has ended.
+
+    \b
+    Example:
+      longarm study fleet --arms 20 --arms 200
+      longarm study fleet --arms 8 --arms 16 --dask local --jobs 2
+    """
+    rows = []
+    for count in sorted(counts):
+        write_arms(output / "arms", count, seed)
+        begun = time.monotonic()
+        arms = fleet(
+            output / "arms", output / "out", jobs=jobs, dask=dask, network=False, progress=show
+        )
+        took = round(time.monotonic() - begun, 1)
+        own, workers = (
+            round(resource.getrusage(whose).ru_maxrss / 1024.0)
+            for whose in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        )
+        memory = {"peak_mb": own, "worker_mb": workers if jobs > 1 or dask else None}
+        rows.append(row(arms) | {"time_s": took} | memory)
+    return Figures({"seed": seed, "fleets": rows}, {"Fleets of simulated arms of one kind": rows})

@@ -1,4 +1,4 @@
-"""How well the load of servos tells a payload, by servo: simulated arms, emulated servos.
+"""The payload by the load of servos, by servo: simulated arms, emulated servos.
 
 The payload changes half-way without a word.  Torques are those of the true arm; a servo holds them
 with the friction of its data sheet, from the side that its joint came from, and tells them in the
@@ -19,12 +19,15 @@ from longarm_comp.core.compensation.weighing import Drives, Weighing, felt
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_bus.registry import models, protocols
 from longarm_comp.devices.servo_bus.state import ServoAlarm
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.servo_emulator.joints import DATA_SHEETS
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 from longarm_comp.sim.servo_emulator.wire import RegisterWire
 from longarm_comp.sim.servo_emulator.wires import wires
+from studies.commands import Figures, Show, arms_option, study_command
 from studies.random_arms import random_arm
 
 PAYLOADS_KG = (0.25, 0.8)
@@ -45,7 +48,7 @@ class Weighed:
     contradicts: bool
 
 
-def weighed(servo: str, arm: Arm, full_effort: np.ndarray, seed: int) -> Iterator[Weighed]:
+def weigh_at_rests(servo: str, arm: Arm, full_effort: np.ndarray, seed: int) -> Iterator[Weighed]:
     """Rests of one arm.
 
     Args:
@@ -62,7 +65,7 @@ def weighed(servo: str, arm: Arm, full_effort: np.ndarray, seed: int) -> Iterato
         torque = true.settled(q, TrueContext(side, 22.0, kg, 0.0)).torques[0]
         parts = rng.uniform(1.0 - SCATTER, 1.0, arm.n)
         shares = zip(torque / full_effort, side, parts, strict=True)
-        load = np.array([told(servo, *each) for each in shares])
+        load = np.array([reported_load(servo, *each) for each in shares])
         context = Context(approach=tuple(side), columns={"temperature_c": 22.0})
         now = now.felt(felt(model, q, context, load * full_effort, drives))
         found = now.payload
@@ -73,7 +76,7 @@ def weighed(servo: str, arm: Arm, full_effort: np.ndarray, seed: int) -> Iterato
         )
 
 
-def told(servo: str, load: float, side: float, part: float) -> float:
+def reported_load(servo: str, load: float, side: float, part: float) -> float:
     """Share of full effort that a resting servo reports under a load, through its registers."""
     kind, sheet = models()[servo], dict(DATA_SHEETS[servo])
     changed: dict[str, Any] = sheet | {"hold_share": part * sheet["hold_share"]}
@@ -89,11 +92,11 @@ def told(servo: str, load: float, side: float, part: float) -> float:
 
 
 def table(arm: Arm, full_effort: np.ndarray, count: int) -> list[Mapping[str, Any]]:
-    """By servo: errors of the estimates over random arms."""
+    """Compute by servo the errors of the estimates over random arms."""
     rows: list[Mapping[str, Any]] = []
     for servo in DATA_SHEETS:
         each = [
-            list(weighed(servo, random_arm(np.random.default_rng(k), arm), full_effort, k))
+            list(weigh_at_rests(servo, random_arm(np.random.default_rng(k), arm), full_effort, k))
             for k in range(count)
         ]
         row: dict[str, Any] = {"servo": servo}
@@ -107,3 +110,20 @@ def table(arm: Arm, full_effort: np.ndarray, count: int) -> list[Mapping[str, An
         row["false"] = sum(w.contradicts for a in each for w in a[:RESTS])
         rows.append(row)
     return rows
+
+
+@study_command(arms_option(8, "Arms."))
+def command(arms: int, show: Show) -> Figures:
+    """Estimate a payload by the loads that servos report: error and sigma by servo, kg.
+
+    After 1, 4 and 12 rests with 0.25 kg; then 0.8 kg are carried and nobody says it.
+
+    \b
+    Example:
+      longarm study load --arms 8
+    """
+    arm = Arm.load(folder("config") / "arm_demo.yaml")
+    joints = ServoConfig.load(folder("config") / "servo_driver.yaml").joints
+    full = np.array([joints[name].full_effort for name in arm.joint_names], float)
+    rows = table(arm, full, arms)
+    return Figures({"rows": rows}, {"Payload by the servos' loads, 0.25 kg, then 0.8 kg": rows})

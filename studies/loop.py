@@ -13,15 +13,20 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import click
+
+from longarm_comp.cli import options, outputs
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.workflows.cluster import spread
+from studies.commands import Figures, Show, arm_option, arms_option, study_command, whole_number
 from studies.extra import extra
-from studies.loop_cases import Case
+from studies.loop_cases import NAMES, Case, Design
 from studies.loop_score import score
 from studies.loop_setting import set_up
+from studies.loop_table import by_effect, failures, reliability, summary
 
 
 def run_case(case: Case, arm: Arm) -> dict[str, Any]:
@@ -64,11 +69,11 @@ def run(
         JobError: joblib is not installed.
     """
     wanted = {case.id for case in cases}
-    done = {i: line for i, line in read(out).items() if i in wanted}
+    done = {i: line for i, line in read_lines(out).items() if i in wanted}
     left = [case for case in cases if case.id not in done]
     out.parent.mkdir(parents=True, exist_ok=True)
     with out.open("a", encoding="utf-8") as file:
-        for line in _worked(left, arm, jobs, dask):
+        for line in _run_cases(left, arm, jobs, dask):
             file.write(json.dumps(line, allow_nan=False) + "\n")
             file.flush()
             done[line["case"]["id"]] = line
@@ -77,7 +82,7 @@ def run(
     return [done[case.id] for case in cases]
 
 
-def read(path: Path) -> dict[str, dict[str, Any]]:
+def read_lines(path: Path) -> dict[str, dict[str, Any]]:
     """The lines of a file by case; empty if there is no file.
 
     An incomplete last line is removed from the file.
@@ -101,7 +106,7 @@ def read(path: Path) -> dict[str, dict[str, Any]]:
     return records
 
 
-def _worked(
+def _run_cases(
     cases: Sequence[Case], arm: Arm, jobs: int, dask: str | None
 ) -> Iterator[dict[str, Any]]:
     """The line of each case as it is done."""
@@ -118,3 +123,73 @@ def _worked(
         if isinstance(made, LongarmError):
             made = {"case": case.as_dict(), "error": str(made)}
         yield made
+
+
+@study_command(
+    options.output(
+        None,
+        "JSON-lines file, one line per case. Cases in it are not run again.",
+        outputs.marked(b"{"),
+    ),
+    arm_option,
+    click.option("--groups", default="none,single,pair,removed,outside", show_default=True),
+    click.option("--effects", help="Canonical names, separated by commas; all by default."),
+    click.option("--plans", default="grid", show_default=True, help="grid, sobol, or both."),
+    click.option(
+        "--rows", default="300,60", show_default=True, help="Sample sizes, separated by commas."
+    ),
+    click.option(
+        "--noises", default="1", show_default=True, help="Factors on the usual camera noise."
+    ),
+    arms_option(3, "Arms like the declared one."),
+    whole_number("--repeats", 2, "Repetitions per arm."),
+    whole_number("--pairs", 20, "Pairs per arm and size.", least=0),
+    click.option(
+        "--jobs", type=int, default=-1, show_default=True, help="Processes; -1: all cores."
+    ),
+    options.dask,
+)
+def command(
+    output: Path, arm: Arm, groups: str, effects: str | None, plans: str, rows: str, noises: str,
+    arms: int, repeats: int, pairs: int, jobs: int, dask: str | None, show: Show,
+) -> Figures:  # fmt: skip
+    """Benchmark the diagnosis on simulated arms with hidden effects.
+
+    Cases run on all cores, or on a Dask cluster. After an interruption the same command continues.
+    It ends with a table of shares with 95 % Wilson intervals.
+
+    \b
+    Examples:
+      longarm study loop -o loop.jsonl
+      longarm study loop -o loop.jsonl --groups none --rows 300 --repeats 12
+      longarm study loop -o loop.jsonl --dask tcp://head:8786
+    """
+    design = Design(
+        groups=groups.split(","),
+        effects=NAMES if effects is None else effects.split(","),
+        plans=plans.split(","),
+        rows=_numbers("--rows", rows, int),
+        noises=_numbers("--noises", noises, float),
+        arms=arms,
+        repeats=repeats,
+        pairs=pairs,
+    )
+    lines = run(design.cases(), arm, output, jobs=jobs, dask=dask, progress=show)
+    tables = {
+        "summary": (f"{len(lines)} cases", summary(lines)),
+        "by_effect": ("Visible single effects", by_effect(lines)),
+        "reliability": ("Names by their stated probability", reliability(lines)),
+    }
+    broken = failures(lines)
+    return Figures(
+        {name: rows for name, (_, rows) in tables.items()} | {"failures": broken},
+        dict(tables.values()),
+        broken,
+    )
+
+
+def _numbers(name: str, text: str, kind: type) -> list:
+    try:
+        return [kind(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError("study loop", name, text, "numbers with commas between") from None

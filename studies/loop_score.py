@@ -40,7 +40,8 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
     """All scores that the tables use, as plain JSON; lengths in mm."""
     true = set(setting.case.effects)
     names = [set(f.names) for f in found.findings]
-    best = true_fit(setting) if _knowable(setting) else None
+    knowable = true <= {kind.name for kind in LIBRARY}
+    best = true_fit(setting) if knowable else None
     errors = _errors(setting, found, best)
     said = [
         n | {p.name for p in f.partial_aliases} for n, f in zip(names, found.findings, strict=True)
@@ -64,7 +65,7 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
         "told_apart": best is not None
         and bool(named_wrong)
         and told_apart(setting, [t for f in found.findings for t in f.terms]),
-        "located": _located(setting, found),
+        "located": _is_located(setting, found),
         "flag": found.structure.flag,
         "structure": {
             "p": found.structure.p_value,
@@ -108,10 +109,12 @@ def _best(
     """The likeliest of the combinations of one form per effect."""
     rows = setting.train if session is None else session
     made = (tuple(t for form in forms for t in form) for forms in itertools.product(*menus))
-    return min((_fitted(setting, terms, rows, session is None) for terms in made), key=_misfit)
+    return min((_fit_terms(setting, terms, rows, session is None) for terms in made), key=_misfit)
 
 
-def _fitted(setting: LoopSetting, terms: Sequence[Term], rows: Session, robust: bool) -> ModelFit:
+def _fit_terms(
+    setting: LoopSetting, terms: Sequence[Term], rows: Session, robust: bool
+) -> ModelFit:
     model = declared_model(setting.arm).plus(*geometry(setting.arm, rows), *terms)
     return fit(model, rows, sigma=setting.sigma, robust=robust)
 
@@ -129,11 +132,6 @@ def _forms(setting: LoopSetting, name: str) -> list[tuple[Term, ...]]:
     every = tuple(t for form in forms for t in form)
     together = len(forms) > 1 and len({t.place for t in every}) == len(every)
     return [*forms, every] if together else forms
-
-
-def _knowable(setting: LoopSetting) -> bool:
-    kinds = {kind.name for kind in LIBRARY}
-    return all(name in kinds for name in setting.case.effects)
 
 
 def _errors(setting: LoopSetting, found: Diagnosis, best: ModelFit | None) -> dict[str, float]:
@@ -158,7 +156,7 @@ def _rms(clean: np.ndarray, model: Model, session: Session) -> float:
 
 
 def _minimal(setting: LoopSetting, sets: Sequence[EffectFinding], best: ModelFit | None) -> bool:
-    """Whether no member of any set can be distinguished from the truth by these or any rows."""
+    """Return whether no member of a set can be told from the truth by these rows."""
     if not sets or best is None:
         return best is not None
     clean = _clean(setting)
@@ -178,10 +176,10 @@ def _minimal(setting: LoopSetting, sets: Sequence[EffectFinding], best: ModelFit
 
 
 def told_apart(setting: LoopSetting, terms: Sequence[Term]) -> bool:
-    """Whether the training rows, without noise, tell these effects from the hidden ones."""
+    """Return whether the training rows, without noise, tell these effects from the hidden ones."""
     clean = _clean(setting)
     least = _misfit(true_fit(setting, clean))
-    return _misfit(_fitted(setting, terms, clean, robust=False)) - least > ALIKE
+    return _misfit(_fit_terms(setting, terms, clean, robust=False)) - least > ALIKE
 
 
 def _clean(setting: LoopSetting) -> Session:
@@ -189,8 +187,8 @@ def _clean(setting: LoopSetting) -> Session:
     return dataclasses.replace(setting.train, xyz=setting.clean_train, sigma=None)
 
 
-def _located(setting: LoopSetting, found: Diagnosis) -> bool | None:
-    """Whether the strongest place of the finding that covers the effect is the true one."""
+def _is_located(setting: LoopSetting, found: Diagnosis) -> bool | None:
+    """Return whether the strongest place of the finding that covers the effect is true."""
     if not setting.case.one_place:
         return None
     answers = []
@@ -198,11 +196,11 @@ def _located(setting: LoopSetting, found: Diagnosis) -> bool | None:
         where = places(effect, setting.arm)
         mine = [f for f in found.findings if effect.name in f.names]
         if len(where) == 1 and mine:
-            answers.append(bool(_said(found, mine[0], effect.name) & where))
+            answers.append(bool(_stated_places(found, mine[0], effect.name) & where))
     return all(answers) if answers else None
 
 
-def _said(found: Diagnosis, finding: EffectFinding, name: str) -> set[str]:
+def _stated_places(found: Diagnosis, finding: EffectFinding, name: str) -> set[str]:
     """Places of an effect in a finding: its strongest place, or those of the alternative."""
     if finding.name == name:
         return {_strongest(found, finding.terms)}

@@ -21,7 +21,7 @@ from longarm_comp.sim.hidden.base import HiddenEffect
 from studies.loop_cases import SPOILED, Case
 from studies.loop_truth import at_one_place, size
 from studies.random_arms import random_arm
-from studies.simulated import SimulatedSession, arrival, measure_session
+from studies.simulated import arrival, measure_session
 from studies.true_camera import CameraEffect, Hidden, Noise, TrueCamera, hidden
 
 HELD_OUT = 100
@@ -77,7 +77,10 @@ def set_up(case: Case, declared: Arm) -> LoopSetting:
     sight = np.asarray(head.axes[2])
     sigma = np.sqrt(noise.sigma_m**2 + (noise.depth_m * sight) ** 2)
     gauge = _Gauge(arm, head, plan, sigma, rng)
-    drawn = [gauge.sized(_drawn(name, arm, case.one_place, rng), rng) for name in case.effects]
+    drawn = [
+        gauge.scale_to_visible(_draw_effect(name, arm, case.one_place, rng), rng)
+        for name in case.effects
+    ]
     effects = [effect for effect, _ in drawn]
     on_arm = [e for e in (*effects, *off) if isinstance(e, HiddenEffect)]
     true = TrueArm(arm, on_arm, steps=_STEPS)
@@ -94,27 +97,15 @@ def set_up(case: Case, declared: Arm) -> LoopSetting:
         arm,
         tuple(effects),
         tuple(v for _, v in drawn),
-        session_of(train, arm.n),
-        session_of(held, arm.n),
+        train.session(),
+        held.session(),
         train.truth["seen"],
         held.truth["seen"],
         sigma,
     )
 
 
-def session_of(measured: SimulatedSession, n: int) -> Session:
-    """A simulated session as the diagnosis reads it."""
-    columns = dict(measured.columns)
-    q = np.column_stack([columns.pop(f"q{k + 1}") for k in range(n)])
-    xyz = np.column_stack([columns.pop(axis) for axis in "xyz"])
-    repeat = np.nan_to_num(columns.pop("repeat_id"), nan=-1.0).astype(int)
-    index, approach = columns.pop("index").astype(int), columns.pop("approach")
-    return Session.record(
-        q, xyz, index=index, approach=approach, repeat_id=repeat, columns=columns, source="study"
-    )
-
-
-def _drawn(name: str, arm: Arm, one_place: bool, rng: np.random.Generator) -> Hidden:
+def _draw_effect(name: str, arm: Arm, one_place: bool, rng: np.random.Generator) -> Hidden:
     """An effect of 0.7 to 2 times its typical size."""
     effect = hidden(name, arm, float(np.exp(rng.uniform(np.log(0.7), np.log(2.0)))), rng)
     return at_one_place(effect, arm, rng) if one_place else effect
@@ -137,14 +128,14 @@ class _Gauge:
         self.q, self.t_s = plan, t
         self.context = TrueContext(side, warm, None, t)
         self.arm, self.head = arm, head
-        self.sound = self._seen(None)
+        self.sound = self._see(None)
         session = Session.record(plan, self.sound)
         model = declared_model(arm)
         base = model.plus(*geometry(arm, session))
         self.fit: ModelFit = fit(base, session, sigma=sigma, robust=False)
         self.marginal = Marginal(self.fit.design, self.fit.data)
 
-    def _seen(self, effect: Hidden | None) -> np.ndarray:
+    def _see(self, effect: Hidden | None) -> np.ndarray:
         inside = [effect] if isinstance(effect, HiddenEffect) else []
         outside = (effect,) if isinstance(effect, CameraEffect) else ()
         tip = TrueArm(self.arm, inside, steps=2).tip(self.q, self.context)
@@ -157,7 +148,7 @@ class _Gauge:
         effects, asks for odds of 20 and pays half a log of the number of readings per
         parameter (BIC).
         """
-        moved = self._seen(effect)
+        moved = self._see(effect)
         white = self.fit.whitened((moved - self.sound)[..., None])[:, 0]
         left = float(white @ self.marginal.project(white))
         readings = 3 * len(moved)
@@ -165,7 +156,7 @@ class _Gauge:
         needed += size(effect, self.arm) * math.log(readings)
         return math.sqrt(max(left, 0.0) / needed)
 
-    def sized(self, effect: Hidden, rng: np.random.Generator) -> tuple[Hidden, float]:
+    def scale_to_visible(self, effect: Hidden, rng: np.random.Generator) -> tuple[Hidden, float]:
         """The effect scaled to a random visibility of 1.25 to 3, at most 6 times typical."""
         wanted = float(np.exp(rng.uniform(np.log(1.25), np.log(3.0))))
         now = self.visibility(effect)

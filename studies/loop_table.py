@@ -57,7 +57,7 @@ def _within(line: Line, which: str = "") -> bool | None:
     return None if ratio is None else ratio <= WORSE
 
 
-def _flagged(line: Line) -> bool:
+def _is_flagged(line: Line) -> bool:
     r = line["result"]
     return r["flag"] or r["verdict"] in ("unknown", "partly", "set")
 
@@ -87,7 +87,7 @@ _NAMING: tuple[Measure, ...] = (
     _DANGEROUS,
 )
 _OTHER: tuple[Measure, ...] = (
-    ("flagged: set, partly, unknown or rolled back", _flagged),
+    ("flagged: set, partly, unknown or rolled back", _is_flagged),
     _WRONG,
     _TOLD,
     _DANGEROUS,
@@ -112,7 +112,7 @@ def summary(lines: Sequence[Line]) -> list[Row]:
     for (group, plan, count, seen), mine in sorted(kinds.items(), key=_order):
         of = f"{group}, {plan} {count}" + ("" if seen else ", not visible")
         rows += [share(of, name, map(ask, mine)) for name, ask in _MEASURES[group]]
-        rows.append(share(of, "95 % interval holds the true value", _held(mine)))
+        rows.append(share(of, "95 % interval holds the true value", _true_in_interval(mine)))
     return [row for row in rows if row is not None]
 
 
@@ -174,7 +174,7 @@ def _ran(lines: Sequence[Line]) -> list[Line]:
     return [x for x in lines if "result" in x]
 
 
-def _held(lines: Sequence[Line]) -> list[bool]:
+def _true_in_interval(lines: Sequence[Line]) -> list[bool]:
     return [i["low"] <= i["true"] <= i["high"] for x in lines for i in x["result"]["intervals"]]
 
 

@@ -14,7 +14,7 @@ from longarm_comp.core.compensation.realisable import Lattice, Predict, choose
 from longarm_comp.core.model.model import Model
 
 
-def stacked(rows: Sequence[Any]) -> SimpleNamespace:
+def stack(rows: Sequence[Any]) -> SimpleNamespace:
     """Fields of records of one kind, each with a leading axis; texts and records as a list."""
     made: dict[str, Any] = {}
     for name in vars(rows[0]):
@@ -24,17 +24,19 @@ def stacked(rows: Sequence[Any]) -> SimpleNamespace:
     return SimpleNamespace(**made, rows=list(rows))
 
 
-def compensated(model: Model, predictor: Any, targets: np.ndarray, **given: Any) -> SimpleNamespace:
-    """What `compensate_many` answers, as arrays."""
-    made = stacked(compensate_many(model, predictor, targets, **given))
+def compensate_arrays(
+    model: Model, predictor: Any, targets: np.ndarray, **given: Any
+) -> SimpleNamespace:
+    """Call `compensate_many` and return its answers as arrays."""
+    made = stack(compensate_many(model, predictor, targets, **given))
     made.success = np.array([row.success for row in made.rows])
     return made
 
 
-def chosen(
+def choose_arrays(
     arm: Arm, lattice: Lattice, predict: Predict, targets: np.ndarray, ideal: np.ndarray,
     *given: Any, **options: Any,
 ) -> SimpleNamespace:  # fmt: skip
-    """What `choose` finds for each of N targets, as arrays."""
+    """Call `choose` for each of N targets and return its answers as arrays."""
     pairs = zip(targets, ideal, strict=True)
-    return stacked([choose(arm, lattice, predict, t, q, *given, **options) for t, q in pairs])
+    return stack([choose(arm, lattice, predict, t, q, *given, **options) for t, q in pairs])

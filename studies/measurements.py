@@ -1,4 +1,4 @@
-"""How many rows a calibration needs, by what a row measures: pose, position, distance, touch."""
+"""The rows that a calibration needs, by what a row measures: pose, position, distance, touch."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import PRINTED, Anchor
 from longarm_comp.core.calibration.calibrate import stages
@@ -18,6 +19,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.math.points import kabsch
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.geometry import DhError, JointZero
+from studies.commands import Figures, Show, arm_option, arms_option, study_command
 
 ROWS = (15, 20, 30, 45, 70, 110, 170, 260)
 """Rows that are fitted."""
@@ -45,13 +47,13 @@ class _Rows:
         noise = SIGMA_M * self.rng.standard_normal((len(self.q), 3))
         return np.asarray(self.pose[:, :3, 3] + noise)
 
-    def turned(self) -> np.ndarray:
+    def orientation(self) -> np.ndarray:
         noise = Rotation.from_rotvec(SIGMA_RAD * self.rng.standard_normal((len(self.q), 3)))
         return np.asarray((noise * Rotation.from_matrix(self.pose[:, :3, :3])).as_quat())
 
 
 def _pose(rows: _Rows) -> Mapping[str, Any]:
-    return {"xyz": rows.position(), "readings": {"orientation": rows.turned()}}
+    return {"xyz": rows.position(), "readings": {"orientation": rows.orientation()}}
 
 
 def _position(rows: _Rows) -> Mapping[str, Any]:
@@ -178,7 +180,7 @@ def table(found: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int]) -> l
     ]
 
 
-def needed(
+def rows_needed(
     found: Sequence[Mapping[str, np.ndarray]], counts: Sequence[int], limits_m: Sequence[float]
 ) -> list[dict[str, Any]]:
     """Rows that reach an error, by kind: the median over the arms; None where most never do."""
@@ -205,3 +207,24 @@ def _first(errors: np.ndarray, counts: Sequence[int], limit: float) -> float:
     share = (high - np.log(limit)) / (high - low)
     ends = np.log([counts[k], counts[k + 1]])
     return float(np.exp(ends[0] + share * (ends[1] - ends[0])))
+
+
+@study_command(arm_option, arms_option(5), options.seed)
+def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
+    """Count the rows that a calibration needs, of poses, positions, distances, or touches.
+
+    Errors are of the true tip at poses that were not measured.
+
+    \b
+    Example:
+      longarm study measurements --arms 5
+    """
+    found = []
+    for k in range(arms):
+        found.append(errors_by_rows(arm, seed + k))
+        show(f"{k + 1} of {arms} arms", (k + 1) / arms)
+    rows, least = table(found, ROWS), rows_needed(found, ROWS, (1e-3, 5e-4, 2.5e-4))
+    return Figures(
+        {"arms": arms, "seed": seed, "errors": rows, "needed": least},
+        {f"Error of the true tip, median of {arms} arms": rows, "Rows needed": least},
+    )

@@ -40,18 +40,18 @@ class OwnRigid:
     @classmethod
     def fit(cls, arm: Arm, session: Session) -> OwnRigid:
         """Least squares of rows with positions, or with touches of unknown points."""
-        names = list(np.unique(_marked(session)))
-        points = np.unique(session.labels["touch"]) if _touched(session) else np.array([])
+        names = list(np.unique(_markers(session)))
+        points = np.unique(session.labels["touch"]) if _is_touched(session) else np.array([])
         tip = np.array(arm.tip.position_m)
         declared = cls(arm, np.zeros(6 * (len(arm.joints) + 1)), dict.fromkeys(names, tip))
         seen = declared.points(session)
-        base = np.zeros(6) if len(points) else _registered(seen, session.xyz)
+        base = np.zeros(6) if len(points) else _register_base(seen, session.xyz)
         width = len(declared.errors)
         first = [seen[session.labels["touch"] == p].mean(axis=0) for p in points]
         start = np.concatenate([base, declared.errors[6:], *[tip] * len(names), *first])
         end = width + 3 * len(names)
 
-        def made(x: np.ndarray) -> OwnRigid:
+        def rebuild(x: np.ndarray) -> OwnRigid:
             tips = x[width:end].reshape(-1, 3)
             return cls(arm, x[:width], dict(zip(names, tips, strict=True)))
 
@@ -66,17 +66,17 @@ class OwnRigid:
                 if a in points and b in points
             ]
             pull = PULL / SIZE * x[6:width]
-            off = (where - made(x).points(session)).ravel() / SCALE_M
+            off = (where - rebuild(x).points(session)).ravel() / SCALE_M
             return np.concatenate([off, np.array(gaps), pull])
 
         near = least_squares(residual, start, x_scale="jac", max_nfev=60).x
-        return made(least_squares(residual, near, loss="huber", max_nfev=60).x)
+        return rebuild(least_squares(residual, near, loss="huber", max_nfev=60).x)
 
     def points(self, session: Session) -> np.ndarray:
         """(N, 3) m, where the tip or marker of each row is."""
         matrix, offset = self.arm.mixing
         joints = session.q @ matrix.T + offset
-        turn, at = _moved(self.errors[:6])
+        turn, at = _as_motion(self.errors[:6])
         for k, row in enumerate(self.arm.joints[: self.arm.tip.frame]):
             angle, slide = np.radians(row.theta_offset_deg), row.d_m
             along = np.zeros((len(session), 3))
@@ -94,26 +94,26 @@ class OwnRigid:
                 turn = turn * Rotation.from_rotvec(
                     np.multiply.outer(np.broadcast_to(turned, len(session)), [0.0, 0.0, 1.0])
                 )
-            error, shift = _moved(self.errors[6 * (k + 1) : 6 * (k + 2)])
+            error, shift = _as_motion(self.errors[6 * (k + 1) : 6 * (k + 2)])
             at, turn = at + turn.apply(shift), turn * error
-        tips = np.array([self.tips[name] for name in _marked(session)])
+        tips = np.array([self.tips[name] for name in _markers(session)])
         return np.asarray(at + turn.apply(tips))
 
     def left(self, session: Session) -> np.ndarray:
         """(N,) m, distance of each row from what it says; touches from the mean of their point."""
         points = self.points(session)
-        if not _touched(session):
+        if not _is_touched(session):
             return np.asarray(np.linalg.norm(session.xyz - points, axis=1))
         touched = session.labels["touch"]
         mean = {name: points[touched == name].mean(axis=0) for name in np.unique(touched)}
         return np.linalg.norm(points - np.array([mean[name] for name in touched]), axis=1)
 
 
-def _moved(six: np.ndarray) -> tuple[Rotation, np.ndarray]:
+def _as_motion(six: np.ndarray) -> tuple[Rotation, np.ndarray]:
     return Rotation.from_rotvec(six[:3]), six[3:]
 
 
-def _registered(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def _register_base(points: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """The base from which points (N, 3) are nearest to those seen (Kabsch 1976)."""
     middle, there = points.mean(axis=0), seen.mean(axis=0)
     turn = Rotation.align_vectors(seen - there, points - middle)[0]
@@ -124,10 +124,10 @@ def _of(names: np.ndarray, at: np.ndarray, name: str) -> np.ndarray:
     return np.asarray(at[np.searchsorted(names, name)])
 
 
-def _touched(session: Session) -> bool:
+def _is_touched(session: Session) -> bool:
     return "touch" in session.labels and not session.located.any()
 
 
-def _marked(session: Session) -> np.ndarray:
+def _markers(session: Session) -> np.ndarray:
     """(N,) marker of each row."""
     return session.labels.get("marker", np.full(len(session), ""))

@@ -1,4 +1,4 @@
-"""What compensation leaves of a planned path: lines, arcs and plans of joints, at three speeds.
+"""Planned paths after compensation: lines, arcs and plans of joints, at three speeds.
 
 A planner plans for the declared arm, which does not bend, with a way-point every `PERIOD_S`.  The
 true arm follows the plan as it is, and as `compensate_path` changes it; between way-points the
@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from longarm_comp.cli import options, outputs
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
@@ -38,7 +39,8 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
-from studies.loop import read
+from studies.commands import Figures, Show, arm_option, arms_option, study_command, whole_number
+from studies.loop import read_lines
 from studies.random_arms import random_arm
 from studies.true_camera import hidden
 
@@ -159,7 +161,7 @@ def through(a: np.ndarray, b: np.ndarray, c: np.ndarray, share: np.ndarray) -> n
 
 
 def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
-    """What is left of one path, before and after, and what compensation cost."""
+    """Follow one path before and after compensation; also what that cost."""
     arm, plan, n = studied.arm, found.plan, studied.arm.n
     assert plan.joints is not None and plan.times is not None
     came = History.unknown(n).after(plan.joints[:1], arm.mid)
@@ -214,29 +216,6 @@ def one_arm(declared: Arm, number: int, seed: int, each: int) -> list[dict[str, 
     return lines
 
 
-def study(
-    declared: Arm, count: int, seed: int, each: int, out: Path | None,
-    show: Callable[[str, float], None],
-) -> Iterator[dict[str, Any]]:  # fmt: skip
-    """Lines of all arms; those of arms that are in the file already are not made again.
-
-    Raises:
-        InputError: the file holds other data.
-    """
-    done = read(out) if out is not None else {}
-    for number in range(count):
-        case = {"id": f"{declared.hash[:12]} arm {number} seed {seed} paths {each}"}
-        if case["id"] not in done:
-            record = {"case": case, "lines": one_arm(declared, number, seed, each)}
-            done[case["id"]] = record
-            if out is not None:
-                out.parent.mkdir(parents=True, exist_ok=True)
-                with out.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(record, allow_nan=False) + "\n")
-        show(f"{number + 1} of {count} arms", (number + 1) / count)
-        yield from done[case["id"]]["lines"]
-
-
 def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """One row a kind and speed, with play and without; lengths in mm."""
     rows = []
@@ -264,3 +243,42 @@ def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                     "ms_per_waypoint": 1e3 * sum(x["spent_s"] for x in mine) / float(points.sum()),
                 })  # fmt: skip
     return rows
+
+
+@study_command(
+    arm_option,
+    arms_option(8, "Simulated arms; every other one has play."),
+    whole_number("--paths", 2, "Paths of every kind and speed, an arm."),
+    options.seed,
+    options.written(
+        "-o/--output",
+        "JSON-lines file, one line an arm. Arms in it are not run again.",
+        outputs.marked(b"{"),
+    ),
+)
+def command(arm: Arm, arms: int, paths: int, seed: int, output: Path | None, show: Show) -> Figures:
+    """Measure how far the true tip leaves a planned path, before and after compensation.
+
+    Lines, arcs and straight plans of joints, at three speeds of the tip. After an interruption the
+    same command continues its file.
+
+    \b
+    Example:
+      longarm study path --arms 8 -o build/path.jsonl
+    """
+    done = read_lines(output) if output is not None else {}
+    lines: list[dict[str, Any]] = []
+    for number in range(arms):
+        case = {"id": f"{arm.hash[:12]} arm {number} seed {seed} paths {paths}"}
+        if case["id"] not in done:
+            record = {"case": case, "lines": one_arm(arm, number, seed, paths)}
+            done[case["id"]] = record
+            if output is not None:
+                output.parent.mkdir(parents=True, exist_ok=True)
+                with output.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(record, allow_nan=False) + "\n")
+        show(f"{number + 1} of {arms} arms", (number + 1) / arms)
+        lines += done[case["id"]]["lines"]
+    rows = table(lines)
+    title = f"Deviation of the true tip from planned paths, {arms} arms"
+    return Figures({"rows": rows}, {title: rows})

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import stages
 from longarm_comp.core.calibration.fit import fit
@@ -19,12 +20,12 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.optimal_poses import Uncertainty, optimal_poses
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import catalogue
 from longarm_comp.sim.hidden.base import HiddenEffect
+from studies.commands import Figures, Show, arm_option, arms_option, study_command
 
 COUNTS = (40, 60, 100, 200)
 SIGMA_M = 3e-4
@@ -55,7 +56,7 @@ class PoseOutcome:
     expected: float
 
 
-def planned(arm: Arm, way: str, n: int, known: bool, seed: int) -> Plan:
+def plan_poses(arm: Arm, way: str, n: int, known: bool, seed: int) -> Plan:
     """The poses of one way; only I-optimal ones depend on what is known."""
     if way == "grid":
         return grid(arm, n, seed)
@@ -80,21 +81,19 @@ def one_arm(
     for n in counts:
         for known in (True, False):
             for way in ways:
-                plan = planned(arm, way, n, known, seed)
+                plan = plan_poses(arm, way, n, known, seed)
                 noise = np.random.default_rng([seed, n, 7])
                 xyz = true.tip(plan.q, TrueContext())
                 xyz = xyz + SIGMA_M * noise.standard_normal(xyz.shape)
                 session = Session.record(plan.q, xyz, approach=plan.approach, source=way)
-                model = _known(arm, session) if known else diagnose(arm, session).model
+                if known:
+                    base = dict(stages(declared_model(arm), session))["geometry"].model
+                    model = fit(base.plus(*JointCompliance.for_arm(arm)), session).model
+                else:
+                    model = diagnose(arm, session).model
                 error = np.linalg.norm(model.tip(fresh) - where, axis=1).mean()
                 expected = float(getattr(plan, "expected_m", np.nan))
                 yield PoseOutcome(way, n, known, float(error), expected)
-
-
-def _known(arm: Arm, session: Session) -> Model:
-    """The calibrated model with its effect, fitted to all rows."""
-    base = dict(stages(declared_model(arm), session))["geometry"].model
-    return fit(base.plus(*JointCompliance.for_arm(arm)), session).model
 
 
 def table(found: Sequence[PoseOutcome]) -> list[dict[str, Any]]:
@@ -108,3 +107,27 @@ def table(found: Sequence[PoseOutcome]) -> list[dict[str, Any]]:
                 row[f"{way}_mm"] = round(1e3 * float(np.mean(errors)), 3)
             rows.append(row)
     return rows
+
+
+@study_command(arm_option, arms_option(3), options.seed)
+def command(arm: Arm, arms: int, seed: int, show: Show) -> Figures:
+    """Error of the true tip after 40, 60, 100, 200 poses by grid, Sobol and I-optimal choice.
+
+    The arms have hidden geometry errors and soft joints, which the calibration knows or has to
+    find. Each arm takes a few minutes.
+
+    \b
+    Example:
+      longarm study poses --arms 3
+    """
+    found: list[PoseOutcome] = []
+    steps = arms * len(COUNTS) * len(WAYS) * 2
+    for k in range(seed, seed + arms):
+        for one in one_arm(arm, k):
+            found.append(one)
+            show(f"{one.n} poses by {one.way}", len(found) / steps)
+    rows = table(found)
+    return Figures(
+        {"arms": arms, "seed": seed, "rows": rows, "runs": [vars(o) for o in found]},
+        {f"Error of the true tip, mean of {arms} arms": rows},
+    )

@@ -1,8 +1,9 @@
-"""What joint readings bring: names of droop and softness, the tip without a camera, trim."""
+"""The use of joint readings: names of droop and softness, the tip without a camera, trim."""
 
 from __future__ import annotations
 
 import itertools
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from longarm_comp.core.effects.compliances import JointCompliance as SoftJoint
 from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.model_tolerance import TOLERANCES
-from longarm_comp.core.identify.posterior.found import FoundEffect
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
 from longarm_comp.core.identify.posterior.offers import offered
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.by_readings import by_readings
@@ -29,6 +30,7 @@ from longarm_comp.devices.follower_step import Event, EventKind
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_arm import ServoArm
 from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.context import TrueContext
@@ -39,6 +41,7 @@ from longarm_comp.sim.hidden.loads import JointCompliance
 from longarm_comp.sim.plant import Plant, PlantConfig, mounting
 from longarm_comp.sim.servo_emulator.joints import read_arm
 from longarm_comp.sim.servo_emulator.motor import MotorSpec
+from studies.commands import Figures, Show, study_command, whole_number
 from studies.simulated import TrueEncoders, measure_session
 from studies.true_camera import TrueCamera
 
@@ -65,7 +68,7 @@ def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator
         planted, joint = PLANTED[k % 3], JOINTS[k // 3 % len(JOINTS)]
         rng = np.random.default_rng([26, k])
         effects = [at_joint(joint, name, arm, share * SIZE_MM, rng) for name in planted]
-        found = diagnose(arm, measured(arm, effects, rng, rows))
+        found = diagnose(arm, measure(arm, effects, rng, rows))
         said = [(f.names, list(f.where)) for f in found.findings]
         want = [((name,), [f"joint {joint}"]) for name in planted]
         servos = [one for one in said if "servo_droop" in one[0]]
@@ -95,7 +98,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         rng = np.random.default_rng([26, joint])
         hidden = at_joint(joint, "joint_compliance", arm, share * SIZE_MM, rng)
         assert isinstance(hidden, JointCompliance)
-        session = measured(arm, [hidden], rng, rows, load_kg)
+        session = measure(arm, [hidden], rng, rows, load_kg)
         soft = SoftJoint(joint, compliance=float(hidden.compliance[arm.commanded.index(joint)]))
         fitted = fit(declared_model(arm).plus(soft, *geometry(arm, session)), session)
         kinds = library(arm, session.context()).testable
@@ -122,7 +125,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         }
 
 
-def measured(
+def measure(
     arm: Arm,
     effects: Sequence[HiddenEffect],
     rng: np.random.Generator,
@@ -133,31 +136,16 @@ def measured(
     true = TrueArm(arm, [*effects, *_misbuilt(arm, rng)], steps=4)
     zero = rng.normal(0.0, 1e-3, arm.n)
     q = sobol(arm, rows, rng).q
-    made = measure_session(
+    return measure_session(
         true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders(zero=zero),
         payload_kg=rng.choice([PAYLOADS_KG[0], load_kg], rows),
-    )  # fmt: skip
-    return session_of(made.columns, arm.n)
+    ).session()  # fmt: skip
 
 
 def _misbuilt(arm: Arm, rng: np.random.Generator) -> list[HiddenEffect]:
     """Wrong geometry of typical size."""
     made = [hidden(n, arm, 1.0, rng) for n in ("joint_zero", "dh_error", "base_pose")]
     return [effect for effect in made if isinstance(effect, HiddenEffect)]
-
-
-def session_of(columns: dict[str, np.ndarray], n: int) -> Session:
-    """A simulated session with its readings as the diagnosis reads it."""
-    columns = dict(columns)
-    q = np.column_stack([columns.pop(f"q{k + 1}") for k in range(n)])
-    xyz = np.column_stack([columns.pop(axis) for axis in "xyz"])
-    repeat = np.nan_to_num(columns.pop("repeat_id"), nan=-1.0).astype(int)
-    index, approach = columns.pop("index").astype(int), columns.pop("approach")
-    read = {f"read_q{k}": columns.pop(f"read_q{k}")[:, None] for k in range(1, n + 1)}
-    return Session.record(
-        q, xyz, index=index, approach=approach, repeat_id=repeat, columns=columns,
-        readings=read, source="study",
-    )  # fmt: skip
 
 
 def at_joint(
@@ -186,8 +174,8 @@ def tip(arm: Arm, rows: int = 150) -> dict[str, Any]:
     assert isinstance(droop, HiddenEffect) and isinstance(friction, HiddenEffect)
     true = TrueArm(arm, [droop, friction, *_misbuilt(arm, rng)], steps=4)
     q = sobol(arm, rows, rng).q
-    made = measure_session(true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders())
-    session = session_of(made.columns, arm.n)
+    measured = measure_session(true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders())
+    session = measured.session()
     terms = (*(ServoDroop(row) for row in ServoDroop.rows(arm)), *geometry(arm, session))
     model = fit(declared_model(arm).plus(*terms), session).model
     q = sobol(arm, 100, rng).q
@@ -240,7 +228,7 @@ class SaggingArm:
         self._sound = TrueArm(arm, (), steps=2)
 
     def cycle(self) -> tuple[Event, ...]:
-        """What the driver said in another cycle."""
+        """Run another cycle and return what the driver said."""
         self.now += 0.04
         said = self.driver.cycle(self.now).step.events
         self.plant.tip_pose(0.0)
@@ -269,7 +257,7 @@ class SaggingArm:
         self.plant.stop()
 
 
-def trimmed(folder: Path, scratch: Path, moves: int, trim: bool) -> dict[str, Any]:
+def run_moves(folder: Path, scratch: Path, moves: int, trim: bool) -> dict[str, Any]:
     """Moves of an arm whose servos droop by 8 mm: true miss (mm) and time (s)."""
     rig, off, took = SaggingArm(folder, scratch, trim), [], []
     steps = rig.arm.steps
@@ -285,3 +273,47 @@ def trimmed(folder: Path, scratch: Path, moves: int, trim: bool) -> dict[str, An
         "max_mm": round(1e3 * max(off), 3),
         "mean_s": round(float(np.mean(took)), 2),
     }
+
+
+@study_command(
+    whole_number("--cases", 60, "Planted cases.", least=0),
+    whole_number("--moves", 8, "Trimmed moves."),
+)
+def command(cases: int, moves: int, show: Show) -> Figures:
+    """Show what joint readings improve: names of effects, the tip without a camera, trim.
+
+    \b
+    Example:
+      longarm study readings --cases 6
+    """
+    config = folder("config")
+    arm = Arm.load(config / "arm_demo.yaml")
+    by_tip = tip(arm)
+    with tempfile.TemporaryDirectory() as scratch:
+        trim = [run_moves(config, Path(scratch), moves, on) for on in (False, True)]
+    named, soft = list(names(arm, cases)), list(softness(arm))
+    sure = {row["joint"]: row["name"] >= CREDIBLE for row in reversed(soft)}  # the first stays
+    apart = [r["planted"] == "servo_droop" or sure[r["joint"]] for r in named]
+    counts = []
+    for said, wanted in (("yes", True), ("no", False)):
+        mine = [r["is"] for r, one in zip(named, apart, strict=True) if one is wanted]
+        row = {"rows": f"tell them apart: {said}", "n": len(mine)}
+        counts.append(row | {key: mine.count(key) for key in SAID})
+    servos = sum(r["servo"] for r in named)
+    return Figures(
+        {
+            "tip": by_tip,
+            "trim": trim,
+            "names": named,
+            "counts": counts,
+            "servo": servos,
+            "softness": soft,
+        },
+        {
+            "The tip of servos that droop and stick": [by_tip],
+            "Servos that droop by 8 mm": trim,
+            "How sure the name of a soft joint can be": soft,
+            "Names": named,
+            f"Names, all together; the servos' are right in {servos} of {cases}": counts,
+        },
+    )

@@ -43,7 +43,7 @@ class Measured:
                 for p in np.unique(place)]  # fmt: skip
 
 
-def declared(name: str) -> Arm:
+def declared_arm(name: str) -> Arm:
     """An arm file that ships with the studies."""
     return Arm.load(Path(__file__).parent / "arms" / f"{name}.yaml")
 
@@ -85,7 +85,7 @@ def justin(folder: Path) -> list[Measured]:
     rows = _table(folder / JUSTIN)
     order = np.random.default_rng(0).permutation(500)
     sessions = []
-    chains = {side: declared(f"justin_{side}") for side in ("right", "left")}
+    chains = {side: declared_arm(f"justin_{side}") for side in ("right", "left")}
     columns = {"right": range(4, 11), "left": range(11, 18)}
     for side, other in (("right", "left"), ("left", "right")):
         mine = [r for r in rows if r["arm"] == side]
@@ -124,7 +124,7 @@ def _centre_of_mass(arm: Arm, q: np.ndarray) -> np.ndarray:
 def laser_tracked(folder: Path, name: str) -> list[Measured]:
     """Barrett WAM or UR5 by laser tracker (split by the authors: grid to train, random to test)."""
     rows = _table(folder / TRACKED.format(name))
-    arm = declared(name)
+    arm = declared_arm(name)
     session = Session.record(
         np.array([[float(r[f"q{j + 1}"]) for j in range(arm.n)] for r in rows]),
         np.array([[float(r[c]) for c in "xyz"] for r in rows]),

@@ -93,21 +93,21 @@ def real_sets(folder: Path) -> Iterator[tuple[str, list[Measured]]]:
     yield from found.items()
 
 
-def judged(part: Measured, say: Say) -> Iterator[HeldOut]:
+def judge_splits(part: Measured, say: Say) -> Iterator[HeldOut]:
     """Every split of an arm's rows."""
     for train, test in part.splits:
         touched = test is not None and not test.located.any()
         say("diagnosis")
         try:
-            found = _diagnosed(part.arm, train, test)
+            found = _diagnose(part.arm, train, test)
         except LongarmError as error:
-            yield _refused(part.arm, train, test, str(error))
+            yield _keep_rigid(part.arm, train, test, str(error))
             continue
         say("own rigid fit")
         yield _touches(found) if touched else _rows(found)
 
 
-def _diagnosed(arm: Arm, train: Session, test: Session | None) -> Diagnosis:
+def _diagnose(arm: Arm, train: Session, test: Session | None) -> Diagnosis:
     quiet: Say = lambda _: None  # noqa: E731
     made = diagnose(arm, train, test=test, network=False, note=quiet)
     return made.diagnosis
@@ -143,8 +143,8 @@ def _touches(found: Diagnosis) -> HeldOut:
     return HeldOut(own, *seen, told[0], told[1], judged.error <= judged.radius, found)
 
 
-def _refused(arm: Arm, train: Session, test: Session | None, why: str) -> HeldOut:
-    """What stays where nothing is written: the rigid fit, at the rows held out if stated."""
+def _keep_rigid(arm: Arm, train: Session, test: Session | None, why: str) -> HeldOut:
+    """Return what stays where nothing is written: the rigid fit, at the rows held out if stated."""
     rows = train if test is None else test
     own = OwnRigid.fit(arm, train).left(rows)
     none = np.full(len(own), np.nan)
@@ -179,22 +179,22 @@ def line(name: str, parts: Sequence[Measured], held: Sequence[HeldOut], say: Say
 def _names(
     parts: Sequence[Measured], held: Sequence[HeldOut]
 ) -> tuple[list[dict[str, Any]], list[str]]:
-    """What a diagnosis of all rows to fit names, and why any refused."""
+    """List the names by a diagnosis of all rows to fit, and why any refused."""
     names, refused = [], [h.refused for h in held if h.refused]
     whole = [h.found for h in held] if len(held) == len(parts) else []
     for k, part in enumerate(parts):
         found = whole[k] if whole else None
         if not whole:
             try:
-                found = _diagnosed(part.arm, part.train, None)
+                found = _diagnose(part.arm, part.train, None)
             except LongarmError as error:
                 refused.append(str(error))
         if found is not None:
-            names += _named(found)
+            names += _list_names(found)
     return names, refused
 
 
-def _named(found: Diagnosis) -> list[dict[str, Any]]:
+def _list_names(found: Diagnosis) -> list[dict[str, Any]]:
     return [
         {
             "effect": f.name,
@@ -214,7 +214,7 @@ def halves(part: Measured, seed: int = 1) -> tuple[int, int]:
     both = []
     for half in (part.train.take(mine), part.train.take(~mine)):
         try:
-            both.append(_diagnosed(part.arm, half, None).findings)
+            both.append(_diagnose(part.arm, half, None).findings)
         except LongarmError:
             return 0, 0
     stated = kept = 0
@@ -232,7 +232,7 @@ def overlap(counted: Sequence[tuple[int, int]]) -> dict[str, Any]:
     return {"halves_stated": stated, "halves_overlap": kept / stated if stated else None}
 
 
-def simulated(declared: Arm, count: int) -> Iterator[Measured]:
+def simulate_sets(declared: Arm, count: int) -> Iterator[Measured]:
     """Sessions of simulated arms with one hidden effect each, in turn."""
     for k in range(count):
         name = NAMES[k % len(NAMES)]

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import commandable
 from longarm_comp.core.compensation.realisable import KNOWN_TO, Lattice, Search
@@ -24,7 +24,8 @@ from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from studies.many import chosen
+from studies.commands import Figures, Show, arm_option, study_command, whole_number
+from studies.many import choose_arrays
 
 SLIDE_STEP_M = 1e-4
 POSE_LENGTH_M = 0.3
@@ -86,7 +87,7 @@ class StudyTargets:
     def choose(self, rows: slice = slice(None), **options: Any) -> SimpleNamespace:
         """The joints chosen for some of the targets."""
         case = self.case
-        return chosen(
+        return choose_arrays(
             case.model.arm,
             Lattice.of(case.model.arm),
             lambda q: tip_poses(case.model, q),
@@ -100,19 +101,15 @@ class StudyTargets:
         """Processor time of a target: the median over targets, each the best of several runs."""
         single = np.empty((len(self.ideal), TIMINGS))
         for i, run in np.ndindex(*single.shape):
-            single[i, run] = _spent(lambda i=i: self.choose(slice(i, i + 1)))  # type: ignore[misc]
+            began = time.process_time()
+            self.choose(slice(i, i + 1))
+            single[i, run] = time.process_time() - began
         return float(np.median(single.min(axis=1)))
-
-
-def _spent(work: Callable[[], object]) -> float:
-    began = time.process_time()
-    work()
-    return time.process_time() - began
 
 
 def cases(base: Arm, steps: int) -> list[ArmCase]:
     """Variants of an arm with servos of ``steps`` per turn: slides locked, a wrist added."""
-    whole = _stepped(base, steps)
+    whole = _with_steps(base, steps)
     slides = [
         k for k, row in enumerate(whole.commanded) if whole.joints[row - 1].type == "prismatic"
     ]
@@ -121,11 +118,11 @@ def cases(base: Arm, steps: int) -> list[ArmCase]:
         ArmCase(f"{whole.n - len(locked)} joints", model, tuple(locked))
         for locked in (slides, slides[-1:], [])
     ]
-    wrist = commandable(declared_model(_stepped(base, steps, wrist=True)))
+    wrist = commandable(declared_model(_with_steps(base, steps, wrist=True)))
     return [*drawn, ArmCase(f"{wrist.arm.n} joints", wrist)]
 
 
-def _stepped(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
+def _with_steps(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
     data = base.model_dump(mode="json", exclude_defaults=True)
     if wrist:
         rows = len(data["joints"])
@@ -162,7 +159,7 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
                     "p95_mm": 1e3 * np.percentile(error[:, 0], 95),
                     "rounded_mrad": 1e3 * rounded[:, 1].mean() if pose else None,
                     "mean_mrad": 1e3 * error[:, 1].mean() if pose else None,
-                    "moved_deg": _moved(case, got, got.joints),
+                    "moved_deg": _largest_offset_deg(case, got, got.joints),
                     "nodes": float(got.nodes.mean()),
                     "cpu_us": 1e6 * t.seconds(),
                 }
@@ -178,12 +175,13 @@ def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, 
     rows: list[dict[str, object]] = []
 
     def add(name: object, error: np.ndarray, at: np.ndarray, path: np.ndarray) -> None:
+        between = np.abs(np.diff(path[:, case.turning], axis=0)).max()  # neighbours of the path
         rows.append(
             {
                 "price_mm_per_deg": name,
                 "mean_mm": 1e3 * error[:, 0].mean(),
-                "moved_deg": _moved(case, single, at),
-                "path_move_deg": _path_move(case, path),
+                "moved_deg": _largest_offset_deg(case, single, at),
+                "path_move_deg": float(np.degrees(between)),
             }
         )
 
@@ -251,11 +249,38 @@ def _line(case: ArmCase, seed: int) -> StudyTargets:
             return StudyTargets(case, points, np.array(joints[1:]))
 
 
-def _path_move(case: ArmCase, q: np.ndarray) -> float:
-    """Largest move (deg) of a revolute joint between neighbours of a path."""
-    return float(np.degrees(np.abs(np.diff(q[:, case.turning], axis=0)).max()))
-
-
-def _moved(case: ArmCase, got: SimpleNamespace, q: np.ndarray) -> float:
-    """How far (deg) the revolute joint that moves most is from its ideal, mean over targets."""
+def _largest_offset_deg(case: ArmCase, got: SimpleNamespace, q: np.ndarray) -> float:
+    """Return the largest move (deg) of a revolute joint from its ideal, mean over targets."""
     return float(np.degrees(np.abs(q - got.ideal)[:, case.turning].max(axis=1).mean()))
+
+
+@study_command(
+    arm_option,
+    whole_number("--targets", 60, "Targets per row."),
+    whole_number(
+        "--steps", 1000, "Servo steps per turn of a revolute joint; slides have 0.1 mm.", 2
+    ),
+    options.seed,
+)
+def command(arm: Arm, targets: int, steps: int, seed: int, show: Show) -> Figures:
+    """Compare the choice among the servos' steps with rounding, and its sensitivity.
+
+    The truth is the declared model with sag. No measurement is used.
+
+    \b
+    Example:
+      longarm study realisable --targets 60 --json
+    """
+    tables = {
+        "arms": ("Positions and poses (0.3 m/rad)", arms_table),
+        "price": ("Price of movement; path: a line of 5 mm steps", price_table),
+        "sensitivity": ("Servos or arm not as declared", sensitivity_table),
+    }
+    rows: dict[str, list[dict[str, object]]] = {}
+    for k, (name, (title, table)) in enumerate(tables.items()):
+        show(title, k / len(tables))
+        rows[name] = table(arm, targets, steps, seed)
+    return Figures(
+        {"targets": targets, "steps_per_turn": steps, "seed": seed, **rows},
+        {title: rows[name] for name, (title, _) in tables.items()},
+    )

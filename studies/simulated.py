@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 
-from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import write_text
+from longarm_comp.core.data.session import Session
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from studies.true_camera import Noise, TrueCamera
@@ -48,6 +45,21 @@ class SimulatedSession:
 
     columns: dict[str, Array]
     truth: dict[str, Array] = field(repr=False)
+
+    def session(self) -> Session:
+        """Make the session that a diagnosis reads."""
+        columns = dict(self.columns)
+        joints = [name for name in columns if re.fullmatch(r"q\d+", name)]
+        q = np.column_stack([columns.pop(name) for name in joints])
+        xyz = np.column_stack([columns.pop(axis) for axis in "xyz"])
+        repeat = np.nan_to_num(columns.pop("repeat_id"), nan=-1.0).astype(int)
+        index, approach = columns.pop("index").astype(int), columns.pop("approach")
+        read = [name for name in columns if name.startswith("read_q")]
+        readings = {name: columns.pop(name)[:, None] for name in read}
+        return Session.record(
+            q, xyz, index=index, approach=approach, repeat_id=repeat, columns=columns,
+            readings=readings, source="study",
+        )  # fmt: skip
 
 
 def measure_session(
@@ -132,17 +144,6 @@ def arrival(q: Array, written: Array) -> Array:
             moved = np.sign(np.round(q[k] - q[k - 1], 9))
             side[k] = np.where(moved != 0, moved, side[k - 1])
     return side
-
-
-def write_session(path: str | Path, columns: Mapping[str, Array]) -> None:
-    """Write samples.csv (or any columns of one length); NaN becomes blank."""
-    lengths = {len(column) for column in columns.values()}
-    if len(lengths) != 1:
-        raise InputError(path, "columns", f"lengths {sorted(lengths)}", "columns of one length")
-    table = pd.DataFrame(columns)
-    whole = [name for name in ("index", "approach", "repeat_id") if name in table]
-    table[whole] = table[whole].astype("Int64")
-    write_text(path, table.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
 
 
 def _with_repeats(

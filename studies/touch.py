@@ -12,9 +12,11 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from longarm_comp.cli import options
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import PRINTED
 from longarm_comp.core.calibration.calibrate import stages
@@ -24,6 +26,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.workflows.diagnose import diagnose
+from studies.commands import Figures, Show, study_command
 from studies.interval import mean_ci95
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "panda_touch"
@@ -31,12 +34,12 @@ GAP = 0.05
 """Distance of the two sockets of a tool, m, as published."""
 MODELS = ("nominal", "rigid", "diagnosed")
 
-Progress = Callable[[str], None]
+_STEPS = 25  # places of the six arms: for the bar only
 
 
 @dataclass(frozen=True)
 class Left:
-    """What the models leave at one place of one arm: (N,) distances by model, m; names found."""
+    """Errors of the models at one place of one arm: (N,) distances by model, m; names found."""
 
     place: str
     spread: dict[str, np.ndarray]
@@ -57,27 +60,8 @@ class Touched:
 
     @property
     def names(self) -> list[str]:
-        """What the diagnoses found, the most frequent first."""
+        """The names that the diagnoses found, the most frequent first."""
         return [name for name, _ in Counter(n for p in self.places for n in p.names).most_common()]
-
-
-def study(folder: Path, progress: Progress | None = None) -> list[Touched]:
-    """Every arm of a folder.
-
-    Args:
-        folder: one CSV an arm, with ``q1..q7``, ``location`` and ``socket``.
-        progress: called with the arm and the place that is held out.
-
-    Raises:
-        InputError: there is no such file, or a column is missing.
-    """
-    files = sorted(folder.glob("*.csv"))
-    if not files:
-        raise InputError(str(folder), "data", "no CSV", "a file an arm: location, socket, q1..q7")
-    arm = Arm.load(EXAMPLE / "arm.yaml")
-    return [
-        _judged(path.stem, arm, read(path, arm), progress or (lambda _: None)) for path in files
-    ]
 
 
 def read(path: Path, arm: Arm) -> Session:
@@ -99,7 +83,7 @@ def read(path: Path, arm: Arm) -> Session:
     )
 
 
-def _judged(name: str, arm: Arm, session: Session, say: Progress) -> Touched:
+def _judge_places(name: str, arm: Arm, session: Session, say: Callable[[str], None]) -> Touched:
     location, made = session.labels["location"], []
     for place in np.unique(location):
         say(f"{name}, {place}")
@@ -108,7 +92,8 @@ def _judged(name: str, arm: Arm, session: Session, say: Progress) -> Touched:
         models = {"nominal": fits["frames_only"].model, "rigid": fits["geometry"].model}
         try:
             found = diagnose(arm, train, test=held)
-            models["diagnosed"], names = fit(found.model, train).model, _named(found.findings)
+            models["diagnosed"] = fit(found.model, train).model
+            names = tuple(f"{f.name} {', '.join(f.where)}" for f in found.findings)
         except LongarmError as error:
             say(f"{name}, {place}: {error}")
             models["diagnosed"], names = models["rigid"], ()
@@ -117,12 +102,8 @@ def _judged(name: str, arm: Arm, session: Session, say: Progress) -> Touched:
     return Touched(name, len(session), tuple(made))
 
 
-def _named(findings: object) -> tuple[str, ...]:
-    return tuple(f"{f.name} {', '.join(f.where)}" for f in findings)  # type: ignore[attr-defined]
-
-
 def gains_mm(arms: list[Touched], model: str, than: str) -> tuple[float, float, float]:
-    """By how much a model leaves less than another, mm: mean over places, and its 95 % interval.
+    """Compute how much less a model leaves than another, mm: mean over places, 95 % interval.
 
     Places are drawn anew: touches of one place share its point.
     """
@@ -132,13 +113,13 @@ def gains_mm(arms: list[Touched], model: str, than: str) -> tuple[float, float, 
     return mean_ci95(np.array(by_place))
 
 
-def lines(arms: list[Touched]) -> list[dict[str, object]]:
+def lines(arms: list[Touched]) -> list[dict[str, Any]]:
     """One row an arm, then all arms together, every row counted once."""
     made = []
     groups = [(a.arm, [a]) for a in arms] + [("all", arms)]
     for name, held in groups:
         together = Touched(name, sum(a.rows for a in held), sum((a.places for a in held), ()))
-        row: dict[str, object] = {
+        row: dict[str, Any] = {
             "arm": name,
             "rows": together.rows,
             "places": len(together.places),
@@ -152,3 +133,41 @@ def lines(arms: list[Touched]) -> list[dict[str, object]]:
         row["names"] = together.names
         made.append(row)
     return made
+
+
+@study_command(
+    options.path_option("--data", "Folder with a CSV an arm: location, socket, q1..q7.", True)
+)
+def command(data: Path, show: Show) -> Figures:
+    """Errors of calibration and diagnosis at sockets held out in turn, on real arms.
+
+    nominal: the data sheet, with the place of the ball; rigid: its geometry calibrated;
+    diagnosed: with what a diagnosis of the same rows added.
+
+    \b
+    Example:
+      longarm study touch --data touch_pandas --json
+    """
+    files = sorted(data.glob("*.csv"))
+    if not files:
+        raise InputError(str(data), "data", "no CSV", "a file an arm: location, socket, q1..q7")
+    arm, steps = Arm.load(EXAMPLE / "arm.yaml"), iter(range(_STEPS))
+
+    def say(text: str) -> None:
+        show(text, next(steps, _STEPS) / _STEPS)
+
+    found = lines([_judge_places(path.stem, arm, read(path, arm), say) for path in files])
+    *arms, together = found
+    shown = [{k: v for k, v in row.items() if k != "names" and "ci95" not in k} for row in found]
+    gain = f"{together['gain_mm']} {together['gain_ci95_mm']} mm"
+    means = (f"{k} {together[f'{k}_ci95_mm']}" for k in MODELS)
+    names = (", ".join(row["names"]) or "nothing named" for row in arms)
+    return Figures(
+        {"arms": arms, "all": together},
+        {"Mean distance from the touched point, each place held out in turn": shown},
+        [
+            f"diagnosed leaves less than rigid, over places: {gain}",
+            "95 % of the means, over places, mm: " + ", ".join(means),
+            *(f"{row['arm']}: {said}" for row, said in zip(arms, names, strict=True)),
+        ],
+    )

@@ -1,4 +1,4 @@
-"""What a stereo head sees of the true arm: its errors, by chance and hidden ones, by name."""
+"""A stereo head that sees the true arm: its errors, by chance and hidden ones, by name."""
 
 from __future__ import annotations
 
@@ -165,8 +165,10 @@ def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> Hidden
 def draw(
     name: str, arm: Arm, rng: np.random.Generator, size_mm: float, poses: Array | None = None
 ) -> Hidden:
-    """As `catalogue.draw`, of the cameras' side too."""
-    made: Hidden = catalogue.sized(hidden(name, arm, 1.0, rng), arm, rng, size_mm, poses, seen_tip)
+    """Draw as `catalogue.draw` does, of the cameras' side too."""
+    made: Hidden = catalogue.scale_to_size(
+        hidden(name, arm, 1.0, rng), arm, rng, size_mm, poses, seen_tip
+    )
     return made
 
 

@@ -21,7 +21,7 @@ from studies.commands import STUDIES
 
 ENTRIES = {
     **{entry.name: (entry, "longarm_comp.cli") for entry in COMMANDS if entry.name != "study"},
-    **{f"study {entry.name}": (entry, "studies.commands") for entry in STUDIES},
+    **{f"study {entry.name}": (entry, "studies") for entry in STUDIES},
 }
 """Each command that does something, and the folder of its module."""
 

@@ -145,8 +145,8 @@ def test_ssa_against_samples_and_population() -> None:
 
 
 def test_commands_and_imports_start() -> None:
-    for measured in (startup.help_page, startup.import_core):
-        finite(measured(1))
+    for name in ("help", "core"):
+        finite(startup.beside_floor(name, 1))
 
 
 @pytest.mark.long

@@ -58,9 +58,9 @@ def test_no_file_of_a_command_is_forgotten() -> None:
     root = Path(run.__file__).parents[2]
     files = {
         ".".join(path.relative_to(root).with_suffix("").parts)
-        for folder in (Path(run.__file__).parent, root / "studies" / "commands")
+        for folder in (Path(run.__file__).parent, root / "studies")
         for path in folder.glob("*.py")
-        if re.search(r"^(@click.command|@shape.study)", path.read_text("utf-8"), re.M)
+        if re.search(r"^(@click.command|@study_command)", path.read_text("utf-8"), re.M)
     }
     listed = {f"{folder}.{e.module.partition(':')[0]}" for e, folder in ENTRIES.values()}
     assert files == listed - {"longarm_comp.cli.bench.command"}  # which is beside the package

@@ -13,7 +13,7 @@ from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
-from studies.many import compensated
+from studies.many import compensate_arrays
 
 
 @pytest.fixture
@@ -55,14 +55,14 @@ def miss(measured: np.ndarray, targets: np.ndarray) -> float:
 def test_sign_and_settling(plant):
     """Corrected, the real tip is on target; with the other sign it would miss by twice as much."""
     model, targets, measure = plant
-    made = compensated(model, Known(), targets)
+    made = compensate_arrays(model, Known(), targets)
     assert (made.status == Status.SUCCESS).all()
     assert miss(measure(made.command), targets) < 1.2e-5
     assert miss(measure(made.ideal), targets) > 5e-3
     # without position_only=True the targets are positions anyway
     assert np.allclose(made.pseudo_target, targets - made.predicted_error)
     assert ((made.passes >= 1) & (made.passes <= 5)).all()
-    opposite = compensated(model, Known(lambda q: -smooth_error(q)), targets)
+    opposite = compensate_arrays(model, Known(lambda q: -smooth_error(q)), targets)
     assert miss(measure(opposite.command), targets) > 1.8 * miss(measure(made.ideal), targets)
 
 
@@ -73,7 +73,7 @@ def test_a_pose_is_corrected_in_position_and_kept_in_orientation(plant):
     rng = np.random.default_rng(8)
     q = arm.mid + 0.4 * (arm.upper - arm.lower) * (rng.random((12, arm.n)) - 0.5)
     poses = model.pose(q)
-    made = compensated(model, Known(), poses, seed=q)
+    made = compensate_arrays(model, Known(), poses, seed=q)
     good = made.status == Status.SUCCESS
     assert good.sum() >= 8
     reached = model.pose(made.command[good])
@@ -88,9 +88,9 @@ def test_a_pose_is_corrected_in_position_and_kept_in_orientation(plant):
 
 def test_single_pass_leaves_the_second_order(plant):
     model, targets, measure = plant
-    once = compensated(model, Known(), targets, single_pass=True)
+    once = compensate_arrays(model, Known(), targets, single_pass=True)
     assert (once.passes == 1).all()
-    many = compensated(model, Known(), targets, tol_m=1e-7)
+    many = compensate_arrays(model, Known(), targets, tol_m=1e-7)
     left = miss(measure(once.command), targets)
     assert 1e-5 < left < 2e-3
     assert miss(measure(many.command), targets) < 2e-7 < left
@@ -104,13 +104,13 @@ def test_passes_on_a_soft_arm(plant):
     model, targets, _ = plant
     stiff = Model(model.arm)
     sag = Known(lambda q: model.tip(q) - stiff.tip(q))
-    single = compensated(model, sag, targets, method=Method.NETWORK, single_pass=True)
-    none = compensated(model, None, targets, method=Method.NONE)
+    single = compensate_arrays(model, sag, targets, method=Method.NETWORK, single_pass=True)
+    none = compensate_arrays(model, None, targets, method=Method.NONE)
     raw = miss(model.tip(none.command), targets)
-    settled = compensated(model, sag, targets, method=Method.NETWORK)
+    settled = compensate_arrays(model, sag, targets, method=Method.NETWORK)
     assert miss(model.tip(single.command), targets) < 0.2 * raw
     assert miss(model.tip(settled.command), targets) < 1.2e-5
-    physics = compensated(model, None, targets, method=Method.DEFLECTION)
+    physics = compensate_arrays(model, None, targets, method=Method.DEFLECTION)
     assert miss(model.tip(physics.command), targets) < 1e-8
 
 
@@ -118,7 +118,7 @@ def test_methods_use_the_physics_they_name(plant):
     model, targets, _ = plant
     stiff = Model(model.arm)
     for method, reached in ((Method.NONE, stiff), (Method.DEFLECTION, model)):
-        made = compensated(model, Known(), targets, method=method)
+        made = compensate_arrays(model, Known(), targets, method=method)
         assert (made.status == Status.SUCCESS).all()
         assert (made.passes == 0).all()
         assert not made.predicted_error.any()
@@ -127,11 +127,11 @@ def test_methods_use_the_physics_they_name(plant):
 
 def test_no_predictor_and_out_of_domain_fall_back_and_say_so(plant):
     model, targets, _ = plant
-    plain = compensated(model, None, targets)
+    plain = compensate_arrays(model, None, targets)
     assert (plain.status == Status.NO_PREDICTOR).all()
     assert plain.success.all()
     assert "physics only" in plain.reason[0]
-    refusing = compensated(model, Known(inside=lambda q: q[:, 0] > 0), targets)
+    refusing = compensate_arrays(model, Known(inside=lambda q: q[:, 0] > 0), targets)
     out = refusing.status == Status.OUT_OF_DOMAIN
     assert out.any()
     assert (refusing.status == Status.SUCCESS).any()
@@ -142,7 +142,7 @@ def test_no_predictor_and_out_of_domain_fall_back_and_say_so(plant):
 
 def test_correction_is_bounded(plant):
     model, targets, _ = plant
-    made = compensated(model, Known(), targets, max_correction_m=1e-3)
+    made = compensate_arrays(model, Known(), targets, max_correction_m=1e-3)
     assert (made.status == Status.CORRECTION_TOO_LARGE).all()
     assert not made.success.any()
     assert "permitted" in made.reason[0]
@@ -150,13 +150,13 @@ def test_correction_is_bounded(plant):
     assert one.status is Status.CORRECTION_TOO_LARGE
     np.testing.assert_array_equal(one.command, one.ideal)
     size = np.linalg.norm(smooth_error(made.ideal), axis=1).max()
-    assert compensated(model, Known(), targets, max_correction_m=1.5 * size).success.all()
+    assert compensate_arrays(model, Known(), targets, max_correction_m=1.5 * size).success.all()
 
 
 def test_what_does_not_settle_is_said(plant):
     model, targets, _ = plant
     flips = Known(lambda q: np.where(np.arange(3) == 2, 0.004 * np.sin(4e3 * q[:, :1]), 0.0))
-    made = compensated(model, flips, targets, tol_m=1e-9, max_passes=3)
+    made = compensate_arrays(model, flips, targets, tol_m=1e-9, max_passes=3)
     assert (made.status == Status.NOT_CONVERGED).any()
     assert not made.success[(made.status == Status.NOT_CONVERGED).argmax()]
 
@@ -166,7 +166,7 @@ def test_bad_and_unreachable_targets_are_answers(plant):
     some = targets[:4].copy()
     some[0, 1] = np.nan
     some[2] = [9.0, 0.0, 0.0]
-    made = compensated(model, Known(), some)
+    made = compensate_arrays(model, Known(), some)
     assert list(made.status[[0, 2]]) == [Status.BAD_TARGET, Status.UNREACHABLE]
     assert made.success[[1, 3]].all()
     assert "finite" in made.reason[0]
@@ -190,7 +190,7 @@ def test_many_are_each_by_itself(plant):
     def inside(q):
         return q[:, 1] > np.quantile(turn, 0.3)
 
-    bend, turn = compensated(model, None, targets, seed=starts).ideal[:, :2].T
+    bend, turn = compensate_arrays(model, None, targets, seed=starts).ideal[:, :2].T
     given = {"tol_m": 1e-4, "max_passes": 4}
     many = compensate_many(
         model, Known(error, inside), targets, context=carried, seed=starts, **given
@@ -215,7 +215,7 @@ def test_the_predictor_hears_the_context(plant):
     model, targets, _ = plant
     known = Known()
     context = Context((1.0,) * 7, {"temperature_c": 31.0, "payload_kg": np.full(30, 0.4)})
-    compensated(model, known, targets, context=context)
+    compensate_arrays(model, known, targets, context=context)
     assert known.seen[0].approach == (1.0,) * 7
     assert known.seen[0].columns["temperature_c"] == 31.0
     assert (known.seen[0].columns["payload_kg"] == 0.4).all()
@@ -227,6 +227,6 @@ def test_the_predictor_hears_the_context(plant):
 def test_options_are_checked(plant, options):
     model, targets, _ = plant
     with pytest.raises(InputError):
-        compensated(model, Known(), targets[:2], **options)
+        compensate_arrays(model, Known(), targets[:2], **options)
     with pytest.raises(InputError):
         compensate(model, Known(), np.zeros(4))

@@ -21,7 +21,7 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.typical_loads import reach, typical_loads
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 from longarm_comp.core.model.model import Model
-from studies.real_sessions import declared
+from studies.real_sessions import declared_arm
 
 
 @pytest.mark.parametrize("scale", [0.2, 1.0, 30.0])
@@ -68,7 +68,7 @@ def test_loads_are_known_where_a_mass_is_where_a_column_says() -> None:
 
 def test_a_mass_at_a_recorded_place_has_a_typical_load() -> None:
     """Where it sits is known with a row only, so the moment that a bearing carries is not."""
-    arm = declared("justin_right")
+    arm = declared_arm("justin_right")
     force, torque, _ = typical_loads(arm)
     assert torque == pytest.approx(force * reach(arm) / 4)
 

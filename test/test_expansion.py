@@ -12,7 +12,7 @@ from longarm_comp.core.compensation.expansion import LINEAR_M, Nearby
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.declared_model import declared_model
-from studies.many import compensated
+from studies.many import compensate_arrays
 
 SPAN = ARM.upper - ARM.lower
 FROM_BELOW = Context((1.0,) * ARM.n)
@@ -73,7 +73,7 @@ def test_commands_and_statuses_are_those_of_asking_every_time(predictor: Predict
     targets = model.tip(postures(80, 0.62, seed=4))
     targets[-1] = [9.0, 0.0, 0.0]
     context = Context(approach=(1.0,) * ARM.n)
-    many = compensated(model, predictor, targets, context=context)
+    many = compensate_arrays(model, predictor, targets, context=context)
     questions = []
 
     def ask(q, context):

@@ -305,7 +305,7 @@ def test_the_same_with_fewer_places_takes_the_place_of_what_has_too_many() -> No
         readings.at_joint(6, name, DEMO, 0.3 * readings.SIZE_MM, rng)
         for name in ("servo_droop", "joint_compliance")
     ]
-    found = diagnose(DEMO, readings.measured(DEMO, hidden, rng, 240)).findings
+    found = diagnose(DEMO, readings.measure(DEMO, hidden, rng, 240)).findings
     assert {(f.names, f.where) for f in found} == {
         (("servo_droop",), ("joint 6",)),
         (("joint_compliance",), ("joint 6",)),

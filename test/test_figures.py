@@ -22,8 +22,6 @@ from studies.commands import STUDIES
 def test_every_table_has_its_place_and_every_command_is_there() -> None:
     for name, (page, *_) in figures.TABLES.items():
         assert f"<!-- figures: {name} -->\n" in (DOCS / page).read_text("utf-8"), name
-    assert figures.summed_up((DOCS / "figures.md").read_text("utf-8"), {})
-    assert {name for name, _ in figures.SUMMARY.values()} <= set(figures.COMMANDS)
     assert set(figures.BENCHES) <= set(BENCHMARKS)
     words = [command.split() for command in figures.COMMANDS.values()]
     assert {w[1] for w in words if w[0] == "study"} <= {entry.name for entry in STUDIES}
@@ -40,26 +38,6 @@ def test_a_table_is_written_below_its_mark_and_nowhere_else() -> None:
         figures.placed(page, "real", told)
     with pytest.raises(ValueError, match="other columns"):
         figures.table(header[:2], rows(found))
-
-
-def test_a_row_is_that_of_its_command_and_the_others_stay() -> None:
-    page = (DOCS / "figures.md").read_text("utf-8")
-    rows = [{"model": name, "true_mean_mm": mm} for name, mm in
-            (("original", 7.0), ("declared", 8.0), ("effect found", 0.25))]  # fmt: skip
-    made = figures.summed_up(page, {"demo": {"rows": rows}})
-    changed = [line for line in made.splitlines() if line not in page.splitlines()]
-    assert [line.split(" | ")[1] for line in changed] == ["7", "8", "0.25"]
-
-
-@pytest.mark.parametrize("what", figures.SUMMARY)
-def test_a_row_is_one_that_its_command_prints(what: str) -> None:
-    """Its words stand in the study, or in the job, as they do here."""
-    command, figure = figures.SUMMARY[what]
-    words = figures.COMMANDS[command].split()
-    places = ROOT.glob("studies/**/*.py" if words[0] == "study" else "longarm_comp/jobs/*.py")
-    assert any(f'"{figure.value}' in place.read_text("utf-8") for place in places)
-    with pytest.raises(ValueError, match="no row"):
-        figure.of({figure.among: [{figure.name: "another"}]})
 
 
 def test_a_command_runs_once_on_one_state_of_the_code(tmp_path: Path) -> None:

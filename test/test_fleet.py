@@ -23,7 +23,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.report.pages import fleet_page
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.workflows.fleet import Diagnosed, Finding, compared, fleet, members
-from studies.commands.fleet import command as study
+from studies.fleet import command as study
 
 
 def rows_of(zero: float, seed: int, n: int = 60) -> Session:

@@ -20,7 +20,7 @@ from longarm_comp.core.files import write_text
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.workflows import cluster
 from longarm_comp.workflows.fleet import fleet
-from studies.commands.fleet import command as study
+from studies.fleet import command as study
 
 distributed = pytest.importorskip(
     "dask.distributed", reason="dask is not installed: pip install 'longarm_comp[cluster]'"

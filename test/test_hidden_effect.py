@@ -24,7 +24,7 @@ from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.candidate_states import detectable
 from longarm_comp.sim.hidden import drives, geometry
-from studies.many import compensated
+from studies.many import compensate_arrays
 
 GAIN = (drives.JointGain(at(2, 0.02)),)
 LAG = (drives.FrictionHysteresis(at(2, 0.006)),)
@@ -168,7 +168,7 @@ def test_a_commanded_arm_lands_closer_and_leaves_nothing_to_find(gain: Diagnosis
     options = {"seed": q, "context": context, "position_only": True}
     missed = {}
     for name in ("nominal", "calibrated", "with_effects"):
-        command = compensated(gain.models[name], None, targets, **options).command
+        command = compensate_arrays(gain.models[name], None, targets, **options).command
         reached = tip(GAIN, command, side)
         missed[name] = float(np.linalg.norm(reached - targets, axis=1).mean())
     assert missed["with_effects"] < 0.5 * missed["calibrated"] < 0.5 * missed["nominal"]

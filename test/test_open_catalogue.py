@@ -27,7 +27,7 @@ from longarm_comp.core.model.model_file import load_model, save_model, store
 from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import drives
-from studies.many import compensated
+from studies.many import compensate_arrays
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "custom_effect.py"
@@ -126,7 +126,7 @@ def test_with_its_file_the_real_tip_lands_on_targets(example: Path) -> None:
     missed = {}
     without = Model(arm, tuple(e for e in model.effects if e.name != "cable_coupling"))
     for name, used in (("with", model), ("without", without)):
-        command = compensated(used, None, targets, seed=q, position_only=True).command
+        command = compensate_arrays(used, None, targets, seed=q, position_only=True).command
         tip = TrueArm(arm, [CablePull()]).tip(command)
         missed[name] = float(np.linalg.norm(tip - targets, axis=1).mean())
     assert missed["with"] < 3e-4

@@ -22,7 +22,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import geometry, loads
-from studies.many import compensated
+from studies.many import compensate_arrays
 
 ZEROS = {1: 0.03, 4: -0.04, 5: 0.05, 6: -0.03}  # rad, by row
 TILT = 0.02  # rad, twist of row 5
@@ -79,7 +79,7 @@ def size(vectors: np.ndarray) -> float:
 
 
 def commanded(model: Model, targets: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    made = compensated(model, None, targets, seed=joints, method=Method.DEFLECTION)
+    made = compensate_arrays(model, None, targets, seed=joints, method=Method.DEFLECTION)
     assert made.success.all(), made.reason
     return made.command
 
@@ -145,7 +145,7 @@ def test_a_learned_error_is_a_position_and_leaves_the_orientation_to_the_physics
             return Prediction(error, np.full((len(q), 3), 1e-4), np.ones(len(q), bool))
 
     targets = found.pose(joints)
-    made = compensated(found, Known(), targets, seed=joints)
+    made = compensate_arrays(found, Known(), targets, seed=joints)
     assert made.success.all(), made.reason
     reached = found.pose(made.command)
     np.testing.assert_allclose(reached[:, :3, 3], targets[:, :3, 3] - [3e-3, 0.0, 0.0], atol=2e-6)

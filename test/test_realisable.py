@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.realisable import Lattice, Search, choose
 from longarm_comp.core.errors import InputError
-from studies.many import chosen
+from studies.many import choose_arrays
 
 STEP = 2 * math.pi / 1000
 SLIDE = 1e-4
@@ -88,7 +88,7 @@ class Linear:
         self, price: float = PRICE, kept: int = 16, rounds: int = 2, **more: Any
     ) -> SimpleNamespace:
         search = Search(LENGTH, price_m=price, kept=kept, rounds=rounds, max_nodes=200_000)
-        return chosen(
+        return choose_arrays(
             self.arm, self.lattice, self.predict, self.targets, self.ideal, search, **more
         )
 
@@ -142,7 +142,7 @@ def test_a_second_look_mends_what_the_first_took_for_linear(rng: np.random.Gener
 
     targets = bent(case.ideal)
     left = [
-        chosen(
+        choose_arrays(
             case.arm, case.lattice, bent, targets, case.ideal, Search(LENGTH, kept=1, rounds=r)
         ).error[:, 0]
         for r in (1, 2)
@@ -222,7 +222,7 @@ def test_what_is_not_known_to_a_share_of_the_step_stays(rng: np.random.Generator
         "joint2 stays at its ideal value: the offset of its steps is not known to 0.15 of a step"
     )
     nothing = dataclasses.replace(case.lattice, offset_sd=case.lattice.step)
-    held = chosen(case.arm, nothing, case.predict, case.targets, case.ideal, Search(LENGTH))
+    held = choose_arrays(case.arm, nothing, case.predict, case.targets, case.ideal, Search(LENGTH))
     np.testing.assert_array_equal(held.joints, case.ideal)
     assert set(held.reason) == {"no joint's steps are known"}
     assert held.note[0].count("stays at its ideal value") == 4
@@ -249,8 +249,8 @@ def test_locked_joints_stay_and_the_others_make_up_for_them(rng: np.random.Gener
     continuous = dataclasses.replace(case.lattice, step=case.lattice.step * [1, 1, 1, 0])
     search = Search(LENGTH)
     args = (case.arm, continuous, case.predict, case.targets, case.ideal, search)
-    assert (chosen(*args, locked=[3]).joints[:, 3] == case.ideal[:, 3]).all()
-    assert (chosen(*args).joints[:, 3] != case.ideal[:, 3]).all()
+    assert (choose_arrays(*args, locked=[3]).joints[:, 3] == case.ideal[:, 3]).all()
+    assert (choose_arrays(*args).joints[:, 3] != case.ideal[:, 3]).all()
     grid = case.brute()
     for i, ideal in enumerate(case.ideal):
         some = grid.copy()
@@ -269,7 +269,7 @@ def test_a_step_where_the_model_says_nothing_is_never_taken(rng: np.random.Gener
         tip[(apart < 1e-9).all(axis=2).any(axis=1)] = math.nan
         return tip
 
-    got = chosen(case.arm, case.lattice, predict, case.targets, case.ideal, Search(LENGTH))
+    got = choose_arrays(case.arm, case.lattice, predict, case.targets, case.ideal, Search(LENGTH))
     assert np.isfinite(got.error).all()
     assert other.sum() > 6
     assert (got.joints != best.joints).any(axis=1)[other].all()

@@ -23,7 +23,7 @@ from longarm_comp.core.ik.engines import posture_at, tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, unstack
-from studies.many import chosen
+from studies.many import choose_arrays
 
 STEP = 2 * math.pi / 1000
 SLIDE = 1e-4
@@ -63,7 +63,9 @@ def commanded(
     search = Search(length, price_m=price)
     lattice = Lattice.of(model.arm, offset)
     predict = lambda q: tip_poses(model, q)  # noqa: E731
-    return chosen(model.arm, lattice, predict, targets, ideal, search, locked=locked), targets
+    return choose_arrays(
+        model.arm, lattice, predict, targets, ideal, search, locked=locked
+    ), targets
 
 
 def on_steps(model: Model, q: np.ndarray, offset: Any = 0.0) -> np.ndarray:
@@ -121,7 +123,7 @@ def test_few_steps_by_the_arms_own_model(model: Model, rng: np.random.Generator)
         q = rng.uniform(low, high, (5, arm.n))
         targets = model.pose(q) if pose else model.tip(q)
         search = Search(LENGTH, max_nodes=100_000)
-        got = chosen(
+        got = choose_arrays(
             small, Lattice.of(arm), lambda q: model.pose(q), targets, q, search
         )  # fmt: skip
         steps = [
@@ -156,7 +158,7 @@ def test_locked_joints_and_limits_of_the_demonstration_arm(
         q[:, joint] = np.where(rng.random(30) < 0.5, arm.lower[joint], arm.upper[joint])
         q[:, (joint + 1) % arm.n] = arm.lower[(joint + 1) % arm.n]
         lattice = Lattice.of(arm, 0.4 * arm.steps)
-        edge = chosen(arm, lattice, lambda q: model.tip(q), model.tip(q), q, Search(LENGTH))
+        edge = choose_arrays(arm, lattice, lambda q: model.tip(q), model.tip(q), q, Search(LENGTH))
         assert (edge.joints >= arm.lower).all() and (edge.joints <= arm.upper).all()
         assert on_steps(model, edge.joints, 0.4 * arm.steps).max() < 1e-6
         assert (edge.error[:, 0] <= edge.rounded_error[:, 0]).all()

@@ -26,7 +26,7 @@ from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.compensate import Commands
-from studies.many import compensated
+from studies.many import compensate_arrays
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +77,8 @@ def test_commands_stand_on_steps_and_the_tip_on_its_target(
     model: Model, joints: np.ndarray
 ) -> None:
     targets = model.tip(joints)
-    plain = compensated(model, None, targets, realisable=False, method=Method.DEFLECTION)
-    made = compensated(model, None, targets, method=Method.DEFLECTION)
+    plain = compensate_arrays(model, None, targets, realisable=False, method=Method.DEFLECTION)
+    made = compensate_arrays(model, None, targets, method=Method.DEFLECTION)
     assert made.success.all()
     assert off_steps(model, made.command) < 1e-6 < off_steps(model, plain.command)
     np.testing.assert_allclose(made.ideal, plain.ideal, rtol=0, atol=1e-12)
@@ -94,12 +94,12 @@ def test_steps_that_were_found_count_as_declared_ones(
     rows = zip(arm.commanded, model.arm.steps, strict=True)
     found = [ServoQuantisation.of_step(arm, row, step) for row, step in rows]
     stands = declared_model(arm).plus(found[0])
-    made = compensated(stands, None, model.tip(joints), method=Method.DEFLECTION)
+    made = compensate_arrays(stands, None, model.tip(joints), method=Method.DEFLECTION)
     k = made.command / model.arm.steps
     assert np.abs(k - np.rint(k))[:, 0].max() < 1e-6 < np.abs(k - np.rint(k))[:, 1:].min()
     for effect in found[1:]:
         stands = stands.plus(effect)
-    made = compensated(stands, None, model.tip(joints), method=Method.DEFLECTION)
+    made = compensate_arrays(stands, None, model.tip(joints), method=Method.DEFLECTION)
     assert off_steps(model, made.command) < 1e-6
 
 

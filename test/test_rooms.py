@@ -309,16 +309,14 @@ def test_nodes_and_the_page_hold_no_maths(room: str) -> None:
     assert not found, "\n".join(found)
 
 
-ENTRANCES = (f"{PACKAGE}.__main__", "bench.command", "studies.commands")
+ENTRANCES = (f"{PACKAGE}.__main__", "bench.command", "studies")
 
 
 def test_only_the_entry_point_imports_the_command_line() -> None:
     callers = [
         name
         for name in sources()
-        if not below(
-            name, (f"{PACKAGE}.cli", f"{PACKAGE}.__main__", "bench.command", "studies.commands")
-        )
+        if not below(name, (f"{PACKAGE}.cli", f"{PACKAGE}.__main__", "bench.command", "studies"))
         and any(below(entry.name, (f"{PACKAGE}.cli",)) for entry in read(name))
     ]
     assert not callers

@@ -79,7 +79,7 @@ def test_a_nudge_is_slow_also_where_the_speed_is_taken_for_something_else(
         write(bus, goals, speeds)
 
     monkeypatch.setattr(SerialServoBus, "write_goal", noted)
-    with bench(emulator, configured(mine, emulator)) as made, made.nudged("joint2") as grew:
+    with bench(emulator, configured(mine, emulator)) as made, made.nudge("joint2") as grew:
         assert grew == 1
         assert emulator.positions()[2] == pytest.approx(2048 + 57, abs=6.5)
     assert (sent[0] - 2048, max(sent)) == (0, 2048 + 57)
@@ -105,7 +105,7 @@ def test_a_servo_that_is_not_where_it_is_led_is_let_go(
     monkeypatch.setattr(type(wire), "write", wrong)
     words = "servo 2 of joint2 does not move as slowly as asked"
     with bench(emulator, configured(mine, emulator)) as made:
-        with pytest.raises(JobError, match=words), made.nudged("joint2"):
+        with pytest.raises(JobError, match=words), made.nudge("joint2"):
             raise AssertionError
         assert emulator.torques_on() == {1: True, 2: False}
     assert not any(emulator.torques_on().values())
@@ -118,13 +118,13 @@ def test_a_nudge_stays_within_the_servos_limits_or_names_them(
     mine = direct(shell, MODELS[emulator.protocol])
     limit(emulator, 2, 1500, 2050)
     config = configured(mine, emulator)
-    with bench(emulator, config) as made, made.nudged("joint2") as grew:
+    with bench(emulator, config) as made, made.nudge("joint2") as grew:
         assert grew == -1
     limit(emulator, 2, 2000, 2100)
     with (
         pytest.raises(JobError, match=r"takes goals 2000 to 2100: no room .* = 2000"),
         bench(emulator, config) as made,
-        made.nudged("joint2"),
+        made.nudge("joint2"),
     ):
         raise AssertionError
     limit(emulator, 2, 0, 4095)
@@ -136,7 +136,7 @@ def test_a_nudge_stays_within_the_servos_limits_or_names_them(
     with (
         pytest.raises(JobError, match=f"joint2 does not move: servo 2, with .*{said}"),
         bench(emulator, config) as made,
-        made.nudged("joint2"),
+        made.nudge("joint2"),
     ):
         raise AssertionError
 

@@ -20,7 +20,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.table import nearest
 from longarm_comp.sessions.targets import Targets, read_targets
-from studies.real_sessions import declared
+from studies.real_sessions import declared_arm
 
 HEADER = "index,approach,q1,q2,q3,q4,x,y,z"
 ROW = "0,1,0.1,0.5,0.05,0.2,0.4,0.1,0.3"
@@ -71,7 +71,7 @@ def test_reads_the_twin_as_a_plain_reader_does(case: str, data_dir: Path) -> Non
 
 @pytest.mark.parametrize(("name", "rows"), [("wam", 236), ("ur5", 1020)])
 def test_reads_public_measurements_as_they_are(name: str, rows: int, data_dir: Path) -> None:
-    arm = declared(name)
+    arm = declared_arm(name)
     session = read_csv(data_dir / "wam_ur5" / f"{name}_samples.csv", arm)
     assert len(session) == rows
     assert len(session.where("set", "random")) == 20

@@ -1,8 +1,7 @@
-"""Measured sessions: columns, chance, history, files."""
+"""Measured sessions: columns, chance, history."""
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import drives, loads
-from studies.simulated import SimulatedSession, arrival, measure_session, write_session
+from studies.simulated import SimulatedSession, arrival, measure_session
 from studies.true_camera import CameraScale, Noise, TrueCamera
 
 
@@ -36,22 +35,19 @@ def xyz(session: SimulatedSession) -> np.ndarray:
     return np.stack([session.columns[a] for a in "xyz"], axis=1)
 
 
-def test_columns_are_those_of_the_contract(twin: Arm, tmp_path: Path) -> None:
-    session = measured(twin, 12, lost=0.3, repeats=2, approach="mixed")
-    write_session(tmp_path / "samples.csv", session.columns)
-    with (tmp_path / "samples.csv").open(encoding="utf-8") as file:
-        rows = list(csv.reader(file))
+def test_columns_are_those_of_the_contract(twin: Arm) -> None:
+    measured_session = measured(twin, 12, lost=0.3, repeats=2, approach="mixed")
+    columns = measured_session.columns
     joints = ",".join(f"q{k}" for k in range(1, 8))
-    header = f"index,t_s,temperature_c,payload_kg,approach,{joints},x,y,z,repeat_id"
-    assert ",".join(rows[0]) == header
-    assert len(rows) == 1 + 12 + 2 * 2
-    for k, cells in enumerate(rows[1:]):
-        row = dict(zip(rows[0], cells, strict=True))
-        assert row["index"] == str(k)
-        assert row["approach"] in ("", "1", "-1")
-        for name in ("q1", "z"):
-            value = session.columns[name][k]
-            assert row[name] == "" if np.isnan(value) else float(row[name]) == pytest.approx(value)
+    names = f"index,t_s,temperature_c,payload_kg,approach,{joints},x,y,z,repeat_id"
+    assert ",".join(columns) == names
+    assert {len(column) for column in columns.values()} == {12 + 2 * 2}
+    assert columns["index"].tolist() == list(range(16))
+    blank = np.isnan(columns["approach"])
+    assert blank.any() and set(columns["approach"][~blank]) == {-1.0, 1.0}
+    session = measured_session.session()
+    np.testing.assert_array_equal(session.q[:, 0], columns["q1"])
+    np.testing.assert_array_equal(session.xyz[:, 2], columns["z"])
 
 
 def test_same_seed_same_session(twin: Arm) -> None:
@@ -147,9 +143,3 @@ def test_camera_sees_truth_without_effects_and_scales_about_itself(twin: Arm) ->
     blind = twin.model_copy(update={"camera": None})
     with pytest.raises(InputError, match="camera"):
         TrueCamera.of(blind)
-
-
-def test_columns_of_different_length_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="one length"):
-        write_session(tmp_path / "s.csv", {"index": np.zeros(3), "x": np.zeros(2)})
-    assert not (tmp_path / "s.csv").exists()

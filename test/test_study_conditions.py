@@ -13,7 +13,7 @@ from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.sim.hidden.drives import FrictionHysteresis
 from studies import conditions
 from studies.conditions import ALSO, CONDITIONS, NETWORK, TOGETHER, claims, one_arm, rows_of, table
-from studies.table1 import SETTINGS, Bench, Outcome, as_printed
+from studies.table1_bench import SETTINGS, Bench, Outcome, as_printed
 
 FEW = 60
 SHORT = (

@@ -15,20 +15,20 @@ from small_arm import ARM
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.plays import FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
-from studies import day
-from studies.commands.day import command
+from studies import day, day_work
+from studies.day import command
 
 KINDS = (JointGain, GearEccentricity, FrictionHysteresis, ThermalGrowth)
-SETTING = day.DaySetting(ARM, moves=5, rows=200, again=80, warming_k=60.0, kinds=KINDS)
+SETTING = day_work.DaySetting(ARM, moves=5, rows=200, again=80, warming_k=60.0, kinds=KINDS)
 
 
 @pytest.fixture(scope="module")
-def worn() -> day.DayOutcome:
-    return day.one_day(SETTING, 0)
+def worn() -> day_work.DayOutcome:
+    return day_work.one_day(SETTING, 0)
 
 
 @pytest.mark.long
-def test_each_knowledge_lowers_the_error_of_the_true_tip(worn: day.DayOutcome) -> None:
+def test_each_knowledge_lowers_the_error_of_the_true_tip(worn: day_work.DayOutcome) -> None:
     none, once, told, free, again, learned = 1e3 * np.nanmean(worn.error, axis=1)
     assert none > 3.0
     assert once < 0.5 * none
@@ -38,7 +38,7 @@ def test_each_knowledge_lowers_the_error_of_the_true_tip(worn: day.DayOutcome) -
 
 
 @pytest.mark.long
-def test_standing_still_is_charged(worn: day.DayOutcome) -> None:
+def test_standing_still_is_charged(worn: day_work.DayOutcome) -> None:
     _, _, told, free, again, learned = day.table([worn], SETTING.hours)
     assert free["poses"] > 0 and free["not_served"] == 0
     assert again["poses"] > 0 and again["minutes"] == pytest.approx(again["poses"] * 16 / 60)
@@ -49,7 +49,7 @@ def test_standing_still_is_charged(worn: day.DayOutcome) -> None:
 
 
 @pytest.mark.long
-def test_the_joint_that_wears_is_named_without_a_stop(worn: day.DayOutcome) -> None:
+def test_the_joint_that_wears_is_named_without_a_stop(worn: day_work.DayOutcome) -> None:
     grows = float(worn.t_h[np.argmax(worn.play_rad > worn.play_rad[0])])
     (hour, said), *others = worn.changes
     assert not others
@@ -58,9 +58,11 @@ def test_the_joint_that_wears_is_named_without_a_stop(worn: day.DayOutcome) -> N
 
 
 @pytest.mark.long
-def test_the_monitor_asks_after_the_play_has_grown_and_not_before(worn: day.DayOutcome) -> None:
+def test_the_monitor_asks_after_the_play_has_grown_and_not_before(
+    worn: day_work.DayOutcome,
+) -> None:
     grows = float(worn.t_h[np.argmax(worn.play_rad > worn.play_rad[0])])
-    asked = worn.asked("with re-diagnosis")
+    asked = worn.stops_of("with re-diagnosis")
     assert asked and min(stop.hour for stop in asked) >= grows
     assert all(stop.said for stop in asked)
     assert worn.play_rad[-1] - worn.play_rad[0] == pytest.approx(SETTING.growth_rad)
@@ -73,8 +75,8 @@ def test_the_monitor_asks_after_the_play_has_grown_and_not_before(worn: day.DayO
 
 @pytest.mark.long
 def test_without_wear_nothing_is_named_and_nothing_is_lost() -> None:
-    told, _, _, learns = day.WAYS[2:]
-    calm = day.one_day(day.replace(SETTING, growth_rad=0.0, hours=4), 1, (told, learns))
+    told, _, _, learns = day_work.WAYS[2:]
+    calm = day_work.one_day(day_work.replace(SETTING, growth_rad=0.0, hours=4), 1, (told, learns))
     assert calm.changes == () and calm.stops == ()
     before, learned = 1e3 * calm.error.mean(axis=1)
     assert learned < before + 0.02
@@ -82,12 +84,14 @@ def test_without_wear_nothing_is_named_and_nothing_is_lost() -> None:
 
 def test_an_hour_of_every_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is known beside the model helps; the command's table and files are of the days lived."""
-    worn = day.one_day(day.replace(SETTING, hours=1), 0)
+    worn = day_work.one_day(day_work.replace(SETTING, hours=1), 0)
     none, once, told, *_ = 1e3 * np.nanmean(worn.error, axis=1)
     assert none > 2.0 and once < 0.5 * none and told < once
-    asked: list[tuple[day.DaySetting, int]] = []
+    asked: list[tuple[day_work.DaySetting, int]] = []
 
-    def lived(setting: day.DaySetting, seed: int, ways: Sequence[day.Way]) -> day.DayOutcome:
+    def lived(
+        setting: day_work.DaySetting, seed: int, ways: Sequence[day_work.Way]
+    ) -> day_work.DayOutcome:
         asked.append((setting, seed))
         return worn
 
@@ -105,7 +109,7 @@ def test_an_hour_of_every_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     printed = json.loads(done.stdout)
     assert len(printed["stops"]) == 2 * len(worn.stops)
     assert len(printed["changes"]) == 2 * len(worn.changes)
-    assert [row["commanded"] for row in printed["rows"]] == [way.name for way in day.WAYS]
+    assert [row["commanded"] for row in printed["rows"]] == [way.name for way in day_work.WAYS]
     assert json.loads((out / "day.json").read_text()) == printed
     assert (out / "day.png").read_bytes().startswith(b"\x89PNG")
     again = CliRunner().invoke(command, [*words, "--json", "-o", str(out)])

@@ -22,5 +22,5 @@ def test_every_kind_calibrates_and_a_distance_says_least() -> None:
 
 def test_rows_needed_are_counted_between_the_counts() -> None:
     left = {kind: np.array([4e-3, 1e-3, 0.25e-3]) for kind in measurements.KINDS}
-    rows = measurements.needed([left], (10, 40, 160), (5e-3, 2e-3, 0.5e-3, 0.1e-3))
+    rows = measurements.rows_needed([left], (10, 40, 160), (5e-3, 2e-3, 0.5e-3, 0.1e-3))
     assert [row["pose"] for row in rows] == [10, 20, 80, None]

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.planning.optimal_poses import OptimalPlan
 from studies import poses
-from studies.commands.poses import command
+from studies.poses import command
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def test_the_error_is_that_of_the_true_arm_and_falls_with_the_poses(demo: Arm) -
 
 
 def test_i_optimal_poses_are_of_what_is_known(demo: Arm) -> None:
-    plan = poses.planned(demo, "i-optimal", 25, True, 0)
+    plan = poses.plan_poses(demo, "i-optimal", 25, True, 0)
     assert isinstance(plan, OptimalPlan) and len(plan) == 25
     assert 1e-4 < plan.expected_m < 5e-4
 

@@ -15,10 +15,10 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.read import read_session
 from longarm_comp.workflows.calibrate import calibrate
 from studies import real
-from studies.commands.real import command
 from studies.own_rigid import OwnRigid
-from studies.real_sessions import JUSTIN, TRACKED, Measured, declared, every_robot, justin
-from studies.real_sets import halves, overlap, real_sets, simulated
+from studies.real import command
+from studies.real_sessions import JUSTIN, TRACKED, Measured, declared_arm, every_robot, justin
+from studies.real_sets import halves, overlap, real_sets, simulate_sets
 from studies.touch import EXAMPLE
 
 RUNGS = [
@@ -121,7 +121,7 @@ def test_no_stiffness_is_negative_and_the_torso_is_one(justin_data: Path) -> Non
         )
         for p in parts
     ]
-    right, left = real._fitted(parts, terms, None)
+    right, left = real._fit_rung(parts, terms, None)
     values = [
         {s.label: v for s, v in zip(f.slots, f.model.values, strict=True)} for f in (right, left)
     ]
@@ -158,7 +158,7 @@ def test_a_folder_is_read_for_what_it_holds(data_dir: Path) -> None:
 @pytest.mark.parametrize("name", ["justin_left", "justin_right", "wam", "ur5"])
 def test_arm_files_declare_tolerances(name: str) -> None:
     """Every row says how far its geometry may be off."""
-    arm = declared(name)
+    arm = declared_arm(name)
     assert all(j.tolerance.a_m and j.tolerance.theta_deg for j in arm.joints)
 
 
@@ -179,7 +179,7 @@ def test_the_rigid_fit_by_scipy_agrees_with_calibration(data_dir: Path) -> None:
 @pytest.mark.long
 def test_halves_of_simulated_sessions_agree(demo_arm_path: Path) -> None:
     """What a half states is in the sets of the other."""
-    counted = [halves(part) for part in simulated(Arm.load(demo_arm_path), 4)]
+    counted = [halves(part) for part in simulate_sets(Arm.load(demo_arm_path), 4)]
     assert sum(stated for stated, _ in counted) > 0
     assert overlap(counted)["halves_overlap"] == 1.0
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from studies.commands.realisable import command
+from studies.realisable import command
 
 pytestmark = pytest.mark.long
 

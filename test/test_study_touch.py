@@ -17,8 +17,7 @@ from longarm_comp.core.data.measurement import spreads
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
-from studies.commands.touch import command
-from studies.touch import Left, Touched, gains_mm, read
+from studies.touch import Left, Touched, command, gains_mm, read
 
 RIGID_MM = {"1": 0.79, "2": 0.285, "3": 0.2, "4": 0.24, "6": 0.24, "7": 0.48}
 """By a script of another hand, rounded up; the drawing alone leaves 2.6 to 8.4 mm."""

@@ -20,7 +20,7 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.nodes.payload import drives
 from longarm_comp.share import folder
 from longarm_comp.sim.servo_emulator.joints import DATA_SHEETS
-from studies.load import RESTS, told, weighed
+from studies.load import RESTS, reported_load, weigh_at_rests
 
 SERVOS = folder("config") / "servo_driver.yaml"
 
@@ -43,7 +43,7 @@ def test_a_register_tells_load_friction_and_steps_of_the_data_sheet(
 ) -> None:
     """A drive gives more than the load where it came from below, less from above."""
     sheet = DATA_SHEETS[servo]
-    share = told(servo, -0.3, side, 1.0)
+    share = reported_load(servo, -0.3, side, 1.0)
     assert share == pytest.approx(0.3 + side * sheet["hold_share"], abs=0.5 / sheet["load_units"])
     assert share * sheet["load_units"] == pytest.approx(round(share * sheet["load_units"]))
     assert 0 < sheet["hold_share"] < 0.1
@@ -52,7 +52,7 @@ def test_a_register_tells_load_friction_and_steps_of_the_data_sheet(
 @pytest.mark.parametrize("servo", DATA_SHEETS)
 def test_servos_tell_a_payload_and_that_it_changed(servo: str, arm: Arm, full: np.ndarray) -> None:
     """Independent physics, bytes of the emulated servo; nobody says that the payload changes."""
-    rests = list(weighed(servo, arm, full, seed=1))
+    rests = list(weigh_at_rests(servo, arm, full, seed=1))
     first, before, after = rests[0], rests[RESTS - 1], rests[RESTS]
     assert first.sigma_kg > 3.0 * before.sigma_kg, "rests tell friction from payload"
     for found in (before, after, rests[-1]):

@@ -15,7 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from longarm_comp.core.files import write_text
 
@@ -34,7 +34,6 @@ LOOPS = {
 """Groups of `docs/loop_study.md`; each case is a line of a file that is gone on with."""
 
 COMMANDS = {
-    "demo": "demo --out {out}/demo",
     "real": "study real --data {data}",
     "table1": "study table1 --arms 4",
     "paper": "study table1 --paper-setting --arms 10",
@@ -125,22 +124,20 @@ def shares(found: Any) -> Cells:
     ]
 
 
+TABLE1_HEADER = ("row", "mean abs. z", "sd over arms", "mean 3-D", "variance")
+TABLE1 = ("row", "mean_abs_z_mm", "sd_over_arms_mm", "mean_mm", "variance_mm2")
+SHARES = ("measure", "share", "95 % interval")
 BENCH = ("row", "here", "beside", "its figure", "ratio (lowest .. highest)")
 TABLES: dict[str, tuple[str, tuple[str, ...], Callable[[Any], Cells]]] = {
     "real": (
         "studies.md", ("rows held out, mean error, mm", "rows", "rigid, by scipy", "calibrated",
                        "diagnosed", "as commanded", "inside the 90 % radius"), real,
     ),
-    **{
-        name: (
-            "studies.md",
-            ("row", "mean abs. z", "sd over arms", "mean 3-D", "variance", "paper: mean abs. z",
-             "variance"),
-            of("row", "mean_abs_z_mm", "sd_over_arms_mm", "mean_mm", "variance_mm2",
-               "paper_mean_abs_z_mm", "paper_variance_mm2"),
-        )
-        for name in ("table1", "paper")
-    },
+    "table1": ("studies.md", TABLE1_HEADER, of(*TABLE1)),
+    "paper": (
+        "studies.md", (*TABLE1_HEADER, "paper: mean abs. z", "variance"),
+        of(*TABLE1, "paper_mean_abs_z_mm", "paper_variance_mm2"),
+    ),
     "coverage": (
         "studies.md", ("rows left out", "rows", "inside", "kept", "mean, mm", "expected, mm"),
         of("set", "rows", "inside_90", "kept", "mean_mm", "expected_mm"),
@@ -160,11 +157,10 @@ TABLES: dict[str, tuple[str, tuple[str, ...], Callable[[Any], Cells]]] = {
         + [[f"rows for {row.pop('error_mm'):g} mm", *row.values()] for row in found["needed"]],
     ),
     **{
-        f"loop {group}": (
-            "loop_study.md", ("cases", "measure", "share", "95 % interval"), shares
-        )
-        for group in LOOPS
+        f"loop {group}": ("loop_study.md", SHARES, lambda found: [row[1:] for row in shares(found)])
+        for group in LOOPS if group != "removed"
     },
+    "loop removed": ("loop_study.md", ("cases", *SHARES), shares),
     **{f"bench {kind}": ("performance.md", BENCH, bench) for kind in BENCHES},
 }  # fmt: skip
 """By name of the command: page, header, and the cells of what it prints."""
@@ -197,67 +193,6 @@ def placed(page: str, name: str, made: str) -> str:
     return page[: found.start()] + mark + "\n" + made + page[found.end() :]
 
 
-class Figure(NamedTuple):
-    """One figure of what a command prints: a key of the row whose ``name`` is a value."""
-
-    name: str
-    key: str
-    value: str
-    among: str = "rows"
-
-    def of(self, found: Any) -> float:
-        """The figure. Raises ValueError where there is no such row."""
-        for row in found[self.among]:
-            if row[self.name] == self.value:
-                return float(row[self.key])
-        raise ValueError(f"no row whose {self.name} is {self.value!r}")
-
-
-SUMMARY: dict[str, tuple[str, Figure]] = {
-    "**Demonstration**: true mean error over the ROS graph, uncompensated, mm": (
-        "demo", Figure("model", "true_mean_mm", "original")),
-    "Demonstration, with the declared deflection, mm": (
-        "demo", Figure("model", "true_mean_mm", "declared")),
-    "Demonstration, with the effects that the diagnosis found, mm": (
-        "demo", Figure("model", "true_mean_mm", "effect found")),
-    **{
-        f"**{title}**, held-out mean error, {model.replace('_', ' ')} (published {known}), mm": (
-            "real", Figure("model", "mean_mm", model, robot))
-        for title, robot, model, known in (
-            ("DLR Justin", "dlr_justin", "rigid", 10.5),
-            ("DLR Justin", "dlr_justin", "joint_compliance", 5.64),
-            ("DLR Justin", "dlr_justin", "diagnosed", 3.12),
-            ("Barrett WAM", "wam", "diagnosed", 2.92),
-            ("UR5", "ur5", "rigid", 0.155),
-        )
-    },
-    "**Table I**, 4 simulated arms really commanded, mean abs. z: original (paper 17.7), mm": (
-        "table1", Figure("row", "mean_abs_z_mm", "Original error")),
-    "Table I, calibrated + effects, 300 samples (the paper's best: 5.3, with 900), mm": (
-        "table1", Figure("row", "mean_abs_z_mm", "Calibrated + effects, 300")),
-    "**A day of work**, wear, warmth and payloads, mean 3-D error: calibrated once, mm": (
-        "day", Figure("commanded", "mean_mm", "calibrated once")),
-    "A day of work, learning at work, mm": (
-        "day", Figure("commanded", "mean_mm", "learning at work")),
-    "**Single hidden effects**: right name, or a set with it": (
-        "loop single", Figure("measure", "share", "right name, or a set with it", "summary")),
-    "Nothing hidden: an effect added": (
-        "loop none", Figure("measure", "share", "adds an effect", "summary")),
-}  # fmt: skip
-"""Rows of `docs/figures.md`: the command that prints each, and which of its figures."""
-
-
-def summed_up(page: str, results: dict[str, Any]) -> str:
-    """The page with the figures of these results; rows of other commands stay as they are."""
-    for what, (name, figure) in SUMMARY.items():
-        row = re.compile(rf"^\| {re.escape(what)} \| [^|]* \|", re.M)
-        if row.search(page) is None:
-            raise ValueError(f"docs/figures.md has no row {what!r}")
-        if name in results:
-            page = row.sub(f"| {what} | {cell(figure.of(results[name]))} |", page)
-    return page
-
-
 def main() -> int:
     """Run what has not run on this code, and write the pages after each."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -270,7 +205,7 @@ def main() -> int:
     ):
         parser.error(f"--data: {given.data} does not hold both dlr_justin and wam_ur5")
     code, longarm = code_hash(), [sys.executable, "-m", "longarm_comp"]
-    left, results = [], {}
+    left = []
     for name in given.names or COMMANDS:
         if "{data}" in COMMANDS[name] and not given.data:
             left.append(name)
@@ -280,9 +215,6 @@ def main() -> int:
         if found is None:
             left.append(name)
             continue
-        results[name] = found
-        summary = ROOT / "docs" / "figures.md"
-        write_text(summary, summed_up(summary.read_text("utf-8"), results))
         if name in TABLES:
             file, header, rows = TABLES[name]
             page = ROOT / "docs" / file

@@ -233,7 +233,7 @@ def setup(
     from longarm_comp.devices.servo_bus.registry import open_bus
     from longarm_comp.devices.servo_check import check_reach
     from longarm_comp.devices.servo_config import ServoConfig
-    from longarm_comp.devices.servo_setup import ServoSetup, shown, zero_from_pose
+    from longarm_comp.devices.servo_setup import ServoSetup, show_value, zero_from_pose
     from longarm_comp.devices.state_folder import state_folder
     from longarm_comp.devices.stop_latch import refuse_under_stop
 
@@ -257,7 +257,7 @@ def setup(
     with closing(servo_bus), ServoSetup(servo_bus, blind).safely() as bench:
         for text in bench.said:
             note(text)
-        said = ", ".join(f"{name} {shown(blind[name], v)}" for name, v in held.items())
+        said = ", ".join(f"{name} {show_value(blind[name], v)}" for name, v in held.items())
         wait(f"Put the arm into this pose and hold it still (another: --pose): {said}.")
         rest = bench.rest()
         unknown = [name for name in blind if name not in directions]
@@ -291,7 +291,7 @@ def setup(
     print_json({"file": file, **line_found, "joints": facts})
     signs = {number: sign for sign, number in _SIGNS.items()}
     rows = [
-        (name, j.servo_id, signs[j.direction], f"{j.zero_ticks:g}", shown(j, reads[name]))
+        (name, j.servo_id, signs[j.direction], f"{j.zero_ticks:g}", show_value(j, reads[name]))
         for name, j in joints.items()
     ]
     header = ("joint", "id", "direction", "zero_ticks", "now")
@@ -348,7 +348,7 @@ def _nudged(setup: ServoSetup, name: str) -> int:
     text = "which way did it go, by arm.yaml? (another joint moved: Ctrl-C, correct servo_id)"
     kind, said = click.Choice([*_SIGNS, "again"]), "again"
     while said == "again":
-        with setup.nudged(name) as grew:
+        with setup.nudge(name) as grew:
             allowed = ", ".join(kind.choices)
             said = ask(
                 _COMMAND, "--direction", f"{name}: {text}", allowed, default="again", type=kind

@@ -134,7 +134,7 @@ def calibrate(
       longarm stereo calibrate my_arm --images pictures --board 7x5 --square-mm 25.1
     """
     from longarm_comp.arm_folder.measured import write_cameras
-    from longarm_comp.devices.stereo.calibrate import calibrated
+    from longarm_comp.devices.stereo.calibrate import calibrate_board
 
     if (images is not None) == live:
         given = "both" if live else "neither"
@@ -146,7 +146,7 @@ def calibrate(
         views, size = _from_files(target, images)
     else:
         views, size = _from_topics(target, save, namespace)
-    found = calibrated(target, views, size)
+    found = calibrate_board(target, views, size)
     files = write_cameras(folder, found)
     fit = found.fit
     facts = {

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """What a stereo pair needs of a sensor_msgs/CameraInfo."""
+    """The fields of a sensor_msgs/CameraInfo that a stereo pair needs."""
 
     width: int  # width, height: of the image, px
     height: int

@@ -16,10 +16,10 @@ from longarm_comp.math.shaper import Shaper
 _WHERE = "joint trajectory"
 
 
-def checked(
+def check_trajectory(
     trajectory: JointTrajectory, config: ServoConfig, start: Array
 ) -> tuple[Array, Array, Array | None]:
-    """Times (k,) s, positions and perhaps velocities (k, n) of the way-points, at least one.
+    """Check way-points: times (k,) s, positions and perhaps velocities (k, n), one at least.
 
     They are in the order of ``config``; joints not named stay at ``start`` (n,).
     """

@@ -127,7 +127,7 @@ class ServoArm:
                 "the arm and cut their power once", ids=driven,
             )  # fmt: skip
         bus.store_turns({i: wanted for i, (_, wanted) in others.items()})
-        self.said += bus.told_turns(many, others)
+        self.said += bus.describe_turns(many, others)
         journal = SetupJournal(bus.port)
         left = journal.read(bus.protocol).keys() & many.keys()
         if left:

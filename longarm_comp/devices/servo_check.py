@@ -1,4 +1,4 @@
-"""Whether a servo's memory lets it be commanded: what its registers must be, and why."""
+"""Checks whether a servo's memory lets it be commanded: what registers must be, and why."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def check_memory(name: str, joint: JointConfig, kept: ServoMemory) -> None:
     for register in kept.registers:
         if register.allowed and kept.values[register.name] not in register.allowed:
             allowed = " or ".join(map(str, register.allowed))
-            raise _refused(name, joint, kept, register, f"{allowed}: {register.otherwise}; {_CURE}")
+            raise _refuse(name, joint, kept, register, f"{allowed}: {register.otherwise}; {_CURE}")
     most = kept.speed_ticks_s
     if most is not None and joint.max_speed_ticks_s > most:
         fastest = f"max_velocity up to {most * joint.si_per_tick:.4g} {joint.unit}/s"
         raise JobError(
             f"{_who(name, joint)} does not go as fast as its joint may; allowed: {fastest}, or "
-            f"another limit in its memory ({kept.shown})", max_velocity=joint.max_velocity,
+            f"another limit in its memory ({kept.notable})", max_velocity=joint.max_velocity,
         )  # fmt: skip
     if joint.multi_turn and _narrower(joint, kept):
         raise JobError(
             f"{_who(name, joint)} keeps limits within one turn, which multi_turn: true would lift; "
-            f"allowed: multi_turn: false, or no limits ({_CURE}) ({kept.told})"
+            f"allowed: multi_turn: false, or no limits ({_CURE}) ({kept.changes})"
         )
 
 
@@ -42,7 +42,7 @@ def check_placed(name: str, joint: JointConfig, kept: ServoMemory) -> None:
                 f"{wanted}, as it was when zero_ticks was measured; `longarm servo setup` measures "
                 "again"
             )
-            raise _refused(name, joint, kept, register, allowed)
+            raise _refuse(name, joint, kept, register, allowed)
 
 
 def check_reach(name: str, joint: JointConfig, kept: ServoMemory) -> None:
@@ -57,20 +57,20 @@ def check_reach(name: str, joint: JointConfig, kept: ServoMemory) -> None:
         raise JobError(
             f"{_who(name, joint)} takes goals {low} to {high}, and its joint's limits are goals "
             f"{ends[0]} to {ends[1]}; allowed: lower and upper of {reach[0]:.4g} to {reach[1]:.4g} "
-            f"{joint.unit}, or other registers in its memory ({kept.told})"
+            f"{joint.unit}, or other registers in its memory ({kept.changes})"
         )
 
 
 def _narrower(joint: JointConfig, kept: ServoMemory) -> bool:
-    """Whether the servo's own limits leave less than one turn."""
+    """Return whether the servo's own limits leave less than one turn."""
     low, high = joint.servo.single_turn
     return kept.goals is not None and (kept.goals[0] > low or kept.goals[1] < high)
 
 
-def _refused(
+def _refuse(
     name: str, joint: JointConfig, kept: ServoMemory, register: Register, allowed: str
 ) -> JobError:
-    return JobError(f"{_who(name, joint)}: {kept.said(register)}; allowed: {allowed}")
+    return JobError(f"{_who(name, joint)}: {kept.describe(register)}; allowed: {allowed}")
 
 
 def _who(name: str, joint: JointConfig) -> str:

@@ -149,7 +149,7 @@ class ServoConfig(ServoSettings):
 
     @classmethod
     def parse(cls, data: Any, where: str) -> ServoConfig:
-        """From nested mappings; ``where`` names the source. Raises InputError naming the field."""
+        """Check nested mappings; ``where`` names the source. Raises InputError naming the field."""
         return parse_declared(cls, _without_ros(data), where)
 
 

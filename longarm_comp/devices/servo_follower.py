@@ -18,7 +18,7 @@ from longarm_comp.devices.joint_path import (
     InParts,
     JointTrajectory,
     TakenOver,
-    checked,
+    check_trajectory,
     plan_path,
 )
 from longarm_comp.devices.servo_bus.state import ServoState
@@ -77,7 +77,7 @@ class TrajectoryFollower:
 
     @property
     def set_points(self) -> dict[str, float]:
-        """Where each joint should be now, rad or m; empty while none is driven."""
+        """The position where each joint should be now, rad or m; empty while none is driven."""
         return {} if self._set is None else dict(zip(self._names, self._set.tolist(), strict=True))
 
     @property
@@ -86,7 +86,7 @@ class TrajectoryFollower:
         return dict(zip(self._names, self._trim.offset.tolist(), strict=True))
 
     def fresh(self, now: float) -> bool:
-        """Whether every servo was read, and believed, in the last step, and that was just now."""
+        """Return whether every servo was read, and believed, in the last step, just now."""
         late = self._now is None or now - self._now > self._config.follower.silence_s
         return self._fresh and not late
 
@@ -102,7 +102,7 @@ class TrajectoryFollower:
         start, moves = self._start(), bool(trajectory.points)
         replaces = self.state is FollowerState.TRACKING
         if moves:
-            times, positions, velocities = checked(trajectory, self._config, start)
+            times, positions, velocities = check_trajectory(trajectory, self._config, start)
             path = plan_path(start, times, positions, velocities, self._max_velocity)
             accepted = Accepted(start, positions, path.times[-len(times) :], replaces)
             self._check_inside(path)
@@ -136,7 +136,7 @@ class TrajectoryFollower:
         return TakenOver(path, start, self._velocity.copy(), blend_s, self._lower, self._upper)
 
     def _braking(self, start: Array) -> CubicPath:
-        """From a set-point to the nearest rest."""
+        """Plan from a set-point to the nearest rest."""
         brake = start + 0.5 * self._config.follower.blend_s * self._velocity
         rest = np.clip(brake, self._lower, self._upper)[None]
         return CubicPath(np.zeros(1), rest, np.zeros_like(rest))

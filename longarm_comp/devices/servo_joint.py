@@ -129,7 +129,7 @@ class JointConfig(ServoSettings):
         return per_turn / (self.gear_ratio * self.servo.ticks_per_turn)
 
     def stands_at(self, step: float) -> bool:
-        """Whether the servo can stand at every ``step k`` (rad or m), to 0.15 of that step."""
+        """Return whether the servo can stand at all ``step k`` (rad or m), to 0.15 of a step."""
         ticks = step / self.si_per_tick
         farthest = max(abs(self.lower), abs(self.upper)) / step
         drift = abs(ticks - round(ticks)) * farthest

@@ -27,7 +27,7 @@ _LONGEST_STEP_S, _ASIDE_TICKS = 0.1, 24
 2 degrees of its horn, for a gear that gives way."""
 
 
-def shown(joint: JointConfig, value: float) -> str:
+def show_value(joint: JointConfig, value: float) -> str:
     """A joint value, rad or m, in deg or mm."""
     scale, unit = hand_unit(joint)
     return f"{value / scale:.1f} {unit}"
@@ -103,7 +103,7 @@ class ServoSetup:
         if others:
             self._journal.begin(self._bus.protocol, others)
             self._bus.store_turns({i: wanted for i, (_, wanted) in others.items()})
-        self.said = self._bus.told_turns(many, others)
+        self.said = self._bus.describe_turns(many, others)
         kept = self._bus.memory(self._ids)
         self.memory = {name: kept[joint.servo_id] for name, joint in self._joints.items()}
 
@@ -136,7 +136,7 @@ class ServoSetup:
         return at
 
     @contextmanager
-    def nudged(self, name: str) -> Iterator[int]:
+    def nudge(self, name: str) -> Iterator[int]:
         """One joint is 5 degrees or 5 mm away meanwhile.
 
         Yields:
@@ -150,12 +150,12 @@ class ServoSetup:
         if start + way * ticks < low:
             raise JobError(
                 f"servo {joint.servo_id} of {name} stands at {start} and takes goals {low} to "
-                f"{high}: no room for a move of {ticks} ({kept.told})"
+                f"{high}: no room for a move of {ticks} ({kept.changes})"
             )
         self._go(name, start + way * ticks)
         moved = self._at(joint) - start
         if abs(moved) < ticks / 2:
-            what = f"{name} does not move: servo {joint.servo_id}, with {kept.shown}"
+            what = f"{name} does not move: servo {joint.servo_id}, with {kept.notable}"
             raise JobError(what, ticks=moved)
         yield 1 if moved > 0 else -1
         self._go(name, start)
@@ -184,7 +184,7 @@ class ServoSetup:
                 self._bus.torque([joint.servo_id], on=False)
                 raise JobError(
                     f"servo {joint.servo_id} of {name} does not move as slowly as asked, or not to "
-                    f"where it is sent: stopped, its torque is off ({self.memory[name].told})",
+                    f"where it is sent: stopped, its torque is off ({self.memory[name].changes})",
                     from_ticks=start, sent=sent, at=at,
                 )  # fmt: skip
             if abs(at - last) > 1:

@@ -99,7 +99,7 @@ class ServoWatch:
         return self._seen[joint].state
 
     def heard(self, joint: str) -> bool:
-        """Whether a joint had a trusted read-back in the last update."""
+        """Return whether a joint had a trusted read-back in the last update."""
         seen = self._seen[joint]
         return seen.state is not None and seen.at == self._now
 
@@ -111,7 +111,7 @@ class ServoWatch:
     def _doubtful(
         self, seen: _Seen, joint: JointConfig, state: ServoState, now: float, commanded: bool
     ) -> bool:
-        """Whether the joint would have had to move faster than it can to be there.
+        """Return whether the joint would have had to move faster than it can to be there.
 
         Without a command it may be moved by hand: then two read-backs that agree are trusted.
         """

@@ -1,4 +1,4 @@
-"""What servos had stored before a setup changed it: a file until it is written back or kept."""
+"""A file of what servos had stored before a setup, until that is written back or kept."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SetupJournal:
         self.path = state_folder() / "servo_setup" / f"{slug}.json"
 
     def read(self, protocol: str) -> dict[int, Change]:
-        """What is still to be written back, by servo id. Raises JobError: the file is damaged."""
+        """Read what is to be written back, by servo id. Raises JobError: the file is damaged."""
         try:
             data = json.loads(self.path.read_text("utf-8"))
             changes = {

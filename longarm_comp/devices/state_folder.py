@@ -9,7 +9,7 @@ from longarm_comp.core.errors import InputError
 
 
 def state_folder() -> Path:
-    """That of this package. Raises InputError where there is none."""
+    """Return this package's folder. Raises InputError where there is none."""
     given = os.environ.get("XDG_STATE_HOME", "")
     if os.path.isabs(given):
         return Path(given) / "longarm_comp"

@@ -19,14 +19,14 @@ _EXPLAINED = "Beside this file: stops of arms that nobody has reset yet (`longar
 
 
 class Stop(Enum):
-    """What a person asks for; its name is that of the service."""
+    """The stops that a person asks for; a name is that of the service."""
 
     ESTOP = "emergency stop"
     HOLD = "held"
 
 
 class StopLatch:
-    """What stops an arm, also what an earlier process was asked for.
+    """The stops of an arm, also those that an earlier process was asked for.
 
     That a file is there counts, not what it holds. Where files cannot be read, or none could be
     written, the arm is held.
@@ -176,7 +176,7 @@ def refuse_under_stop(folder: Path, ports: Collection[str], arm: Path | None = N
 
 
 def _of_port(port: str) -> set[str]:
-    """What a port is known by; the number of a pseudo-terminal is another's tomorrow."""
+    """Return names of a port; the number of a pseudo-terminal is another's tomorrow."""
     leads = os.path.realpath(port)
     return {f"port {name}" for name in (port, leads) if name == port or "/pts/" not in name}
 

@@ -249,7 +249,7 @@ class TrueArm:
         return pose if np.ndim(q) == 2 else pose[0]
 
     def shafts(self, q: Array, context: TrueContext | None = None) -> Array:
-        """Where the motors' encoders stand, (N, n), rad or m: what acts behind them left out."""
+        """Return where motors' encoders stand, (N, n), rad or m: effects behind them left out."""
         state, torques = State.of(self.arm, q, context), self.settled(q, context).torques
         return state.q + sum((e.before(torques, state) for e in self.hidden), np.zeros(1))
 

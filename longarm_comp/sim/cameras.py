@@ -178,13 +178,13 @@ def render(
     """The two raw images (H, W) uint8 of a plate at a pose (4, 4) in the base frame."""
     conditions = conditions or Conditions()
     left, right = light(base_T_marker, plate, head, conditions)
-    return exposed(left, conditions, rng), exposed(right, conditions, rng)
+    return expose(left, conditions, rng), expose(right, conditions, rng)
 
 
 def light(
     base_T_marker: ArrayLike, plate: Plate, head: CameraPair, conditions: Conditions
 ) -> tuple[Light, Light]:
-    """What falls on each pixel (H, W) of the left and the right camera, without noise."""
+    """Compute the light on each pixel (H, W) of the left and the right camera, without noise."""
     left_T_marker = np.linalg.inv(head.left_in_base) @ np.asarray(base_T_marker, dtype=float)
     right_T_marker = head.right_from_left @ left_T_marker
     return (
@@ -193,8 +193,8 @@ def light(
     )
 
 
-def exposed(light: Light, conditions: Conditions, rng: np.random.Generator) -> Grey:
-    """The image (H, W) that a camera makes of it: exposure, shot and read noise, 8 bits."""
+def expose(light: Light, conditions: Conditions, rng: np.random.Generator) -> Grey:
+    """Make the image (H, W) of a camera from its light: exposure, shot and read noise, 8 bits."""
     level = conditions.exposure * light
     sigma = np.sqrt(conditions.read_noise**2 + conditions.shot_noise**2 * level / 255.0)
     noisy = level + sigma * rng.standard_normal(level.shape, dtype=np.float32)
@@ -209,7 +209,7 @@ def _light(
     if window is not None:
         x0, y0, x1, y1 = window
         colour, share = _fine_plate(window, camera_T_marker, plate, head, conditions.covered[eye])
-        colour, share = (_seen_through(a, conditions) for a in (colour, share))
+        colour, share = (_blur(a, conditions) for a in (colour, share))
         patch = light[y0:y1, x0:x1]
         patch *= 1.0 - share
         patch += colour
@@ -244,7 +244,7 @@ def _fine_plate(
     ray_x = (u - head.k[0, 2])[None] / head.focal_px
     ray_y = (v - head.k[1, 2])[:, None] / head.focal_px
     if any(head.d):
-        ray_x, ray_y = _undistorted(window, head)
+        ray_x, ray_y = _undistort(window, head)
     to_plane = np.linalg.inv(camera_T_marker[:3, [0, 1, 3]])  # ray -> (X, Y, 1) of the plane
     to_plane[0] /= plate.size_m[0]
     to_plane[1] /= plate.size_m[1]
@@ -266,7 +266,7 @@ def _fine_plate(
     return colour * share, share
 
 
-def _undistorted(window: Window, head: CameraPair) -> tuple[Array, Array]:
+def _undistort(window: Window, head: CameraPair) -> tuple[Array, Array]:
     """Rays x/z, y/z of the window's fine pixels: exact at pixel centres, linear between them."""
     x0, y0, x1, y1 = window
     u, v = np.arange(x0 - 1.0, x1 + 1.0), np.arange(y0 - 1.0, y1 + 1.0)
@@ -279,7 +279,7 @@ def _undistorted(window: Window, head: CameraPair) -> tuple[Array, Array]:
     return inner[..., 0], inner[..., 1]
 
 
-def _seen_through(fine: Light, conditions: Conditions) -> Light:
+def _blur(fine: Light, conditions: Conditions) -> Light:
     """Lens blur, motion and the pixel's own area: fine pixels to image pixels."""
     if conditions.blur_px > 0.0:
         fine = cv2.GaussianBlur(fine, (0, 0), conditions.blur_px * _FINE)

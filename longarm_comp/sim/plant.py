@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.cameras import CameraPair, Conditions, Light, Plate, exposed, light
+from longarm_comp.sim.cameras import CameraPair, Conditions, Light, Plate, expose, light
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
@@ -96,7 +96,7 @@ class Plant:
         by_name = {j.name: j for j in config.servos.joints}
         self._servos = [by_name[name] for name in config.arm.joint_names]
         specs = {
-            j.servo_id: _loose(config.spec, j, loose, number)
+            j.servo_id: _servo_spec(config.spec, j, loose, number)
             for number, j in enumerate(self._servos)
         }
         self._loads: Mapping[int, float] = {}
@@ -163,7 +163,7 @@ class Plant:
             )
             found = self._true.settled(q, context)
             self._last = known, found.pose[0]
-            self._loads = self._felt(found.torques[0])
+            self._loads = self._servo_loads(found.torques[0])
         pose = self._last[1].copy()
         pose[:3, 3] += self._swing
         return pose
@@ -192,8 +192,8 @@ class Plant:
         for joint, value in zip(self._servos, (q + given).tolist(), strict=True):
             self.emulator.push(joint.servo_id, joint.ticks(value))
 
-    def _felt(self, torques: Array) -> Mapping[int, float]:
-        """What each servo feels of the joints' loads (n,), in the sense of its ticks, by id."""
+    def _servo_loads(self, torques: Array) -> Mapping[int, float]:
+        """Share the joints' loads (n,) out to the servos, by id, in the sense of their ticks."""
         return {
             j.servo_id: math.copysign(1.0, j.travel) * torque / j.full_effort
             for j, torque in zip(self._servos, torques.tolist(), strict=True)
@@ -206,11 +206,11 @@ class Plant:
         plate = self.tip_pose(t_s) @ config.plate_on_tip
         if self._lit is None or not np.array_equal(plate, self._lit[0]):
             self._lit = plate, light(plate, config.plate, config.cameras, Conditions())
-        left, right = (exposed(each, Conditions(), self._rng) for each in self._lit[1])
+        left, right = (expose(each, Conditions(), self._rng) for each in self._lit[1])
         return left, right
 
 
-def _loose(
+def _servo_spec(
     spec: MotorSpec,
     joint: EmulatedJoint,
     effects: Sequence[ServoDroop | ServoDeadband],

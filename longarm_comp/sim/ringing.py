@@ -227,7 +227,7 @@ class Ringing:
         return modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
 
     def _modes(self, q: Array, speed: Array) -> _Vibration:
-        """Those of the posture; a wave goes on in them with the motion that the masses have."""
+        """Find the modes of the posture; a wave goes on in them with the masses' motion."""
         span = self._true.arm.upper - self._true.arm.lower
         # of a joint's range: so far the modes are those of the posture before
         if self._about is not None and (np.abs(q - self._about[0]) <= 0.02 * span).all():

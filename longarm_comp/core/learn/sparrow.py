@@ -19,7 +19,9 @@ best and the worst are refreshed after the foragers have moved; each sparrow kee
 best; positions are clipped to the bounds. Many searches run at once, one a network; one iteration
 evaluates discoverers, followers and vigilantes of all of them as three batches.
 
-The paper prints other updates: `bench/sparrow_as_printed.py`.
+The paper prints other updates. Starving followers move by ``exp((Xworst - X) / (alpha T))``;
+followers stay near themselves, for ``Xp`` is printed as ``X``; vigilantes fly from the worst by
+``exp(|Xworst - X| / (f - f_worst))``, without bound as ``f`` approaches it, and share one ``beta``.
 
 Known weakness: the update is biased towards the origin and the diagonal (all coordinates alike),
 so as a general-purpose optimiser it loses to differential evolution on shifted problems.

@@ -80,12 +80,12 @@ class SerialServoBus:
         return self._dialect.model_name(number)
 
     def memory(self, ids: Sequence[int]) -> dict[int, ServoMemory]:
-        """What each servo keeps without power. Raises IncompleteReply."""
+        """Read what each servo keeps without power. Raises IncompleteReply."""
         replies = self._fetch(ids, self._dialect.memory)
         return {i: self._dialect.memory_of(reply.data) for i, reply in replies.items()}
 
     def alarms(self, ids: Sequence[int]) -> dict[int, str]:
-        """What servos raise now, in words, with their supply and temperature; of those that do."""
+        """Read the alarms that servos raise now, in words, with supply and temperature."""
         replies = self.ask(ids, self._dialect.state).replies
         said = {}
         for servo_id, flags in self._alarms(replies).items():
@@ -150,7 +150,7 @@ class SerialServoBus:
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
 
     def driven(self, ids: Sequence[int]) -> dict[int, bool]:
-        """Whether each servo's drive is on. It goes off after an alarm or a loss of power.
+        """Read whether each servo's drive is on. It goes off after an alarm or a loss of power.
 
         Raises: IncompleteReply.
         """
@@ -158,19 +158,19 @@ class SerialServoBus:
         return {servo_id: reply.data == b"\1" for servo_id, reply in replies.items()}
 
     def turns(self, ids: Sequence[int]) -> dict[int, bytes]:
-        """What each servo keeps about its turns, as it is stored. Raises IncompleteReply."""
+        """Read what each servo keeps about its turns, as it is stored. Raises IncompleteReply."""
         return {i: r.data for i, r in self._fetch(ids, self._dialect.turns).items()}
 
     def other_turns(self, many: Mapping[int, bool]) -> dict[int, Change]:
-        """What is stored, and what would have to be, of servos that are set for other turns."""
+        """Return what servos set for other turns have stored, and what they would have to store."""
         return {
             i: (stored, self._dialect.turns_bytes(many[i]))
             for i, stored in self.turns(list(many)).items()
             if self._dialect.turns_of(stored) != many[i]
         }
 
-    def told_turns(self, many: Mapping[int, bool], others: Mapping[int, Change]) -> list[str]:
-        """What `other_turns` found, and was stored instead, in words."""
+    def describe_turns(self, many: Mapping[int, bool], others: Mapping[int, Change]) -> list[str]:
+        """Say in words what `other_turns` found, and what was stored instead."""
         return [
             f"servo {i} is set for {'many turns' if many[i] else 'one turn'}, as the servo file "
             f"says: {self._dialect.turns_said(new)} instead of {self._dialect.turns_said(had)}"

@@ -27,14 +27,14 @@ def _x(name: str, number: int, full_load: float, friction: float | None = None) 
     return ServoModel(name, "dynamixel", number, 4096, *turns, full_load, friction)
 
 
-def _divided(crc: int) -> int:
+def _divide(crc: int) -> int:
     """The remainder after eight more bits of 0."""
     for _ in range(8):
         crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
     return crc
 
 
-_CRC_TABLE = tuple(_divided(byte << 8) for byte in range(256))
+_CRC_TABLE = tuple(_divide(byte << 8) for byte in range(256))
 
 
 class DynamixelX(Dialect):

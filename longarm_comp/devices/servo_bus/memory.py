@@ -1,4 +1,4 @@
-"""What a servo keeps without power: registers that decide what a command means to it."""
+"""A servo's memory without power: registers that decide what a command means to it."""
 
 from __future__ import annotations
 
@@ -61,12 +61,12 @@ class ServoMemory:
     speed_ticks_s: float | None
 
     def beyond(self, ticks: float) -> str:
-        """What a servo at ``ticks`` would jump for when it is driven; empty where it would not."""
+        """Say why a servo at ``ticks`` would jump when it is driven; empty where it would not."""
         if self.goals is None or self.goals[0] <= ticks <= self.goals[1]:
             return ""
         return (
             f"stands at {ticks:.0f}, beyond its own limits {self.goals[0]} to "
-            f"{self.goals[1]}, and would move there: turn it back by hand ({self.told})"
+            f"{self.goals[1]}, and would move there: turn it back by hand ({self.changes})"
         )
 
     @property
@@ -79,17 +79,17 @@ class ServoMemory:
         }
 
     @property
-    def told(self) -> str:
+    def changes(self) -> str:
         """The registers that are not as from the factory, with addresses."""
         own = [r for r in self.registers if r.factory not in (None, self.values[r.name])]
-        return ", ".join(map(self.said, own)) or "its registers are as from the factory"
+        return ", ".join(map(self.describe, own)) or "its registers are as from the factory"
 
     @property
-    def shown(self) -> str:
+    def notable(self) -> str:
         """Those, and the registers that differ among models."""
         own = [r for r in self.registers if self.values[r.name] != r.factory]
-        return ", ".join(map(self.said, own))
+        return ", ".join(map(self.describe, own))
 
-    def said(self, register: Register) -> str:
-        """A register's name, value and address."""
+    def describe(self, register: Register) -> str:
+        """Write a register's name, value and address."""
         return f"{register.name} = {self.values[register.name]} (register {register.address})"

@@ -136,15 +136,15 @@ def scan_line(
     for k, (name, rate) in enumerate(tries):
         line = _Line(port, name, rate)
 
-        def told(servo_id: int, share: float, k: int = k, line: _Line = line) -> None:
+        def tell_id(servo_id: int, share: float, k: int = k, line: _Line = line) -> None:
             said = f"{line.protocol}, {line.baudrate} bit/s, id {servo_id}"
             tell(said, (k + share) / len(tries))
 
-        if servos := line.answering(ids, reply_timeout_s, told):
+        if servos := line.answering(ids, reply_timeout_s, tell_id):
             heard = {servo.servo_id: servo for servo in servos}
             clear = {servo.servo_id for servo in servos if not servo.clash}
             unclear = {*expected}.intersection(ids) - clear
-            again = line.answering(sorted(unclear), 10.0 * reply_timeout_s, told)
+            again = line.answering(sorted(unclear), 10.0 * reply_timeout_s, tell_id)
             heard |= {servo.servo_id: servo for servo in again}
             return Scan(port, name, rate, tuple(heard[i] for i in sorted(heard)))
     return None
@@ -164,17 +164,17 @@ def look(line: SerialPort, dialect: Dialect, servo_id: int) -> FoundServo | None
     An answer that comes too late from the id before hides one, or looks like a second servo.  So
     where the line was disturbed, the id is asked once more when the line is quiet.
     """
-    found, disturbed = _looked(line, dialect, servo_id)
+    found, disturbed = _look_once(line, dialect, servo_id)
     if disturbed:
         while line.receive(1):
             pass
-        again, _ = _looked(line, dialect, servo_id)
+        again, _ = _look_once(line, dialect, servo_id)
         found = again or found
     return found
 
 
-def _looked(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[FoundServo | None, bool]:
-    """What answers, and whether anything came beside.
+def _look_once(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[FoundServo | None, bool]:
+    """Return what answers, and whether anything came beside.
 
     A twin's model number is the same and its state is not, so both are read.
     """
@@ -200,7 +200,7 @@ def _looked(line: SerialPort, dialect: Dialect, servo_id: int) -> tuple[FoundSer
         damaged >= _DAMAGED or (stray and not counters.timeouts),
         alarms.get(servo_id, ""),
         kept.values if kept else {},
-        kept.shown if kept else "",
+        kept.notable if kept else "",
     )
     return found, stray or found.clash
 

@@ -92,7 +92,7 @@ class BoardCalibration:
     distances_m: tuple[float, float]  # nearest and farthest board, as calibrated
 
 
-def calibrated(
+def calibrate_board(
     board: Target, views: Sequence[BoardView], size: tuple[int, int]
 ) -> BoardCalibration:
     """Calibrate a head from views that cover image, distance and tilt."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
-from longarm_comp.devices.stereo.found import Limits, found
+from longarm_comp.devices.stereo.found import Limits, find_corners
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Grey, Target
 from longarm_comp.devices.stereo.triangulate import (
@@ -74,8 +74,8 @@ class StereoEye:
 
     def _measure(self, left: Grey, right: Grey) -> StereoSighting:
         greys = _as_grey(left, self.rig.left, "left"), _as_grey(right, self.rig.right, "right")
-        in_left = found(self.target, greys[0], "left", self.limits)
-        in_right = found(self.target, greys[1], "right", self.limits)
+        in_left = find_corners(self.target, greys[0], "left", self.limits)
+        in_right = find_corners(self.target, greys[1], "right", self.limits)
         ids, left_px, right_px = in_left.shared(in_right)
         corners = self.target.points(ids)
         fewest = max(4, int(np.ceil(self.limits.seen_share * self.target.n_corners)))

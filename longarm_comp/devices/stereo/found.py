@@ -58,8 +58,8 @@ def _edge_px(grey: NDArray[np.uint8], height: float) -> float:
     return float(np.sqrt(max(total**2 - _PRESMOOTH_PX**2, 0.0)))
 
 
-def found(target: Target, grey: Grey, side: str, limits: Limits) -> Corners:
-    """Corners of a target in the image (H, W) of the ``left`` or the ``right`` camera.
+def find_corners(target: Target, grey: Grey, side: str, limits: Limits) -> Corners:
+    """Find the corners of a target in the image (H, W) of the ``left`` or the ``right`` camera.
 
     Raises:
         StereoRefusal: AMBIGUOUS, BLURRED; TOO_DARK, TOO_BRIGHT, NOT_FOUND where nothing is seen.
@@ -68,7 +68,7 @@ def found(target: Target, grey: Grey, side: str, limits: Limits) -> Corners:
     if seen.repeated:
         raise StereoRefusal(RefusalReason.AMBIGUOUS, image=side, ids=seen.repeated)
     if not len(seen):
-        raise _unseen(grey, side, limits)
+        raise _refusal(grey, side, limits)
     low = np.maximum(np.floor(seen.pixels.min(axis=0)).astype(int) - 4, 0)
     high = np.ceil(seen.pixels.max(axis=0)).astype(int) + 5
     patch = grey[low[1] : high[1], low[0] : high[0]]
@@ -78,7 +78,7 @@ def found(target: Target, grey: Grey, side: str, limits: Limits) -> Corners:
     return seen
 
 
-def _unseen(grey: Grey, side: str, limits: Limits) -> StereoRefusal:
+def _refusal(grey: Grey, side: str, limits: Limits) -> StereoRefusal:
     dark, bright = np.percentile(grey[::2, ::2], [1.0, 99.0])
     facts: dict[str, object] = {"image": side, "bright": round(bright), "dark": round(dark)}
     if not bright >= 45.0:

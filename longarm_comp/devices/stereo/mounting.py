@@ -1,4 +1,4 @@
-"""What no further view mends: a camera that is turned, or pictures that are paired wrongly."""
+"""Refuses what no further view mends: a turned camera, or pictures that are paired wrongly."""
 
 from __future__ import annotations
 

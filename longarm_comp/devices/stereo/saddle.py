@@ -85,7 +85,7 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
     weight = np.exp(-(dx**2 + dy**2) / (2 * (0.6 * half) ** 2))
     state = _start(grey, values, start - middle, middle)
     for _ in range(12):
-        jacobian, residual = _linearised(state, dx, dy, values)
+        jacobian, residual = _linearise(state, dx, dy, values)
         weighted = jacobian.transpose(0, 2, 1) * weight
         normal = weighted @ jacobian
         # Damped by a hundredth: what a corner hardly tells stays near its start
@@ -119,7 +119,7 @@ def _start(grey: NDArray[np.uint8], values: Array, at: Array, middle: NDArray[np
     return state
 
 
-def _linearised(state: Array, dx: Array, dy: Array, values: Array) -> tuple[Array, Array]:
+def _linearise(state: Array, dx: Array, dy: Array, values: Array) -> tuple[Array, Array]:
     """Jacobian of the model (N, M, 9) and residuals (N, M)."""
     from scipy.special import erf  # a quarter of a second; tags do without
 

@@ -55,7 +55,7 @@ class Target(Protocol):
 
     @property
     def n_corners(self) -> int:
-        """How many corners there are when all are seen."""
+        """The number of corners when all are seen."""
         ...
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.devices.stereo.camera import Array
-from longarm_comp.devices.stereo.found import Limits, found
+from longarm_comp.devices.stereo.found import Limits, find_corners
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
@@ -35,7 +35,7 @@ class BoardView:
     tilt_deg: tuple[float, float]  # about the image's horizontal and vertical axis, roughly
 
     def is_new(self, others: Sequence[BoardView], width: int) -> bool:
-        """Whether it shows the board elsewhere, at another distance or tilt than the others."""
+        """Return whether it shows the board elsewhere, or at another distance or tilt."""
         return all(self._differs(other, width) for other in others)
 
     def _differs(self, other: BoardView, width: int) -> bool:
@@ -48,7 +48,7 @@ class BoardView:
         )
 
     def is_still(self, before: BoardView | None) -> bool:
-        """Whether the common corners have moved by less than 1 px since the pair before."""
+        """Return whether the common corners have moved by less than 1 px since the pair before."""
         if before is None:
             return False
         _, now, then = self.left.shared(before.left)
@@ -65,7 +65,10 @@ def view_of(board: Target, left: Grey, right: Grey) -> BoardView:
         raise StereoRefusal(
             RefusalReason.WRONG_SIZE, left=left.shape[::-1], right=right.shape[::-1]
         )
-    in_left, in_right = found(board, left, "left", Limits()), found(board, right, "right", Limits())
+    in_left, in_right = (
+        find_corners(board, left, "left", Limits()),
+        find_corners(board, right, "right", Limits()),
+    )
     ids, left_px, right_px = in_left.shared(in_right)
     if len(ids) < FEWEST_CORNERS:
         raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
@@ -75,7 +78,7 @@ def view_of(board: Target, left: Grey, right: Grey) -> BoardView:
 
 
 def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
-    """What the views lack, as instructions; none when they are enough."""
+    """List what the views lack, as instructions; none when they are enough."""
     lacking = []
     if len(views) < FEWEST_VIEWS:
         lacking.append(f"more views: {len(views)} of {FEWEST_VIEWS}")
@@ -84,7 +87,7 @@ def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
     for side in ("left", "right"):
         bare = [
             "centre" if row == column == 1 else f"{_ROWS[row]} {_COLUMNS[column]}"
-            for row, column in np.argwhere(~_covered(views, side, size))
+            for row, column in np.argwhere(~_ninths_with_corners(views, side, size))
         ]
         if bare:
             lacking.append(f"{side} camera: no corner at the {', '.join(bare)} of what both see")
@@ -102,7 +105,9 @@ def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
     return lacking
 
 
-def _covered(views: Sequence[BoardView], side: str, size: tuple[int, int]) -> NDArray[np.bool_]:
+def _ninths_with_corners(
+    views: Sequence[BoardView], side: str, size: tuple[int, int]
+) -> NDArray[np.bool_]:
     """Ninths (3, 3) of the part of a side's image that both cameras see, with corners in them."""
     width, height = size
     shared = max(width - max(0.0, float(np.median([v.disparity_px for v in views]))), 1.0)

@@ -22,7 +22,7 @@ class Webcam:
 
 
 def webcams(system: Path = _SYSTEM) -> list[Webcam]:
-    """Those that give pictures; a camera's further devices carry other data."""
+    """List those that give pictures; a camera's further devices carry other data."""
     found = []
     for entry in sorted(system.glob("video*"), key=lambda path: int(path.name[5:] or 0)):
         index = entry / "index"
@@ -53,7 +53,7 @@ def picture(device: str) -> np.ndarray:
 
 
 def driver_lines(left: str, right: str) -> list[str]:
-    """What publishes two cameras where `stereo_bridge` listens."""
+    """Write the commands that publish two cameras where `stereo_bridge` listens."""
     return [
         f"ros2 run v4l2_camera v4l2_camera_node --ros-args -p video_device:={device} "
         f"-r image_raw:={side}/image_raw -r camera_info:={side}/camera_info "

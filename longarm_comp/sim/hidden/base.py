@@ -30,7 +30,7 @@ class Place:
 
 
 class Dosed:
-    """What has a name, that of its class (``JointZero``: ``joint_zero``), and a size."""
+    """Something with a name, that of its class (``JointZero``: ``joint_zero``), and a size."""
 
     name: ClassVar[str]
     doses: ClassVar[tuple[str, ...]] = ()
@@ -69,7 +69,7 @@ class HiddenEffect(Dosed):
         return 0.0
 
     def before(self, torques: Array, state: State) -> Array | float:
-        """Of the joints' displacements (N, n), rad or m, those that a motor's encoder sees."""
+        """The joints' displacements (N, n), rad or m, that a motor's encoder sees."""
         return 0.0
 
     def rows(self, rows: Array, state: State) -> Array:

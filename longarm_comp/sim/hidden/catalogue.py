@@ -151,7 +151,7 @@ def draw(name: str, arm: Arm, rng: np.random.Generator, size_mm: float) -> Hidde
 
     Servo steps exist only in a few sizes, so the nearest of them is taken.
     """
-    return sized(hidden(name, arm, 1.0, rng), arm, rng, size_mm)
+    return scale_to_size(hidden(name, arm, 1.0, rng), arm, rng, size_mm)
 
 
 def moved_tip(
@@ -161,7 +161,7 @@ def moved_tip(
     return TrueArm(arm, [effect], steps=QUICK_STEPS).tip(poses, context)
 
 
-def sized(
+def scale_to_size(
     effect: Any,
     arm: Arm,
     rng: np.random.Generator,
@@ -169,7 +169,7 @@ def sized(
     poses: Array | None = None,
     seen: Callable[..., Array] = moved_tip,
 ) -> Any:
-    """An effect with another dose, so that the seen tip shifts by about `size_mm` rms.
+    """Scale an effect so that the seen tip shifts by about `size_mm` rms.
 
     Args:
         poses: (N, n); 60 random ones by default.

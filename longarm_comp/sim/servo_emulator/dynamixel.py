@@ -143,8 +143,8 @@ def _signed(device: Device, address: int) -> int:
     return int.from_bytes(device.memory[address : address + 4], "little", signed=True)
 
 
-def _seen(device: Device, ticks: int) -> int:
-    """What the servo calls a position of its encoder, as stored."""
+def _as_stored(device: Device, ticks: int) -> int:
+    """Return a position of the encoder as the servo stores it."""
     return (_sign(device) * ticks + _offset(device)) & 0xFFFFFFFF
 
 
@@ -153,12 +153,12 @@ def _refresh(device: Device) -> None:
     motor = device.motor
     device.put(_At.TORQUE, 1, int(motor.torque_on))
     device.put(_At.HARDWARE_ERROR, 1, sum(_HARDWARE_BITS[name] for name in motor.alarms))
-    device.put(_At.GOAL, 4, _seen(device, round(motor.goal)))
+    device.put(_At.GOAL, 4, _as_stored(device, round(motor.goal)))
     device.put(_At.MOVING, 1, int(motor.moving))
     device.put(_At.LOAD, 2, round(motor.effort * motor.spec.load_units) & 0xFFFF)
     velocity = _sign(device) * round(motor.velocity / _SPEED_UNIT)
     device.put(_At.VELOCITY, 4, velocity & 0xFFFFFFFF)
-    device.put(_At.POSITION, 4, _seen(device, motor.reading))
+    device.put(_At.POSITION, 4, _as_stored(device, motor.reading))
     device.put(_At.VOLTS, 2, round(motor.voltage_v * 10))
     device.put(_At.TEMPERATURE, 1, round(motor.temperature_c))
 

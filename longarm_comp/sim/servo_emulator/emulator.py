@@ -31,7 +31,7 @@ class WireFaults:
     cuts: Counter[int] = field(default_factory=Counter)
 
     def apply(self, servo_id: int, reply: bytes) -> bytes:
-        """What is sent for ``reply``."""
+        """Return the bytes that are sent for ``reply``."""
         if servo_id in self.silent or _take(self.drops, servo_id):
             return b""
         if _take(self.corrupt, servo_id):

@@ -87,7 +87,7 @@ class FeetechWire(RegisterWire):
         if address <= _At.GOAL < end:
             if not motor.torque_on:
                 motor.switch(True)  # a goal wakes an STS servo up
-            goal = _bounded(device, _signed(device.get(_At.GOAL, 2), 15))
+            goal = _clip_goal(device, _signed(device.get(_At.GOAL, 2), 15))
             if device.get(_At.MODE, 1) == _STEPS:
                 motor.goal = motor.position + goal
             elif device.get(_At.MODE, 1) == 0:
@@ -111,7 +111,7 @@ def _refresh(device: Device) -> None:
     device.put(_At.MOVING, 1, int(motor.moving))
 
 
-def _bounded(device: Device, goal: int) -> float:
+def _clip_goal(device: Device, goal: int) -> float:
     low, high = device.get(_At.MIN_ANGLE, 2), device.get(_At.MAX_ANGLE, 2)
     return float(max(-30719, min(30719, goal)) if high == 0 else max(low, min(high, goal)))
 

@@ -70,7 +70,7 @@ class EmulatedArm:
 
 
 def read_arm(path: str | Path) -> EmulatedArm:
-    """From a servo driver's YAML, plain or as ROS parameters."""
+    """Read a servo driver's YAML, plain or as ROS parameters."""
     data = read_yaml(path)
     if isinstance(data, dict) and len(data) == 1:
         (only,) = data.values()

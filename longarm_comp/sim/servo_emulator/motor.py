@@ -67,7 +67,7 @@ class Motor:
 
     @property
     def reading(self) -> int:
-        """What the encoder says, ticks."""
+        """The encoder's reading, ticks."""
         return round(self.seen)
 
     def turn(self, by: float) -> None:
@@ -77,7 +77,7 @@ class Motor:
 
     @property
     def moving(self) -> bool:
-        """Whether the horn turns faster than one tick in 20 ms."""
+        """True if the horn turns faster than one tick in 20 ms."""
         return abs(self.velocity) > 50.0
 
     def switch(self, on: bool) -> None:
@@ -95,7 +95,7 @@ class Motor:
             return
         start = self.position
         if self.torque_on and not self.blocked:
-            self.turn(self._travelled(dt_s) - start)
+            self.turn(self._next_position(dt_s) - start)
         self.velocity = (self.position - start) / dt_s
         wound = self.wound + (self.position - start) / self.spec.wind_up_ticks
         self.wound = max(-1.0, min(1.0, wound))
@@ -106,7 +106,7 @@ class Motor:
             self.approach = moved  # giving way afterwards turns nothing round
         self._drive(dt_s)
 
-    def _travelled(self, dt_s: float) -> float:
+    def _next_position(self, dt_s: float) -> float:
         """Position after ``dt_s``: constant speed far from the goal, first-order lag near it."""
         spec = self.spec
         low, high = self._rest()
