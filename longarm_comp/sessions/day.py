@@ -50,17 +50,21 @@ class Day:
     def by_hour(self) -> list[dict[str, Any]]:
         """A row an hour and one of the whole: targets, those seen, errors in mm."""
         hour = (self.t_s // 3600).astype(int)
-        rows = [_row(f"{h}-{h + 1} h", self.error_mm[hour == h]) for h in np.unique(hour)]
-        return [*rows, _row("all", self.error_mm)]
-
-
-def _row(name: str, error: np.ndarray) -> dict[str, Any]:
-    seen = error[np.isfinite(error)]
-    figures: list[Any] = [None, None, None]
-    if len(seen):
-        figures = [float(seen.mean()), float(np.percentile(seen, 95)), float(seen.max())]
-    made = {"hours": name, "targets": len(error), "seen": len(seen)}
-    return made | dict(zip(("mean_mm", "p95_mm", "max_mm"), figures, strict=True))
+        parts = [(f"{h}-{h + 1} h", self.error_mm[hour == h]) for h in np.unique(hour)]
+        rows = []
+        for name, error in (*parts, ("all", self.error_mm)):
+            seen = error[np.isfinite(error)]
+            rows.append(
+                {
+                    "hours": name,
+                    "targets": len(error),
+                    "seen": len(seen),
+                    "mean_mm": float(seen.mean()) if len(seen) else None,
+                    "p95_mm": float(np.percentile(seen, 95)) if len(seen) else None,
+                    "max_mm": float(seen.max()) if len(seen) else None,
+                }
+            )
+        return rows
 
 
 def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str, ...]) -> Day:

@@ -92,19 +92,18 @@ class Table:
         """Whether any of these columns is there."""
         return not set(columns).isdisjoint(self.cells)
 
-    def lengths(self, column: str, unit: str = "m", blanks: bool = False) -> np.ndarray:
-        """(N,) coordinates or joints, as `numbers`, up to `FARTHEST`."""
-        return self.numbers(
-            column, f"{unit}, up to {FARTHEST:g}", blanks, lambda v: abs(v) <= FARTHEST
-        )
+    def lengths(self, columns: Sequence[str], unit: str = "m", blanks: bool = False) -> np.ndarray:
+        """Return (N, k) coordinates or joints, as `block` does, up to `FARTHEST`."""
+        unit = f"{unit}, up to {FARTHEST:g}"
+        return self.block(columns, unit, blanks, lambda v: abs(v) <= FARTHEST)
 
     def integers(self, column: str, blank: int | None = None) -> np.ndarray:
         """(N,) whole numbers; an empty cell becomes `blank` where that is given."""
 
-        def whole(value: float) -> bool:
+        def is_whole(value: float) -> bool:
             return value.is_integer() and abs(value) < 2**53
 
-        values = self.numbers(column, "whole", blank is not None, whole)
+        values = self.numbers(column, "whole", blank is not None, is_whole)
         return np.where(np.isnan(values), -1 if blank is None else blank, values).astype(np.int64)
 
     def is_numeric(self, column: str) -> bool:
@@ -168,17 +167,9 @@ def write_table(path: str | Path, header: Sequence[str], rows: Iterable[Sequence
 def fill_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write what `write_table` writes, into a file that is made whole by others."""
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
+        writer = csv.writer(file, lineterminator="\n")  # None is blank; NaN, unequal to itself, too
         writer.writerow(header)
-        writer.writerows([_text(value) for value in row] for row in rows)
-
-
-def _text(value: object) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, (float, np.floating)):
-        return "" if math.isnan(value) else repr(float(value))
-    return str(value)
+        writer.writerows([None if value != value else value for value in row] for row in rows)
 
 
 # ------------------------------------------------------------------ names of columns

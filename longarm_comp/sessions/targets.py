@@ -75,11 +75,10 @@ def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_ta
     known = (*XYZ, *QUATERNION, *UNITS, "approach", "index", "frame")
     check_header(table.where, table.header, required)
     check_unknown(table.where, table.header, known)
-    xyz = np.stack([table.lengths(name) for name in XYZ], axis=-1)
+    xyz = table.lengths(XYZ)
     quaternion = np.full((len(table), 4), np.nan)
     if len(required) > len(XYZ):
-        turns = [table.lengths(name, "unit quaternion", blanks=True) for name in QUATERNION]
-        quaternion = np.stack(turns, axis=-1)
+        quaternion = table.lengths(QUATERNION, "unit quaternion", blanks=True)
         length = np.linalg.norm(quaternion, axis=1)
         good = np.isnan(quaternion).all(axis=1) | (np.abs(length - 1) <= LENGTH_TOLERANCE)
         for row in np.flatnonzero(~good).tolist():

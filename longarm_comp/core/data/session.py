@@ -128,6 +128,7 @@ class Session(MeasuredRows):
         readings: Mapping[str, np.ndarray] | None = None,
         sigmas: Mapping[str, np.ndarray] | None = None,
         touch_distances: Sequence[KnownDistance] = (),
+        begun_s: float = 0.0,
     ) -> Session:
         """From rows in the order of recording; how each joint arrived is derived.
 
@@ -149,7 +150,7 @@ class Session(MeasuredRows):
         return cls(
             index, q, xyz, history.approach, repeat_id, sigma, columns or {}, labels or {}, source,
             history.legs, sides_told(q, approach, begun), readings or {}, sigmas or {},
-            tuple(touch_distances),
+            tuple(touch_distances), begun_s=begun_s,
         )  # fmt: skip
 
     def taken(self, lengths: np.ndarray) -> Session:
