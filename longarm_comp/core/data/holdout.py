@@ -21,7 +21,7 @@ def blocked_split(
         raise InputError("split", "fraction", fraction, "between 0 and 1")
     poses = len(np.unique(session.pose_id))
     if poses < 2:
-        raise InputError(session.source, "poses", poses, "at least 2 distinct poses to split")
+        raise session.error("poses", poses, "at least 2 distinct poses to split")
     block = blocks_of(session)
     held = np.zeros(len(session), dtype=bool)
     for drawn in np.random.default_rng(rng).permutation(np.unique(block)):

@@ -52,7 +52,7 @@ def lifted_base(
     Args:
         points, axes: of N predicted tips in the base: (N, 3) m; (N, 3, 3) in columns.
     """
-    parts = (*_coordinates(points, rows), *_rays(arm, points, rows), *_anchors(arm, points, rows))
+    parts = _linear_equations(arm, points, rows)
     found = _LinearEquations(*map(np.concatenate, zip(*parts, strict=True)))
     turn = _by_axes(axes, rows)
     if turn is None:
@@ -61,11 +61,11 @@ def lifted_base(
     return turn, _robust(found.direction, right) if len(right) else np.zeros(3)
 
 
-def multilaterated(points: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Place (3,) of the anchor at N >= 4 distances (N,) from points (N, 3), m, outliers apart."""
+def multilaterate(points: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Return the place (3,) of an anchor by N >= 4 distances (N,) from points (N, 3), m."""
     kept = np.ones(len(length), dtype=bool)
     for _ in range(ROUNDS):
-        place = _anchor(points[kept], length[kept])
+        place = _fit_anchor(points[kept], length[kept])
         miss = np.abs(np.linalg.norm(points - place, axis=1) - length)
         closer = miss <= max(_FAR_MEDIANS * float(np.median(miss)), EXACT)
         if closer.sum() < _MIN_EQUATIONS or (closer == kept).all():
@@ -74,8 +74,8 @@ def multilaterated(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     return place
 
 
-def _anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Least squares of the distances.
+def _fit_anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Fit the place (3,) of an anchor to its distances, by least squares.
 
     ``|p|^2 - d^2 = 2 p.a - |a|^2`` is linear in a, but weighs far points more than they deserve, so
     the distances themselves are fitted after it.  Points in a plane leave its side open.
@@ -91,38 +91,32 @@ def _anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     return np.asarray(place + middle)
 
 
-def _coordinates(points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
+def _linear_equations(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
+    """Yield the equations of coordinates, of rays, and of declared anchors.
+
+    Each anchor is placed in the base by its distances, as a point that was seen.
+    """
     for k, axis in enumerate(np.eye(3)):
-        held = np.isfinite(rows.xyz[:, k])
-        directions = np.broadcast_to(axis, (int(held.sum()), 3))
-        yield _LinearEquations(directions, points[held], rows.xyz[held, k])
-
-
-def _rays(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
-    if "ray" not in rows.readings:
-        return
-    held = np.isfinite(rows.readings["ray"]).all(axis=1)
-    frames = by_name(arm.camera_frame, rows.labels["sensor"][held])
-    for k in range(2):
-        local = across(rows.readings["ray"][held])[:, k]
-        directions = np.einsum("nij,nj->ni", frames[:, :, :3], local)
-        value = (directions * frames[:, :, 3]).sum(axis=1)
-        yield _LinearEquations(directions, points[held], value)
-
-
-def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
-    """Declared anchors, each placed in the base by its distances, as points that were seen."""
-    if "distance" not in rows.readings:
-        return
-    length = rows.readings["distance"][:, 0]
-    for name, anchor in arm.anchors.items():
-        held = np.isfinite(length) & (rows.labels["anchor"] == name)
-        if anchor.xyz_m is None or held.sum() < _MIN_EQUATIONS:
-            continue
-        place = multilaterated(points[held], length[held])
-        count = int(held.sum())  # as many equations as distances
-        directions, value = np.tile(np.eye(3), (count, 1)), np.tile(anchor.xyz_m, count)
-        yield _LinearEquations(directions, np.tile(place, (3 * count, 1)), value)
+        some = np.isfinite(rows.xyz[:, k])
+        directions = np.broadcast_to(axis, (int(some.sum()), 3))
+        yield _LinearEquations(directions, points[some], rows.xyz[some, k])
+    if "ray" in rows.readings:
+        some = np.isfinite(rows.readings["ray"]).all(axis=1)
+        frames = by_name(arm.camera_frame, rows.labels["sensor"][some])
+        for k in range(2):
+            local = across(rows.readings["ray"][some])[:, k]
+            directions = np.einsum("nij,nj->ni", frames[:, :, :3], local)
+            value = (directions * frames[:, :, 3]).sum(axis=1)
+            yield _LinearEquations(directions, points[some], value)
+    if "distance" in rows.readings:
+        length = rows.readings["distance"][:, 0]
+        for name, anchor in arm.anchors.items():
+            some = np.isfinite(length) & (rows.labels["anchor"] == name)
+            count = int(some.sum())  # as many equations as distances
+            if anchor.xyz_m is not None and count >= _MIN_EQUATIONS:
+                place = np.tile(multilaterate(points[some], length[some]), (3 * count, 1))
+                directions = np.tile(np.eye(3), (count, 1))
+                yield _LinearEquations(directions, place, np.tile(anchor.xyz_m, count))
 
 
 def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:

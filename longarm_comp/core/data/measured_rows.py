@@ -40,6 +40,10 @@ class MeasuredRows:
     touch_distances: tuple[KnownDistance, ...]
     blocks: tuple[ChannelBlock, ...]
 
+    def error(self, field: str, value: object, allowed: str) -> InputError:
+        """Return the error that the rows say something wrong."""
+        return InputError(self.source, field, value, allowed)
+
     @cached_property
     def seen(self) -> np.ndarray:
         """(N,) whether anything was measured of the tip."""
@@ -186,24 +190,24 @@ class MeasuredRows:
             if name == "position" or name not in KINDS or not KINDS[name].cells:
                 known = [k for k, v in KINDS.items() if k != "position" and v.cells]
                 allowed = ", ".join([*known, "read_q1", "..."])
-                raise InputError(self.source, f"readings {name}", "unknown kind", allowed)
+                raise self.error(f"readings {name}", "unknown kind", allowed)
             kind = KINDS[name]
             values = np.asarray(given, dtype=float)
             check_shape(self.source, name, values, (n_rows, len(kind.cells)))
             if isinstance(kind, EncoderReading) and kind.number > self.q.shape[1]:
-                raise InputError(self.source, name, "unknown", f"read_q1..q{self.q.shape[1]}")
+                raise self.error(name, "unknown", f"read_q1..q{self.q.shape[1]}")
             wrong, allowed = kind.wrong(values)
             partly = np.isnan(values).any(axis=1) & ~np.isnan(values).all(axis=1)
             for row in np.flatnonzero(wrong | partly | np.isinf(values).any(axis=1)):
                 field = f"row {row + 1}, {', '.join(kind.cells)}"
                 said = ", ".join(f"{v:g}" for v in values[row])
-                raise InputError(self.source, field, said, allowed or "numbers, or all blank")
+                raise self.error(field, said, allowed or "numbers, or all blank")
             held = kind.measured(values).any(axis=1)
             if kind.label and held.any():
                 texts = self.labels.get(kind.label, np.full(n_rows, ""))
                 for row in np.flatnonzero(held & (texts == "")):
                     field = f"row {row + 1}, {kind.label}"
-                    raise InputError(self.source, field, "blank", f"a name beside {kind.name}")
+                    raise self.error(field, "blank", f"a name beside {kind.name}")
             if held.any():
                 readings[name] = values
                 values.flags.writeable = False

@@ -14,7 +14,7 @@ import numpy as np
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.kinds import KINDS, Equations
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.data.touched import completed
+from longarm_comp.core.data.touched import with_touched
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.model.model import Model, Slot
@@ -31,7 +31,7 @@ def equations(
 ) -> Equations:
     """Equations of all channels of a session by some parameters, all of a model's by default."""
     slots = model.slots if slots is None else slots
-    model = completed(model, session, at)
+    model = with_touched(model, session, at)
     return _stacked(model.motion(at, slots, session.turns), session)
 
 
@@ -39,7 +39,7 @@ def shifts(
     model: Model, session: Session, at: Posture, terms: Sequence[Effect | Bias]
 ) -> np.ndarray:
     """(N, d, k) change of the prediction by each of k terms outside the model."""
-    model = completed(model, session, at)
+    model = with_touched(model, session, at)
     return _stacked(model.added(at, terms, session.turns), session).columns
 
 

@@ -173,7 +173,7 @@ def settled(
         sum(s.t for s in kept) / n,
         np.mean([s.xyz for s in kept], axis=0),
         np.sum([s.variance for s in kept], axis=0) / n**2,
-        _mean_turn([s.quaternion for s in kept]),
+        _mean_quaternion([s.quaternion for s in kept]),
         sum(s.turn_variance for s in kept) / n**2,
     )
     return mean, ""
@@ -213,8 +213,8 @@ def _still(times: np.ndarray, joints: np.ndarray, rest: float) -> float:
     return float(times[np.flatnonzero(moving)[-1] + 1] if moving.any() else times[0])
 
 
-def _mean_turn(quaternions: Sequence[np.ndarray]) -> np.ndarray:
-    """Mean of orientations that are close to each other; NaN where one is unknown."""
+def _mean_quaternion(quaternions: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the mean of orientations that are close to each other; NaN where one is unknown."""
     if len(quaternions) == 1:
         return quaternions[0]
     alike = [q if q @ quaternions[0] >= 0 else -q for q in quaternions]
