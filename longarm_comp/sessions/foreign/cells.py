@@ -175,8 +175,7 @@ def _split_lines(where: str, text: str, mark: str) -> Lines:
     lines, above = [], True
     for number, line in enumerate(text.splitlines(), 1):
         remark = _REMARK.match(line)
-        numeric = _is_numeric(_CELLS.split(line.strip()), _POINT)
-        above = above and (remark is not None or not numeric)
+        above = above and not (remark is None and _is_numeric(_CELLS.split(line.strip()), _POINT))
         if not above and remark and remark[0][-1].isspace():
             raise InputError(where, f"line {number}", line[:40], "a row, without # before it")
         lines.append(_REMARK.sub("", line) if above else line)
@@ -242,7 +241,7 @@ def _read_sheet(path: Path, name: str | None) -> Lines:
 
 
 def _text_of(cell: Any) -> str:
-    """Return the text of a sheet's cell; whole numbers without a point, errors of the sheet as nothing."""
+    """Return the text of a sheet's cell: a whole number without a point, an error as nothing."""
     value = cell.value
     if value is None or cell.data_type == "e":
         return ""
@@ -290,7 +289,7 @@ def _find_first_row(where: str, lines: Lines, decimal: str) -> tuple[int, int]:
 
 
 def _is_heading(row: Sequence[str], width: int) -> bool:
-    """Tell whether a row of a table of this width reads as a line of names: words, and no number."""
+    """Tell whether a row of a table of this width reads as names: words, and no number."""
     filled = [c for c in row if c.lower() not in _NONE]
     numeric = any(_POINT.fullmatch(c) or _COMMA.fullmatch(c) or _DATED.search(c) for c in filled)
     return len(row) == width and not numeric and len(filled) > max(1, width // 2)
