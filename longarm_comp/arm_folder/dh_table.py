@@ -122,16 +122,6 @@ class _Row(Closed):
         }]  # fmt: skip
 
 
-def _row_of(number: int, flag: str) -> _Row:
-    row = {}
-    for word in flag.split():
-        key, equals, value = word.partition("=")
-        if not equals:
-            raise InputError("init", "--joint", word, "KEY=VALUE")
-        row[key] = value
-    return parse_declared(_Row, row, _where(number))
-
-
 def _where(number: int) -> str:
     return f"init: joint {number}"
 
@@ -139,8 +129,16 @@ def _where(number: int) -> str:
 def arm_of(
     name: str, given: Sequence[str], tip: Sequence[float], payload_kg: float
 ) -> dict[str, Any]:
-    """What arm.yaml holds for rows, at least one; `tip` (3,) m in the last frame."""
-    rows = [(number, _row_of(number, flag)) for number, flag in enumerate(given, 1)]
+    """Return what arm.yaml holds for rows, at least one; `tip` (3,) m in the last frame."""
+    rows = []
+    for number, flag in enumerate(given, 1):
+        row = {}
+        for word in flag.split():
+            key, equals, value = word.partition("=")
+            if not equals:
+                raise InputError("init", "--joint", word, "KEY=VALUE")
+            row[key] = value
+        rows.append((number, parse_declared(_Row, row, _where(number))))
     data: dict[str, Any] = {
         "name": name,
         "convention": "mdh_craig",

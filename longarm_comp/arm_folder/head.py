@@ -48,7 +48,7 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
     axes = _LEVEL
     if given:
         axes = [np.array(given.optical_axis) / np.linalg.norm(given.optical_axis)]
-    axis, mounting = _facing(turns, axes)
+    axis, mounting = _choose_direction(turns, axes)
     x = np.cross(axis, [0.0, 0.0, 1.0])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     off = points - middle
@@ -86,8 +86,10 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
     }
 
 
-def _facing(turns: np.ndarray, axes: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Of directions of looking the best (3,), and the plate's rotation vector (3,) on the tip."""
+def _choose_direction(
+    turns: np.ndarray, axes: Iterable[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Choose a direction of looking (3,) and the plate's rotation vector (3,) on the tip."""
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for axis in axes:
         normal = (-turns.transpose(0, 2, 1) @ axis).mean(axis=0)
@@ -179,9 +181,12 @@ class View:
         if not p[0] > 0.0 or not across[0] > 0.0:
             return self
         return replace(
-            self, focal_px=p[0], middle_px=(p[2], p[6]), size_px=(left.width, left.height),
+            self,
+            focal_px=p[0],
+            middle_px=(p[2], p[6]),
+            size_px=(left.width, left.height),
             baseline_m=-across[3] / across[0],
-        )  # fmt: skip
+        )
 
     def unseen(self, tips: np.ndarray) -> list[str]:
         """For each of the tip poses (M, 4, 4), base frame: why it is not measured, or "".

@@ -32,7 +32,7 @@ _COMMENTS = {
     "E_pa and masses are usual values of the material: weigh the parts.",
     "point_masses": "Servos, grippers, links without a beam: kg, and the place in a row's frame.",
     "camera": "Left camera of the stereo head, in the base frame: as in stereo_bridge.yaml.",
-}  # fmt: skip
+}
 _NO_LINKS = """No beam is declared: the arm is taken as rigid. What bends (docs/arm.md)
 can lie along {places}:
 links:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from longarm_comp.arm_folder.parameter_file import edited, own_parameters
+from longarm_comp.arm_folder.parameter_file import edit_text, own_parameters
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.errors import InputError
@@ -33,7 +33,7 @@ def with_joints(
         for key in KEYS:
             if getattr(joint, key) != getattr(old.joints[name], key):
                 values["joints", name, key] = getattr(joint, key)
-    made = edited(text, values, where)
+    made = edit_text(text, values, where)
     ServoConfig.parse(parse_yaml(made, str(where)), str(where))  # refuses what does not fit a turn
     return made
 

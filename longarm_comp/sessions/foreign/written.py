@@ -46,7 +46,11 @@ class Like:
             self.decimal = data["decimal"]
             self.names = tuple(map(str, data.get("names", ())))
             self._sign = str(self.decimal or ".")
-            self._separator = _plain(str(data["separator"]), self._sign)
+            # As pandas writes it, where a pattern was read
+            mark = str(data["separator"])
+            mark = {r"\t": "\t", r"\|": "|"}.get(mark, mark)
+            other = "\t" if mark else ";" if self._sign == "," else ","
+            self._separator = mark if len(mark) == 1 and mark != self._sign else other
         except (TypeError, KeyError, AttributeError) as error:
             allowed = "a mapping that longarm import-data wrote"
             raise InputError(mapping, "columns", repr(error), allowed) from error
@@ -78,12 +82,14 @@ class Like:
         """Write rows whose columns are in SI, whole or not at all; by the ending of the path."""
         import pandas as pd
 
+        def convert(value: Any, unit: Unit | None, moved: bool) -> Any:
+            if unit is None or value is None or value == "":
+                return value
+            return (float(value) - (unit.offset if moved else 0.0)) / unit.factor
+
         forms = [self._form(name) for name in header]
         cells = [
-            [
-                _in_unit(value, unit, moved)
-                for value, (_, unit, moved) in zip(row, forms, strict=True)
-            ]
+            [convert(value, *form[1:]) for value, form in zip(row, forms, strict=True)]
             for row in rows
         ]
         frame = pd.DataFrame(cells, columns=[name for name, _, _ in forms], dtype=object)
@@ -112,18 +118,3 @@ class Like:
                 bracket = f" [{unit.name}]" if unit and named else ""
                 return f"{what} {stem}{bracket}".strip(), unit, False
         return name, None, False
-
-
-def _plain(separator: str, decimal: str) -> str:
-    """A separator that pandas writes, of the pattern that was read."""
-    found = {r"\t": "\t", r"\|": "|"}.get(separator, separator)
-    if len(found) == 1 and found != decimal:
-        return found
-    return "\t" if found else ";" if decimal == "," else ","
-
-
-def _in_unit(value: Any, unit: Unit | None, moved: bool) -> Any:
-    if unit is None or value is None or value == "":
-        return value
-    offset = unit.offset if moved else 0.0
-    return (float(value) - offset) / unit.factor
