@@ -143,7 +143,7 @@ def write_folder(out: Path, files: Mapping[str, str]) -> None:
         raise InputError(out, "DIR", error.strerror or str(error), "a folder to write") from error
 
 
-def narrowed(
+def narrow_limits(
     data: Mapping[str, Any], range_deg: float, home_deg: Mapping[str, float]
 ) -> tuple[dict[str, Any], dict[int, str]]:
     """What arm.yaml holds with narrower limits, and by row what they were.
@@ -176,13 +176,13 @@ def narrowed(
     return {**data, "joints": rows}, notes
 
 
-def in_sight(data: Mapping[str, Any], home_deg: Mapping[str, float]) -> float:
+def find_range_in_sight(data: Mapping[str, Any], home_deg: Mapping[str, float]) -> float:
     """Largest range of turning joints, deg, that two webcams see from the arm's own table.
 
     They stand within one and a half times the arm's reach then, and the marker is small.
     """
     for range_deg in (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0):
-        arm = Arm.parse(narrowed(data, range_deg, home_deg)[0], "arm.yaml")
+        arm = Arm.parse(narrow_limits(data, range_deg, home_deg)[0], "arm.yaml")
         tip = declared_model(arm, deflection=False).tip(arm.mid)
         if np.linalg.norm(tip - head_for(arm)["stereo_bridge"]["hand_eye.xyz"]) <= 1.5 * reach(arm):
             break

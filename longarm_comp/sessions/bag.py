@@ -26,10 +26,10 @@ from longarm_comp.core.data.rest import (
     NO_REST,
     REST_S,
     Sighting,
-    in_turn,
-    nowhere,
-    settled,
-    stood,
+    blank_sighting,
+    is_of_two_arms,
+    joints_at_rest,
+    mean_at_rest,
 )
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -80,16 +80,16 @@ class Rows:
         begin, points = buffer.commands.popleft()
         sightings, rows = (between(each, begin, end) for each in (buffer.sightings, buffer.rows))
         times, joints = buffer.states_between(begin, end)
-        sighting, why = settled(sightings, times, joints, begin)
+        sighting, why = mean_at_rest(sightings, times, joints, begin)
         self._with_joints += bool(len(times))
-        self._rivals += in_turn(joints)
+        self._rivals += is_of_two_arms(joints)
         if why == NO_REST:
             late = joints[times >= times[-1] - REST_S]
             self._restless[int(np.argmax(np.ptp(late, axis=0)))] += 1
         given = rows[0][1] if rows else SessionRow()
         passed = sighting is None
         if sighting is None and rows:  # it was to be measured: a row says why it is blank
-            sighting = nowhere(rows[0][0])
+            sighting = blank_sighting(rows[0][0])
         last = self._rows[-1].number if self._rows else -1
         number = given.index if given.index is not None else last + 1
         if not passed and self._rows and not self._passed and not 0 <= number - last <= 1:
@@ -102,7 +102,7 @@ class Rows:
         self._passed = passed
         if sighting is not None:
             columns = {name: values.at(sighting.t) for name, values in buffer.columns.items()}
-            read = stood(times, joints, begin)
+            read = joints_at_rest(times, joints, begin)
             self._rows.append(
                 _Row(number, self._at, self._history, sides, sighting, read, given, columns)
             )

@@ -86,7 +86,7 @@ def folds_of(session: Session, rng: np.random.Generator | int = 0) -> np.ndarray
     return np.asarray(fold)
 
 
-def resampled(session: Session, count: int, rng: np.random.Generator | int = 0) -> np.ndarray:
+def resample(session: Session, count: int, rng: np.random.Generator | int = 0) -> np.ndarray:
     """(count, N) how often each row counts where whole blocks are drawn with replacement."""
     block = blocks_of(session)
     names, inverse = np.unique(block, return_inverse=True)

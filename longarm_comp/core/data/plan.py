@@ -128,19 +128,19 @@ def _in_box(arm: Arm, shares: np.ndarray) -> np.ndarray:
 
 
 def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Sides (N, n) as wished, but from the other side where a limit leaves no room to run up."""
+    """Return sides (N, n) as wished, but the other where a limit leaves no room to run up."""
     start = q - sides * run_up_lengths(arm)
     return np.where((start < arm.lower) | (start > arm.upper), -sides, sides)
 
 
 def with_random_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
-    """The same poses, each joint from a side drawn for it alone where both have room."""
+    """Return the same poses, each joint from a side drawn for it alone where both have room."""
     drawn = np.random.default_rng(rng).choice(np.array([-1, 1]), size=plan.q.shape)
     return dataclasses.replace(plan, approach=with_room(arm, plan.q, drawn))
 
 
 def from_both_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
-    """Every pose twice, the second time with all joints from the opposite sides.
+    """Return every pose twice, the second time with all joints from the opposite sides.
 
     Sides that the plan leaves open are drawn. A joint at a limit arrives from the side that has
     room both times.
@@ -168,8 +168,8 @@ Allowed = Callable[[Plan], np.ndarray]
 """(M,) bool: which of M poses may be taken."""
 
 
-def above(arm: Arm, height_m: float) -> Arm:
-    """The arm with a floor at a height (m, base frame) among its keep-out boxes.
+def with_floor(arm: Arm, height_m: float) -> Arm:
+    """Return the arm with a floor at a height (m, base frame) among its keep-out boxes.
 
     A floor above the arm's foot is a safety height: the arm rises above it once and stays there.
     """
@@ -180,7 +180,7 @@ def above(arm: Arm, height_m: float) -> Arm:
 
 
 def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
-    """(M,) whether the arm stays out of its keep-out boxes, at each pose and where it runs up."""
+    """Tell (M,) whether the arm stays out of keep-out boxes, at each pose and where it runs up."""
     if not model.arm.keep_out:
         return np.ones(len(plan), dtype=bool)
     start = plan.q - plan.approach * run_up_lengths(model.arm)
@@ -189,10 +189,10 @@ def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
     return np.array([not any(pair) for pair in pairs])
 
 
-def filled(
+def fill_plan(
     make: Callable[[Arm, int, int], Plan], arm: Arm, n: int, seed: int, allowed: Allowed, most: int
 ) -> Plan:
-    """The first n poses that are allowed, of a kind of plan that fills the joint box."""
+    """Return the first n poses that are allowed, of a kind of plan that fills the joint box."""
     free, tried = np.zeros(0, dtype=int), 0
     for count in sorted({n, *(min(times * n, most) for times in _TIMES)}):
         plan = make(arm, count, seed)

@@ -18,12 +18,12 @@ from longarm_comp.math.points import nearest_rotation, robust_kabsch, robust_wei
 
 
 def median_distance(residual: np.ndarray) -> float:
-    """Of (N, 3) residuals, m."""
+    """Return the median length of (N, 3) residuals, m."""
     return float(np.median(np.linalg.norm(residual, axis=1)))
 
 
 def median_spread(points: np.ndarray) -> float:
-    """Of (N, 3) points about their median, m."""
+    """Return the median distance of (N, 3) points from their median, m."""
     return median_distance(points - np.median(points, axis=0))
 
 
@@ -100,10 +100,10 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
     that the rows do not determine are left as declared.
     """
     still = np.zeros((int(rows.marker.max()) + 1, 3))
-    best = _refined(rows, still, tips)
+    best = _refine(rows, still, tips)
     if tips:
         linear = _linear_tips(rows, _weights(best.residual))
-        other = best if linear is None else _refined(rows, linear, tips)
+        other = best if linear is None else _refine(rows, linear, tips)
         best = min(best, other, key=lambda r: r.misfit)
     return best
 
@@ -112,7 +112,7 @@ def _weights(residual: np.ndarray) -> np.ndarray:
     return robust_weights(np.linalg.norm(residual, axis=1))
 
 
-def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
+def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
     """Alternate bases and weights at a given marker, then Gauss-Newton on everything."""
     groups = int(rows.group.max()) + 1
     point = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
@@ -125,7 +125,7 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
             offset[g] = np.median(seen - at @ rotation[g].T, axis=0)
         else:
             rotation[g], offset[g] = robust_kabsch(at, seen)
-    made = _look(rows, rotation, offset, tip)
+    made = _registration_at(rows, rotation, offset, tip)
     for _ in range(_STEPS if tips else 0):
         following = _step(rows, made)
         if following.misfit > made.misfit:
@@ -136,7 +136,7 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
     return made
 
 
-def _look(
+def _registration_at(
     rows: Sightings, rotation: np.ndarray, offset: np.ndarray, tip: np.ndarray
 ) -> Registration:
     local = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
@@ -166,7 +166,7 @@ def _step(rows: Sightings, now: Registration) -> Registration:
     turn = Rotation.from_rotvec(change[:, :3]).as_matrix()
     rotation = turn @ now.rotation
     offset = np.einsum("gij,gj->gi", turn, now.offset - centre) + centre + change[:, 3:]
-    return _look(rows, rotation, offset, now.tip + x[6 * groups :].reshape(kinds, 3))
+    return _registration_at(rows, rotation, offset, now.tip + x[6 * groups :].reshape(kinds, 3))
 
 
 def _linear_tips(rows: Sightings, weights: np.ndarray) -> np.ndarray | None:
